@@ -1,0 +1,56 @@
+# Needs Python 3.11 or newer, make and git; everything else goes into .venv. `make help` lists the targets.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test check bench bench-real campaign install lock clean
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: install  ## the main job: a simulated flight, GPS cut off; says where the result is
+	$(BIN)/landfix demo
+
+test: install  ## check, then all tests; the exit code tells of both
+	@checked=0; $(MAKE) --no-print-directory check || checked=$$?; $(PYTEST) -n 2 && exit $$checked
+
+check: install  ## ruff, mypy --strict, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: install  ## speed, as ratios to a baseline run beside it
+	$(PYTEST) -p benchmark benchmarks --benchmark-sort=name
+
+bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside the peers' figures
+	$(BIN)/python -m benchmarks.real
+
+campaign: install  ## consistency over many simulated flights (minutes)
+	$(BIN)/python -m benchmarks.campaign
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.locked
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.locked: requirements.lock | $(BIN)/pip
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	@touch $@
+
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "landfix needs Python 3.11 or newer: make PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+
+# Versions stay as they are; `make lock UPGRADE=--upgrade` takes the newest. Every platform and every Python >= 3.11; hashes, no addresses.
+lock: install  ## write requirements.lock anew from pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --extra dev $(UPGRADE) --output-file requirements.lock pyproject.toml
+
+clean:  ## remove .venv and what tools left behind
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
