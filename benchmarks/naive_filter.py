@@ -12,7 +12,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.spatial.transform import Rotation
 
 from models.imu import ImuNoise
-from models.messages import Array, Estimate, GnssVelocity, Input, ImuSample, LandmarkFix, Mode, PoseFix, vec3
+from models.messages import Array, Estimate, GnssVelocity, ImuSample, Input, LandmarkFix, Mode, PoseFix, vec3
 from models.state import E, NavState
 
 GRAVITY_N = np.array([0.0, 0.0, 9.80665])  # m/s^2
@@ -29,7 +29,7 @@ def skew(v: Array) -> Array:
 
 def exp(r: Array) -> Array:
     """Rotation matrix of a rotation vector [rad] (Rodrigues; Sola 2017, eq. 77)."""
-    angle = np.linalg.norm(r)
+    angle = np.sqrt(r @ r)
     if angle < 1e-9:
         return np.eye(3) + skew(r)
     k = skew(r / angle)
@@ -65,38 +65,40 @@ class NaiveFilter:
     def predict(self, t_ns: int, gyro: Array, accel: Array) -> None:
         """Strapdown step to t_ns with the mean of the last sample and this one.
 
-            F = | I  I dt  0              0      0     |
-                | 0  I    -R [a]x dt      0     -R dt  |
-                | 0  0     exp(-w dt)    -I dt   0     |
-                | 0  0     0              I      0     |
-                | 0  0     0              0      I     |                          (Sola 2017, eq. 269)
+        F = | I  I dt  0              0      0     |
+            | 0  I    -R [a]x dt      0     -R dt  |
+            | 0  0     exp(-w dt)    -I dt   0     |
+            | 0  0     0              I      0     |
+            | 0  0     0              0      I     |                          (Sola 2017, eq. 269)
         """
         w, a = 0.5 * (self._gyro + gyro) - self._bg, 0.5 * (self._accel + accel) - self._ba
         self._gyro, self._accel = gyro, accel
         if self._t_ns is None or t_ns <= self._t_ns:
             return
         dt, n = (t_ns - self._t_ns) * 1e-9, self._noise
+        half_turn = exp(0.5 * w * dt)
+        turn = half_turn @ half_turn
         F = np.eye(E.SIZE)
         F[E.P, E.V] = np.eye(3) * dt
         F[E.V, E.THETA] = -self._R @ skew(a) * dt
         F[E.V, E.BA] = -self._R * dt
-        F[E.THETA, E.THETA] = exp(-w * dt)
+        F[E.THETA, E.THETA] = turn.T
         F[E.THETA, E.BG] = -np.eye(3) * dt
         variances = np.zeros(E.SIZE)
         variances[E.V], variances[E.THETA] = n.accel_noise**2 * dt, n.gyro_noise**2 * dt
         variances[E.BG], variances[E.BA] = n.gyro_walk**2 * dt, n.accel_walk**2 * dt
         self._ekf.F, self._ekf.Q = F, np.diag(variances)
         self._ekf.predict()
-        a_n = self._R @ exp(0.5 * w * dt) @ a + GRAVITY_N
+        a_n = self._R @ half_turn @ a + GRAVITY_N
         self._p = self._p + self._v * dt + 0.5 * a_n * dt**2
         self._v = self._v + a_n * dt
-        self._R = self._R @ exp(w * dt)
+        self._R = self._R @ turn
         self._t_ns = t_ns
 
     def fuse_pose(self, fix: PoseFix | LandmarkFix) -> None:
         """Position and attitude, or position alone where the attitude's variance says "not given".
 
-            z = (p_fix - p, log(R^T R_fix)),   H dx = (dp, theta)
+        z = (p_fix - p, log(R^T R_fix)),   H dx = (dp, theta)
         """
         R_fix = Rotation.from_quat(fix.q_nb_wxyz, scalar_first=True).as_matrix()
         given = np.diag(fix.covariance) < np.repeat([NOT_GIVEN_P, NOT_GIVEN_A], 3)
@@ -121,12 +123,12 @@ class NaiveFilter:
             return
         H = np.zeros((3, E.SIZE))
         H[:, E.V] = np.eye(3)
-        assert fix.covariance_n is not None  # noqa: S101  (handle looked)
+        assert fix.covariance_n is not None  # handle looked
         self._update(np.array(fix.v_n) - self._v, H, fix.covariance_n)
 
     def estimate(self, arrived_ns: int) -> Estimate:
         """The state now, as the estimator would publish it."""
-        assert self._t_ns is not None  # noqa: S101  (callers ask `started` first)
+        assert self._t_ns is not None  # callers ask `started` first
         q = Rotation.from_matrix(self._R).as_quat(scalar_first=True)
         nav = NavState(self._p, self._v, q, self._bg, self._ba).pack()
         rate = vec3(self._gyro - self._bg)
@@ -141,7 +143,7 @@ class NaiveFilter:
 
     def _update(self, z: Array, H: Array, noise: Array) -> None:
         """Kalman update of the error, which then moves into the nominal state."""
-        self._ekf.update(z, lambda x: H, lambda x: H @ x, R=noise)
+        self._ekf.update(z, lambda _: H, lambda x: H @ x, R=noise)
         dx = self._ekf.x
         self._p, self._v, self._R = self._p + dx[E.P], self._v + dx[E.V], self._R @ exp(dx[E.THETA])
         self._bg, self._ba = self._bg + dx[E.BG], self._ba + dx[E.BA]
