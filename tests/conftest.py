@@ -1,0 +1,25 @@
+"""What every test may use: no display, hypothesis profiles, the folder of recorded flights."""
+
+import os
+from pathlib import Path
+
+os.environ["MPLBACKEND"] = "Agg"  # before anything imports matplotlib
+
+import pytest
+from hypothesis import settings
+
+ROOT = Path(__file__).parents[1]
+
+# No deadline: a kernel compiles at its first call.
+settings.register_profile("dev", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+@pytest.fixture(scope="session")
+def landfix_data() -> Path:
+    """Folder of the recorded flights (flights/, images/, native_logs/); the test is skipped where it is absent."""
+    folder = Path(os.environ.get("LANDFIX_DATA") or ROOT / "../shared/data").resolve()
+    if not (folder / "flights").is_dir():
+        pytest.skip("no recorded flights: set LANDFIX_DATA to the folder that holds flights/ (default ../shared/data)")
+    return folder
