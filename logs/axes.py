@@ -1,0 +1,76 @@
+"""Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD.
+
+Both changes of axes are signed permutations and their own inverses, so every function here works both ways. Covariances are
+permuted element by element, never multiplied: a NaN or a "not given" 1e6 stays in its own place.
+"""
+
+import math
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+
+from models import so3
+from models.frames import ENU_FROM_NED, FLU_FROM_FRD
+from models.messages import Array, Quat, Vec3
+
+_ORDER: Final = np.argmax(np.abs(ENU_FROM_NED), axis=1)
+_SIGN: Final = ENU_FROM_NED[np.arange(3), _ORDER]
+_ORDER6: Final = np.concatenate([_ORDER, _ORDER + 3])
+_SIGN6: Final = np.concatenate([_SIGN, _SIGN])
+_BODY_SIGN6: Final = np.concatenate([np.diag(FLU_FROM_FRD), np.diag(FLU_FROM_FRD)])
+
+
+def world(v: Vec3) -> Vec3:
+    """ENU <-> NED of a vector: (x, y, z) -> (y, x, -z)."""
+    return v[1], v[0], -v[2]
+
+
+def body(v: Vec3) -> Vec3:
+    """FLU <-> FRD of a vector: (x, y, z) -> (x, -y, -z)."""
+    return v[0], -v[1], -v[2]
+
+
+def attitude(q_wxyz: Quat) -> Quat:
+    """q_nb <-> q of base_link in map: q' = q(ENU <- NED) q q(FRD <- FLU), up to the sign.
+
+    q(ENU <- NED) is half a turn about (1, 1, 0) / sqrt(2), q(FRD <- FLU) half a turn about x. The norm is kept as it came.
+    """
+    w, x, y, z = q_wxyz
+    s = math.sqrt(0.5)
+    return s * (w + z), s * (x + y), s * (x - y), s * (w - z)
+
+
+def world_covariance(p: Array) -> Array:
+    """ENU <-> NED of a (3, 3) covariance, or of a (6, 6) one of position and rotation about the world's axes."""
+    order, sign = (_ORDER, _SIGN) if len(p) == 3 else (_ORDER6, _SIGN6)
+    permuted: Array = p[np.ix_(order, order)] * np.outer(sign, sign)
+    return permuted
+
+
+def body_covariance(p: Array) -> Array:
+    """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes."""
+    turned: Array = p * np.outer(_BODY_SIGN6, _BODY_SIGN6)
+    return turned
+
+
+class ImuMounting(msgspec.Struct, frozen=True):
+    """How the IMU sits in the vehicle: the axes its driver uses, and its attitude in the body.
+
+    roll_deg, pitch_deg, yaw_deg turn the body's axes into the IMU's: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, both in FRD.
+    """
+
+    axes: Literal["flu", "frd"] = "flu"
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def matrix(self) -> Array:
+        """R with x_b (FRD) = R x (as the driver writes it), (3, 3)."""
+        R_bi = so3.matrix(so3.from_euler(*np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])))
+        return R_bi @ FLU_FROM_FRD if self.axes == "flu" else R_bi
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether more than the naming of the axes separates IMU and body."""
+        return (self.roll_deg, self.pitch_deg, self.yaw_deg) != (0.0, 0.0, 0.0)

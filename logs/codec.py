@@ -1,0 +1,27 @@
+"""Wire <-> records, the one door: ROS 2 CDR in ENU / FLU outside, models.messages in NED / FRD inside.
+
+header.stamp is the time of validity; the time of arrival (MCAP's log time) comes from whoever received the bytes. Bytes that
+are no message of the expected type become an Unusable; strange *values* (NaN, a zero covariance, a quaternion that is not of
+unit length) pass through as they came, for the estimator to judge.
+"""
+
+from logs.axes import ImuMounting
+from logs.decoding import Decoder, Odometry, Topics, decode_aid_status, decode_odometry
+from logs.encoding import Encoded, encode, encode_input, encode_slow, encode_truth
+from logs.schemas import SCHEMAS, type_hash
+
+__all__ = [
+    "SCHEMAS",
+    "Decoder",
+    "Encoded",
+    "ImuMounting",
+    "Odometry",
+    "Topics",
+    "decode_aid_status",
+    "decode_odometry",
+    "encode",
+    "encode_input",
+    "encode_slow",
+    "encode_truth",
+    "type_hash",
+]

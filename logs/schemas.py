@@ -1,0 +1,131 @@
+"""Message types on the wire: ROS 2 Humble's own and landfix_msgs, whose .msg texts are written here and nowhere else.
+
+A schema is what an MCAP file or a ROS tool needs to read a message: the ros2msg text with all its dependencies, and the
+RIHS01 hash of it (REP-2011) that Zenoh keys and channel metadata carry.
+"""
+
+from functools import cache
+from typing import Final
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+HEADER: Final = "std_msgs/msg/Header"
+IMU: Final = "sensor_msgs/msg/Imu"
+NAV_SAT_FIX: Final = "sensor_msgs/msg/NavSatFix"
+TWIST: Final = "geometry_msgs/msg/TwistWithCovarianceStamped"
+POSE_FIX: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
+PRESSURE: Final = "sensor_msgs/msg/FluidPressure"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+POSE: Final = "geometry_msgs/msg/PoseStamped"
+TF: Final = "tf2_msgs/msg/TFMessage"
+DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+IMAGE: Final = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE: Final = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
+LANDMARK_FIX: Final = "landfix_msgs/msg/LandmarkFix"
+AID_STATUS: Final = "landfix_msgs/msg/AidStatus"
+VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
+RESET: Final = "landfix_msgs/msg/Reset"
+
+LANDFIX_MSGS: Final = {
+    LANDMARK_FIX: """\
+# A 6-DoF position fix from known landmarks in a stereo pair.
+# header.stamp: exposure of the pair; header.frame_id: map (ENU at the map origin).
+std_msgs/Header header
+# Pose of base_link (FLU) in map. Covariance: x y z rx ry rz, m^2 and rad^2; the rotation part is the error about the axes
+# of map. A variance >= 9e4 m^2 or >= 10 rad^2, NaN or negative: not given.
+geometry_msgs/PoseWithCovariance pose
+# The part of the error that repeats from fix to fix (map, rig), in addition to pose.covariance. All zero: none known.
+float64[36] covariance_common
+# Identifiers of the landmarks in the map.
+string[] landmarks
+# Agreement of description and picture, 0 to 1.
+float64 similarity
+# RMS of the outline fit, px.
+float64 residual_px
+""",
+    AID_STATUS: """\
+# What became of one measurement; sent again with a higher revision when the decision changes.
+# header.stamp: validity of the measurement; header.frame_id: empty.
+std_msgs/Header header
+builtin_interfaces/Time arrived
+# Where it came from, and what it is (gnss, pose, ...).
+string topic
+string kind
+# fused, gated, too_old, not_finite, not_psd, stopped, ...
+string reason
+uint32 revision
+# Of the given components, in the measurement's own units and axes (NED, FRD).
+float64[] innovation
+float64[] innovation_sigma
+# Squared Mahalanobis distance / gate: <= 1 passes.
+float64 test_ratio
+# Arrival - validity, s.
+float64 delay_s
+# IMU samples processed again for it.
+uint32 replayed
+string detail
+""",
+    VISION_REPORT: """\
+# Why one stereo pair gave a fix, or why not.
+# header.stamp: exposure of the pair; header.frame_id: camera.
+std_msgs/Header header
+# fixed, or the stage that ended it: no_region, no_candidate, ambiguous, no_pose, ...
+string outcome
+string detail
+# Regions found, and how many were similar enough to a landmark.
+uint32 regions
+uint32 candidates
+# Best landmark of each candidate, and its similarity, 0 to 1.
+string[] landmarks
+float64[] similarities
+# RMS of the outline fit, px; NaN without a fit.
+float64 residual_px
+float64 processing_s
+""",
+    RESET: """\
+# The estimate jumped: new = old (+) delta.
+# header.stamp: when; header.frame_id: map (ENU at the map origin), the axes of all three deltas.
+std_msgs/Header header
+# Jumps so far, this one included.
+uint32 counter
+# m
+geometry_msgs/Vector3 delta_position
+# m/s
+geometry_msgs/Vector3 delta_velocity
+# rad, about the axes of map
+geometry_msgs/Vector3 delta_rotation
+""",
+}
+
+STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
+for _name, _text in LANDFIX_MSGS.items():
+    STORE.register(get_types_from_msg(_text, _name))
+
+
+@cache
+def schema_text(name: str) -> str:
+    """The ros2msg text of a type with its dependencies; our own types keep their comments. KeyError: unknown type."""
+    if name not in STORE.fielddefs:
+        raise KeyError(name)
+    text, _ = STORE.generate_msgdef(name, ros_version=2)
+    if name in LANDFIX_MSGS:
+        text = LANDFIX_MSGS[name] + text[text.index("=" * 80) :]
+    return text
+
+
+@cache
+def type_hash(name: str) -> str:
+    """RIHS01 hash of a type, such as RIHS01_3cc97dc7... of nav_msgs/msg/Odometry. KeyError: unknown type."""
+    if name not in STORE.fielddefs:
+        raise KeyError(name)
+    return STORE.hash_rihs01(name)
+
+
+SCHEMAS: Final = {
+    name: schema_text(name)
+    for name in (
+        HEADER, IMU, NAV_SAT_FIX, TWIST, POSE_FIX, PRESSURE, ODOMETRY, POSE, TF, DIAGNOSTICS, IMAGE, COMPRESSED_IMAGE,
+        CAMERA_INFO, *LANDFIX_MSGS,
+    )
+}  # fmt: skip
