@@ -68,12 +68,12 @@ def test_the_ground_falls_away_from_the_tangent_plane() -> None:
 
 @pytest.mark.parametrize(
     ("lat_deg", "expected"),
-    [(0.0, 9.7803253359), (45.0, 9.8061992), (90.0, 9.8321849379)],
+    [(0.0, 9.7803253359), (45.0, 9.8061992), (90.0, 9.8321849379)],  # at 45 degrees GRS80, 1.4e-6 apart
     ids=["equator", "45 degrees", "pole"],
 )
 def test_gravity_on_the_ellipsoid_has_its_published_values(lat_deg: float, expected: float) -> None:
     for side in (1.0, -1.0):
-        assert normal_gravity(math.radians(side * lat_deg), 0.0) == pytest.approx(expected, abs=2e-6)  # at 45 degrees it is GRS80, 1.4e-6 apart
+        assert normal_gravity(math.radians(side * lat_deg), 0.0) == pytest.approx(expected, abs=2e-6)
 
 
 @pytest.mark.parametrize("alt_m", [-100.0, 500.0, 3000.0])
