@@ -1,0 +1,59 @@
+"""What leaves the estimator on the wire, and how often: the same for the daemon, the replay and the simulation."""
+
+from collections.abc import Iterable, Iterator
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from logs.codec import Encoded, encode, encode_slow
+from models.messages import Estimate, Output
+
+
+class OutputConfig(msgspec.Struct, frozen=True):
+    """How often what is published."""
+
+    rate_hz: Annotated[float, Meta(ge=0, description="/landfix/odometry at most this often; 0: one per IMU sample")] = 0.0
+    slow_rate_hz: Annotated[float, Meta(gt=0, le=30, description="/landfix/pose, /tf and /landfix/global at most this often")] = (
+        30.0
+    )
+
+
+class Pace:
+    """Thins a stream to one message per period: due() is true for the first stamp in each period of 1/rate_hz (0: always).
+
+    Periods are counted from t_ns = 0, so what is due depends on the stamps alone, not on when the stream began.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0
+        self._last: int | None = None
+
+    def due(self, t_ns: int) -> bool:
+        """Whether the message stamped t_ns is to be sent."""
+        if not self._period_ns:
+            return True
+        period = t_ns // self._period_ns
+        if period == self._last:
+            return False
+        self._last = period
+        return True
+
+
+class Publisher:
+    """Encodes the outputs of Fusion and thins what would be too much."""
+
+    def __init__(self, config: OutputConfig) -> None:
+        self._odometry = Pace(config.rate_hz)
+        self._slow = Pace(config.slow_rate_hz)
+
+    def encoded(self, outputs: Iterable[Output]) -> Iterator[Encoded]:
+        """The messages to send, in order."""
+        for output in outputs:
+            if not isinstance(output, Estimate):
+                yield from encode(output)
+                continue
+            if self._odometry.due(output.t_ns):
+                yield from encode(output)
+            if self._slow.due(output.t_ns):
+                yield from encode_slow(output)

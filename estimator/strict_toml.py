@@ -1,0 +1,186 @@
+"""TOML <-> parameter structs, strictly: nothing unknown, nothing of the wrong type or range, nothing infinite passes.
+
+A parameter struct is a frozen msgspec.Struct whose fields carry range and meaning, `Annotated[float, msgspec.Meta(gt=0,
+description="m/s: what it means")]`; the unit stands before the colon, or is the suffix of the name (`history_s`). Reading,
+writing and the table of all keys are derived from that, so nothing about a key is written twice.
+"""
+
+import difflib
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import msgspec
+import msgspec.inspect as mi
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+_UNITS = {"s": "s", "ms": "ms", "ns": "ns", "m": "m", "mps": "m/s", "mps2": "m/s^2", "deg": "deg", "dps": "deg/s", "rad": "rad",
+          "hz": "Hz", "px": "px", "pa": "Pa", "m2": "m^2"}  # fmt: skip
+
+
+class ConfigError(ValueError):
+    """One clear line: which file, which key, what is wrong."""
+
+
+class Key(NamedTuple):
+    """One row of the table of all keys; section and name as they stand in the file, default as TOML ("-": none)."""
+
+    section: str
+    name: str
+    default: str
+    unit: str
+    meaning: str
+
+
+def decode(kind: type[T], text: str, name: str) -> T:
+    """The struct `kind` from TOML text; `name` is what the user calls the text. Raises ConfigError."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{name}: not valid TOML: {error}") from None
+    try:
+        checked = _checked(_struct(mi.type_info(kind)), table, "")
+        return msgspec.convert(checked, kind)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{name}: {_explain(str(error), table)}") from None
+
+
+def encode(value: msgspec.Struct) -> str:
+    """All keys of a struct of structs as TOML, defaults included; keys that are None have no TOML form and are left out."""
+    return "\n".join(_sections(value, "")).lstrip("\n") + "\n"
+
+
+def keys(kind: type[msgspec.Struct]) -> list[Key]:
+    """Every key of a struct of structs, in the order of declaration."""
+    return list(_keys(_struct(mi.type_info(kind)), ""))
+
+
+def _struct(info: mi.Type) -> mi.StructType:
+    assert isinstance(info, mi.StructType)
+    return info
+
+
+def _alternatives(info: mi.Type) -> tuple[mi.Type, ...]:
+    """The types a field may have, without annotations: float | None gives both."""
+    if isinstance(info, mi.Metadata):
+        return _alternatives(info.type)
+    return tuple(a for t in info.types for a in _alternatives(t)) if isinstance(info, mi.UnionType) else (info,)
+
+
+def _nested(info: mi.Type) -> mi.StructType | None:
+    return next((a for a in _alternatives(info) if isinstance(a, mi.StructType)), None)
+
+
+def _checked(info: mi.StructType, table: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """The table with unknown keys refused, one string taken as a list of one, whole numbers as floats where floats are meant."""
+    fields = {f.encode_name: f.type for f in info.fields}
+    result = {}
+    for key, value in table.items():
+        if key not in fields:
+            raise ConfigError(_unknown(key, list(fields), path))
+        result[key] = _value(fields[key], value, f"{path}.{key}" if path else key)
+    return result
+
+
+def _value(info: mi.Type, value: Any, path: str) -> Any:
+    alternatives = _alternatives(info)
+    if isinstance(value, dict):
+        struct = _nested(info)
+        return _checked(struct, value, path) if struct else value
+    if isinstance(value, str) and any(isinstance(a, mi.VarTupleType) for a in alternatives):
+        return [value]
+    if isinstance(value, list):
+        tuples = [a for a in alternatives if isinstance(a, mi.TupleType) and len(a.item_types) == len(value)]
+        return (
+            [_value(t, v, f"{path}[{i}]") for i, (t, v) in enumerate(zip(tuples[0].item_types, value, strict=True))]
+            if tuples
+            else value
+        )
+    choices = [choice for a in alternatives if isinstance(a, mi.LiteralType) for choice in a.values]
+    if choices and value not in choices:
+        raise ConfigError(f"{path} = {json.dumps(value, default=str)}: must be one of {', '.join(map(str, choices))}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{path} = {value}: must be a finite number")
+    if type(value) is int and any(isinstance(a, mi.FloatType) for a in alternatives):
+        return float(value)
+    return value
+
+
+def _unknown(key: str, known: list[str], path: str) -> str:
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+    hint = f"; did you mean '{near[0]}'?" if near else ";"
+    where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")
+    return f"unknown {where}{hint} {what}: {', '.join(known)}"
+
+
+def _explain(message: str, table: Mapping[str, Any]) -> str:
+    """msgspec's "Expected `float` > 0.0 - at `$.imu.gyro_noise`" as "imu.gyro_noise = -1: expected float > 0.0"."""
+    match = re.fullmatch(r"(?P<what>.*?)(?: - at `\$\.?(?P<path>[^`]*)`)?", message, re.DOTALL)
+    what, path = (match["what"], match["path"] or "") if match else (message, "")
+    value: Any = table
+    for part in filter(None, re.split(r"[.\[]", path)):
+        index = part.rstrip("]")
+        if isinstance(value, Mapping):
+            value = value.get(index, "")
+        elif isinstance(value, list) and index.isdigit():
+            value = value[int(index)]
+    what = what.replace("`", "")
+    given = "" if isinstance(value, dict) else f" = {json.dumps(value, default=str)}"
+    return f"{path}{given}: {what[:1].lower()}{what[1:]}" if path else what
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(v) for v in value)}]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _sections(value: msgspec.Struct, path: str) -> Iterator[str]:
+    items = [(f.encode_name, getattr(value, f.name)) for f in msgspec.structs.fields(value)]
+    plain = [(k, v) for k, v in items if v is not None and not isinstance(v, msgspec.Struct)]
+    if path and plain:
+        yield f"\n[{path}]"
+    for key, v in plain:
+        yield f"{key} = {_toml(v)}"
+    for key, v in items:
+        if isinstance(v, msgspec.Struct):
+            yield from _sections(v, f"{path}.{key}" if path else key)
+
+
+def _keys(info: mi.StructType, path: str) -> Iterator[Key]:
+    for field in info.fields:
+        nested = _nested(field.type)
+        if nested:
+            yield from _keys(nested, f"{path}.{field.encode_name}" if path else field.encode_name)
+            continue
+        meaning, unit = _meaning(field)
+        yield Key(path, field.encode_name, _default(field), unit, meaning)
+
+
+def _meaning(field: mi.Field) -> tuple[str, str]:
+    text = _description(field.type)
+    match = re.fullmatch(r"(\S+): (.*)", text, re.DOTALL)
+    if match:
+        return match[2], match[1]
+    return text, _UNITS.get(field.encode_name.rpartition("_")[2], "") if "_" in field.encode_name else ""
+
+
+def _description(info: mi.Type) -> str:
+    if isinstance(info, mi.Metadata):
+        return str((info.extra_json_schema or {}).get("description", "")) or _description(info.type)
+    return next(filter(None, map(_description, info.types)), "") if isinstance(info, mi.UnionType) else ""
+
+
+def _default(field: mi.Field) -> str:
+    value = field.default if field.default is not msgspec.NODEFAULT else None
+    if field.default_factory is not msgspec.NODEFAULT:
+        value = field.default_factory()
+    return "-" if value is None else _toml(value)

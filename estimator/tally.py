@@ -1,0 +1,101 @@
+"""What happened in a run, counted while it runs: for the summary a person reads and the JSON a program reads."""
+
+from collections import Counter
+from math import isfinite
+
+import msgspec
+
+from models.messages import AidStatus, Estimate, Health, ImuSample, Input, Mode, Output, Reason, Reset
+
+_LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, not time in a mode
+
+
+class ReplaySummary(msgspec.Struct, frozen=True):
+    """What happened. fixes: topic -> reason -> measurements (the last decision on each counts)."""
+
+    records: int
+    imu_samples: int
+    estimates: int
+    duration_s: float  # log time
+    elapsed_s: float  # wall time
+    speed: float  # multiple of real time
+    fixes: dict[str, dict[str, int]]
+    modes_s: dict[str, float]  # seconds of estimates in each mode
+    longest_without_absolute_s: float  # since the first absolute fix
+    worst_radius95_m: float  # horizontal, since alignment
+    resets: int
+    internal_errors: int
+    torn: bool
+    skipped_chunks: int = 0
+
+
+class Tally:
+    """Counts records, inputs and outputs as they pass."""
+
+    def __init__(self) -> None:
+        self.records = 0
+        self._imu = self._estimates = self._resets = self._internal = 0
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._previous_ns: int | None = None
+        self._modes_ns: Counter[Mode] = Counter()
+        self._longest_s = self._worst_radius_m = 0.0
+        self._decisions: dict[tuple[str, str, int, int], Reason] = {}
+
+    def record(self, log_time_ns: int) -> None:
+        """One record of the log."""
+        self.records += 1
+        if self._first_ns is None:
+            self._first_ns = log_time_ns
+        if log_time_ns > self._last_ns:
+            self._last_ns = log_time_ns
+
+    def step(self, message: Input, outputs: list[Output]) -> None:
+        """One input and what it caused."""
+        if isinstance(message, ImuSample):
+            self._imu += 1
+        for output in outputs:
+            if isinstance(output, Estimate):
+                self._estimate(output)
+            elif isinstance(output, AidStatus):
+                self._decisions[output.topic, output.kind, output.t_ns, output.arrived_ns] = output.reason
+                self._internal += output.reason is Reason.INTERNAL
+            elif isinstance(output, Health):
+                self._health(output)
+            elif isinstance(output, Reset):
+                self._resets += 1
+
+    def _estimate(self, estimate: Estimate) -> None:
+        self._estimates += 1
+        if self._previous_ns is not None and 0 < estimate.t_ns - self._previous_ns <= _LONGEST_STEP_NS:
+            self._modes_ns[estimate.mode] += estimate.t_ns - self._previous_ns
+        self._previous_ns = estimate.t_ns
+
+    def _health(self, health: Health) -> None:
+        if isfinite(health.absolute_age_s):
+            self._longest_s = max(self._longest_s, health.absolute_age_s)
+        if isfinite(health.radius95_m):
+            self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
+
+    def summary(self, elapsed_s: float, torn: bool, skipped_chunks: int) -> ReplaySummary:
+        """All of it, at the end."""
+        fixes: dict[str, Counter[str]] = {}
+        for (topic, *_), reason in self._decisions.items():
+            fixes.setdefault(topic, Counter())[reason.value] += 1
+        duration_s = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
+        return ReplaySummary(
+            records=self.records,
+            imu_samples=self._imu,
+            estimates=self._estimates,
+            duration_s=duration_s,
+            elapsed_s=elapsed_s,
+            speed=duration_s / elapsed_s if elapsed_s > 0 else 0.0,
+            fixes={topic: dict(reasons) for topic, reasons in sorted(fixes.items())},
+            modes_s={mode.value: ns * 1e-9 for mode, ns in self._modes_ns.items()},
+            longest_without_absolute_s=self._longest_s,
+            worst_radius95_m=self._worst_radius_m,
+            resets=self._resets,
+            internal_errors=self._internal,
+            torn=torn,
+            skipped_chunks=skipped_chunks,
+        )
