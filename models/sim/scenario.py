@@ -1,0 +1,161 @@
+"""A scenario: a vehicle, its sensors and what goes wrong; simulated, it is a list of messages and the truth behind them.
+
+    simulate(scenario, seed) -> Simulation
+
+Equal scenario and seed give equal messages. Every sensor draws from a random stream of its own, and delivery from another, so
+that switching a delay or a second sensor on leaves all measured values as they were.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.frames import Origin
+from models.imu import ImuNoise
+from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
+from models.sim.aids import Gnss, PoseFixes, make_pose_fixes, receive_gnss
+from models.sim.faults import AnyFault, in_order
+from models.sim.ranges import Rate
+from models.sim.sensors import GRADES, Imu, ImuRecord, measure
+from models.sim.trajectory import FixedWing, Motion, Multirotor, build
+
+EPOCH_NS = 1_700_000_000_000_000_000
+_HOME = (47.3977, 8.5456, 488.0)  # lat_deg, lon_deg, alt_m: a field near Zurich
+
+
+class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a scenario file may say; everything has a default. Sensors left out are not on board.
+
+    origin: latitude and longitude in degrees, height above the WGS-84 ellipsoid in m; without it the Earth stands still and
+    there is no GNSS (geographic = false). ticks_hz: rate of the clock messages that let an estimator notice a silent IMU.
+    """
+
+    name: str = "scenario"
+    duration_s: Annotated[float, msgspec.Meta(ge=1.0, le=86_400.0)] = 120.0
+    geographic: bool = True
+    origin: tuple[float, float, float] = _HOME
+    ticks_hz: Rate | None = None
+    vehicle: Multirotor | FixedWing = msgspec.field(default_factory=Multirotor)
+    imu: Imu = msgspec.field(default_factory=Imu)
+    gnss: Gnss | None = None
+    pose_fix: PoseFixes | None = None
+    faults: tuple[AnyFault, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.gnss is not None and not self.geographic:
+            raise ValueError("gnss: there is no GNSS where geographic = false")
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The true motion at IMU rate; body against n, SI.
+
+    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): what a perfect IMU would
+    measure, Earth rate and gravity included; gyro_bias, accel_bias (n, 3).
+    """
+
+    t_ns: NDArray[np.int64]
+    p_n: Array
+    v_n: Array
+    q_nb_wxyz: Array
+    R_nb: Array
+    omega_b: Array
+    gyro_b: Array
+    accel_b: Array
+    gyro_bias: Array
+    accel_bias: Array
+
+    def since(self, t_ns: int) -> "Truth":
+        """The truth from t_ns on."""
+        first = int(np.searchsorted(self.t_ns, t_ns))
+        return Truth(*(getattr(self, name)[first:] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """Messages in order of arrival, and what the estimator must not see: the truth, and which pose fixes are false (t_ns).
+
+    imu_noise: the densities of the grade, without mismatch; config_toml: the landfix configuration that fits.
+    """
+
+    messages: list[Input]
+    truth: Truth
+    origin: Origin | None
+    imu_noise: ImuNoise
+    config_toml: str
+    false_fixes: frozenset[int]
+
+
+def simulate(scenario: Scenario, seed: int) -> Simulation:
+    """One run of the scenario. Raises ValueError for a fault that asks for what the scenario does not have."""
+    for_course, for_imu, for_gnss, for_fixes = np.random.default_rng(seed).spawn(4)
+    origin = Origin(*scenario.origin) if scenario.geographic else None
+    trajectory = build(scenario.vehicle, scenario.duration_s, for_course)
+    t_ns = _stamps(scenario.imu.rate_hz, scenario.duration_s)
+    motion = trajectory.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
+    record = measure(scenario.imu, motion, origin, (t_ns[1] - t_ns[0]) * 1e-9, for_imu)
+    aids: list[Input] = []
+    false: frozenset[int] = frozenset()
+    if scenario.gnss and origin:
+        aids += receive_gnss(scenario.gnss, trajectory, origin, EPOCH_NS, for_gnss)
+    if scenario.pose_fix:
+        fixes, false = make_pose_fixes(scenario.pose_fix, trajectory, EPOCH_NS, for_fixes)
+        aids += fixes
+    ticks = [Tick(t, t) for t in _stamps(scenario.ticks_hz, scenario.duration_s).tolist()] if scenario.ticks_hz else []
+    # The sort is stable: of messages arriving together the aids come first, the tick last.
+    messages = in_order([*aids, *_imu_messages(scenario.imu, t_ns, record), *ticks])
+    for fault in scenario.faults:
+        messages = fault.apply(messages, EPOCH_NS, origin, seed)
+    noise = GRADES[scenario.imu.grade].noise
+    config = _config_toml(scenario, noise)
+    return Simulation(messages, _truth(t_ns, motion, record), origin, noise, config, false)
+
+
+def _stamps(rate_hz: float, duration_s: float) -> NDArray[np.int64]:
+    period_ns = round(1e9 / rate_hz)
+    return EPOCH_NS + np.arange(0, round(duration_s * 1e9) + 1, period_ns, dtype=np.int64)
+
+
+def _imu_messages(imu: Imu, t_ns: NDArray[np.int64], record: ImuRecord) -> list[Input]:
+    delay_ns = round(imu.delay_s * 1e9)
+    rows = zip(t_ns.tolist(), map(tuple, record.gyro_b.tolist()), map(tuple, record.accel_b.tolist()), strict=True)
+    return [ImuSample(t, t + delay_ns, gyro_b, accel_b) for t, gyro_b, accel_b in rows]
+
+
+def _truth(t_ns: NDArray[np.int64], motion: Motion, record: ImuRecord) -> Truth:
+    return Truth(
+        t_ns=t_ns,
+        p_n=motion.p_n,
+        v_n=motion.v_n,
+        q_nb_wxyz=motion.q_nb_wxyz,
+        R_nb=motion.R_nb,
+        omega_b=motion.omega_b,
+        gyro_b=record.true_gyro_b,
+        accel_b=record.true_accel_b,
+        gyro_bias=record.gyro_bias,
+        accel_bias=record.accel_bias,
+    )
+
+
+def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
+    """The landfix configuration that knows of these sensors what an engineer would: grade, lever arm, delay and origin."""
+    lines = ["[imu]", 'axes = "flu"']
+    lines += [f"{name} = {value!r}" for name, value in msgspec.structs.asdict(noise).items()]
+    lines += ["", "[inputs]", f'imu = "{_topic(ImuSample)}"']
+    if scenario.gnss:
+        lines += [f'gnss = "{_topic(GnssFix)}"', f'gnss_velocity = "{_topic(GnssVelocity)}"']
+    if scenario.pose_fix:
+        lines += [f'pose_fix = "{_topic(PoseFix)}"']
+    if scenario.gnss:
+        lines += ["", "[gnss]", f"delay_s = {scenario.gnss.stamp_lag_s!r}", f"antenna_b_m = {list(scenario.gnss.antenna_b_m)}"]
+    if scenario.geographic:
+        lines += ["", "[map]", f"origin = {list(scenario.origin)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _topic(kind: type[msgspec.Struct]) -> str:
+    """The topic that messages of this kind have unless told otherwise."""
+    return next(str(f.default) for f in msgspec.structs.fields(kind) if f.name == "topic")
