@@ -1,6 +1,7 @@
 """A trajectory as arrays: decoded from a log's messages in one sweep, associated with another by stamps.
 
-Everything is as on the wire: map is ENU, body is FLU, rotation errors are about the axes of map.
+Everything is as on the wire: map is ENU, body is FLU, rotation errors are about the axes of map, velocities and their errors
+along the axes of the body.
 """
 
 from collections.abc import Sequence
@@ -25,15 +26,15 @@ _ENCAPSULATION = 4  # bytes before the CDR body
 class Trajectory:
     """n poses in the order of their stamps, each stamp once. What a message does not give is nan.
 
-    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v: (n, 3) m/s, in map axes;
-    covariance: (n, 6, 6), order x y z rx ry rz; v_covariance: (n, 3, 3), in map axes.
+    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s;
+    covariance: (n, 6, 6), order x y z rx ry rz; v_covariance: (n, 3, 3) of v_body.
     """
 
     t_ns: Times
     arrived_ns: Times
     p: Array
     q_wxyz: Array
-    v: Array
+    v_body: Array
     covariance: Array
     v_covariance: Array
 
@@ -42,6 +43,15 @@ class Trajectory:
 
     def __getitem__(self, rows: Indices | Mask | slice) -> Self:
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @property
+    def v(self) -> Array:
+        """Velocity in the axes of map, (n, 3) m/s; nan where there is no attitude."""
+        v = np.full_like(self.v_body, np.nan)
+        given = self.has_attitude
+        if given.any():
+            v[given] = rotation(self.q_wxyz[given]).apply(self.v_body[given])
+        return v
 
     @property
     def has_attitude(self) -> Mask:
@@ -59,8 +69,8 @@ def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Tra
     whole = [k for k, d in enumerate(data) if len(d) >= size + 2 * _ENCAPSULATION + 8]
     little = all(data[k][1] & 1 for k in whole)
     stamps = _stamps([data[k] for k in whole])
-    x = np.frombuffer(b"".join(data[k][-size:] for k in whole), "<f8" if little else ">f8").astype(float)
-    return _unique(stamps, np.array([arrived_ns[k] for k in whole], np.int64), x.reshape(-1, _DOUBLES[schema]))
+    x = np.frombuffer(b"".join(data[k][-size:] for k in whole), "<f8" if little else ">f8").astype(float, copy=False)
+    return from_rows(stamps, np.array([arrived_ns[k] for k in whole], np.int64), x.reshape(-1, _DOUBLES[schema]))
 
 
 def _stamps(data: Sequence[bytes]) -> Times:
@@ -72,19 +82,22 @@ def _stamps(data: Sequence[bytes]) -> Times:
     return stamps
 
 
-def _unique(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
-    """Rows x of 7 (pose), 43 (and covariance) or 85 (and twist) doubles, sorted by stamp, the first of each stamp."""
+def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
+    """The Trajectory of rows x as they stand in messages: 3 (position), 7 (pose), 43 (and covariance) or 85 (and twist) doubles.
+
+    Rows come in any order; of several with one stamp the first counts. A quaternion (xyzw) that is not of about unit length or
+    has a variance of "not given" is none.
+    """
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
     n, width = x.shape
-    full = np.hstack([x, np.full((n, 85 - width), np.nan)])
+    full = x if width == 85 else np.hstack([x, np.full((n, 85 - width), np.nan)])
     p, q_xyzw, covariance = full[:, 0:3], full[:, 3:7], full[:, 7:43].reshape(n, 6, 6)
     norm = np.linalg.norm(q_xyzw, axis=1)
     given = (norm > 0.5) & ~(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:] >= _NOT_GIVEN_RAD2).any(axis=1)
-    r = Rotation.from_quat(np.where((norm > 0.5)[:, None], q_xyzw, [0.0, 0.0, 0.0, 1.0]))
-    q_wxyz = np.where(given[:, None], r.as_quat(scalar_first=True), np.nan)
-    v, v_covariance = r.apply(full[:, 43:46]), r.as_matrix() @ full[:, 49:85].reshape(n, 6, 6)[:, :3, :3]
-    return Trajectory(t_ns, arrived_ns, p, q_wxyz, v, covariance, v_covariance @ np.swapaxes(r.as_matrix(), 1, 2))
+    q_wxyz = np.full((n, 4), np.nan)
+    q_wxyz[given] = np.roll(q_xyzw[given], 1, axis=1) / norm[given, None]
+    return Trajectory(t_ns, arrived_ns, p, q_wxyz, full[:, 43:46], covariance, full[:, 49:85].reshape(n, 6, 6)[:, :3, :3])
 
 
 def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Origin) -> Trajectory:
@@ -106,7 +119,7 @@ def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Or
             rows.append(np.concatenate([[e, n, -down], np.full(4, np.nan), covariance.ravel()]))
             stamps.append(_stamps([d])[0])
             arrivals.append(arrived)
-    return _unique(np.array(stamps, np.int64), np.array(arrivals, np.int64), np.reshape(rows, (-1, 43)).astype(float))
+    return from_rows(np.array(stamps, np.int64), np.array(arrivals, np.int64), np.reshape(rows, (-1, 43)).astype(float))
 
 
 def _navsat_status(d: bytes) -> int:
@@ -153,7 +166,7 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
     q = trajectory.q_wxyz
     turn = (rotation(q[a]).inv() * rotation(q[b])).as_rotvec() if len(a) else np.empty((0, 3))
     q_t = (rotation(q[a]) * Rotation.from_rotvec(w[:, None] * turn)).as_quat(scalar_first=True) if len(a) else q[a]
-    others = (trajectory.p, trajectory.v, trajectory.covariance, trajectory.v_covariance)
-    p, v, covariance, v_covariance = (blend(x) for x in others)
+    others = (trajectory.p, trajectory.v_body, trajectory.covariance, trajectory.v_covariance)
+    p, v_body, covariance, v_covariance = (blend(x) for x in others)
     arrived = np.maximum(trajectory.arrived_ns[a], trajectory.arrived_ns[b])
-    return Trajectory(t, arrived, p, q_t, v, covariance, v_covariance), told
+    return Trajectory(t, arrived, p, q_t, v_body, covariance, v_covariance), told

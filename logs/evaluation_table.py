@@ -1,0 +1,140 @@
+"""An Evaluation as tables a person reads."""
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from logs.evaluation import Accuracy, Evaluation, Honesty
+from logs.metrics import Consistency, Stats
+
+
+def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
+    """Print it, the most important first."""
+    console = console or Console()
+    console.print(_summary(evaluation))
+    if evaluation.accuracy:
+        console.print(_accuracy(evaluation.accuracy))
+    if evaluation.honesty:
+        console.print(_honesty(evaluation.honesty))
+    if evaluation.outages:
+        console.print(_outages(evaluation))
+    if evaluation.aids:
+        console.print(_aids(evaluation))
+    if evaluation.resets:
+        console.print(_resets(evaluation))
+    for note in evaluation.notes:
+        console.print(f"note: {note}", style="yellow", markup=False, highlight=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    """A table whose first column is text and whose others are numbers."""
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left")
+    return table
+
+
+def _number(x: float | None, digits: int = 3) -> str:
+    """Three significant digits, "-" for what is not known."""
+    if x is None or x != x:  # noqa: PLR0124  (nan)
+        return "-"
+    return f"{x:.{digits}g}" if abs(x) < 1000 else f"{x:.0f}"
+
+
+def _summary(e: Evaluation) -> Text:
+    modes = ", ".join(f"{mode} {share:.1%}" for mode, share in sorted(e.modes.items(), key=lambda m: -m[1]))
+    latency = ", ".join(f"{topic} {1e3 * p.p50:.1f} / {1e3 * p.p99:.1f} ms" for topic, p in e.latency_s.items())
+    lines = [
+        f"{e.log}: {e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
+        f"compared with truth at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
+        f"modes: {modes or 'not told'}; without absolute information {e.without_absolute_s:.1f} s",
+        f"latency, median / 99 %: {latency}",
+    ]
+    return Text("\n".join(lines))
+
+
+def _accuracy(a: Accuracy) -> Table:
+    table = _table("Accuracy", "error", "RMSE", "mean", "median", "max", "unit")
+    rows: list[tuple[str, Stats, str]] = [
+        ("position", a.position_m, "m"),
+        ("  outside outages", a.aided_position_m, "m"),
+        ("  horizontal", a.horizontal_m, "m"),
+        ("  vertical", a.vertical_m, "m"),
+        ("  aligned in yaw and place", a.yaw_aligned_m, "m"),
+        ("  aligned, SE(3)", a.se3_aligned_m, "m"),
+        (f"  aligned, Sim(3), scale {a.sim3_scale:.4f}", a.sim3_aligned_m, "m"),
+        ("velocity", a.velocity_m_s, "m/s"),
+        ("attitude", a.attitude_deg, "deg"),
+        ("  outside outages", a.aided_attitude_deg, "deg"),
+        ("  tilt", a.tilt_deg, "deg"),
+        ("  heading", a.heading_deg, "deg"),
+    ]
+    for r in a.relative:
+        rows += [(f"relative, over {r.over}", r.translation_m, "m"), ("", r.rotation_deg, "deg")]
+    for name, s, unit in rows:
+        if s.n:
+            table.add_row(name, _number(s.rmse), _number(s.mean), _number(s.median), _number(s.max), unit)
+    return table
+
+
+def _honesty(h: Honesty) -> Table:
+    covered = f"{h.radius95_covered:.1%} of the time inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
+    table = _table(
+        f"Consistency: {covered}",
+        "NEES / dof",
+        "mean",
+        "95 % band",
+        "samples inside",
+        "in 95 % ellipsoid",
+        "n (independent)",
+        "verdict",
+    )
+    rows: list[tuple[str, Consistency]] = [
+        ("position", h.position),
+        ("  outside outages", h.position_aided),
+        ("  inside outages", h.position_outages),
+        ("attitude", h.attitude),
+        ("velocity", h.velocity),
+        ("pose", h.pose),
+    ]
+    for name, c in rows:
+        if c.n:
+            low, high = c.band
+            verdict = "consistent" if c.consistent else "overconfident" if c.mean > high else "too cautious"
+            table.add_row(
+                name, _number(c.mean), f"{low:.2f} - {high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
+                f"{c.n} ({c.n_effective:.0f})", verdict,
+            )  # fmt: skip
+    return table
+
+
+def _outages(e: Evaluation) -> Table:
+    table = _table(
+        "Outages of absolute information", "source", "from s", "for s", "RMSE m", "max m", "end m", "end %", "95 % radius m",
+        "NEES / 3", "attitude RMSE deg",
+    )  # fmt: skip
+    for o in e.outages:
+        d = o.drift
+        drift = (d.rmse_m, d.max_m, d.end_m, d.end_percent) if d else (None,) * 4
+        values = (*drift, o.radius95_end_m, o.nees_position, o.attitude_rmse_deg)
+        table.add_row(o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", *(_number(x) for x in values))
+    return table
+
+
+def _aids(e: Evaluation) -> Table:
+    table = _table("Measurements", "source", "kind", "fused", "others", "NIS / dof", "test ratio 95 %", "delay s, median", "max")
+    for a in e.aids:
+        others = ", ".join(f"{reason} {n}" for reason, n in a.reasons.items() if reason != "fused")
+        ratio, delay = a.test_ratio, a.delay_s
+        table.add_row(
+            a.topic, a.kind, str(a.reasons.get("fused", 0)), others or "-", _number(a.nis), _number(ratio.p95 if ratio else None),
+            _number(delay.p50 if delay else None), _number(delay.max if delay else None),
+        )  # fmt: skip
+    return table
+
+
+def _resets(e: Evaluation) -> Table:
+    table = _table("Resets", "number", "at s", "position m", "velocity m/s", "attitude deg")
+    for r in e.resets:
+        table.add_row(str(r.counter), f"{r.t_s:.2f}", _number(r.position_m), _number(r.velocity_m_s), _number(r.attitude_deg))
+    return table

@@ -1,0 +1,221 @@
+"""Everything a log tells about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from rosbags.serde import SerdeError
+
+from logs import schemas
+from logs.codec import decode_aid_status
+from logs.metrics import Mask, Times
+from logs.reader import LogError, LogReader
+from logs.trajectory import POSE_TYPES, Trajectory, decode, decode_geodetic, from_rows
+from models.frames import Origin
+from models.messages import AidStatus, Array, Reason, Vec3
+
+ODOMETRY_TOPIC: Final = "/landfix/odometry"
+TRUTH_TOPIC: Final = "/truth"
+_AID_TOPIC, _HEALTH_TOPIC = "/landfix/aid_status", "/landfix/health"
+_RESET_TOPIC, _GLOBAL_TOPIC = "/landfix/reset", "/landfix/global"
+_FIX_TYPES: Final = (schemas.POSE_FIX, schemas.LANDMARK_FIX, schemas.NAV_SAT_FIX)
+_PROGRESS_EVERY: Final = 5000  # records
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class HealthPoint:
+    """What evaluation needs of a Health: mode, and seconds since an absolute position was fused."""
+
+    t_ns: int
+    mode: str
+    absolute_age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A Reset as on the wire, in the axes of map."""
+
+    t_ns: int
+    counter: int
+    delta_p: Vec3
+    delta_v: Vec3
+    delta_theta: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Positions that one topic measured, (n, 3) m in map, and which of them were fused."""
+
+    t_ns: Times
+    p: Array
+    fused: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A log, as far as it concerns evaluation.
+
+    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense.
+    """
+
+    estimate: Trajectory
+    truth: Trajectory
+    aids: tuple[AidStatus, ...]
+    health: tuple[HealthPoint, ...]
+    resets: tuple[Jump, ...]
+    fixes: dict[str, Fixes]
+    torn: bool
+    unreadable: int
+
+
+class _Sheaf:
+    """Messages of one topic, as bytes, with their arrivals."""
+
+    __slots__ = ("arrived_ns", "data", "schema", "unreadable")
+
+    def __init__(self, schema: str) -> None:
+        self.schema = schema
+        self.data: list[bytes] = []
+        self.arrived_ns: list[int] = []
+        self.unreadable = 0
+
+    def parsed(self, parse: Callable[[bytes], T]) -> Iterator[T]:
+        """Each message parsed; one that cannot be is counted and left out."""
+        self.unreadable = 0
+        for data in self.data:
+            try:
+                yield parse(data)
+            except (ValueError, KeyError, SerdeError):
+                self.unreadable += 1
+
+    def messages(self) -> Iterator[Any]:
+        """Each message as an object of its type."""
+        return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
+
+
+def read(path: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float], None] | None = None) -> Evidence:
+    """The Evidence of a log. progress is told the fraction done.
+
+    Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
+    """
+    own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, truth_topic}
+    sheaves: dict[str, _Sheaf] = {}
+    with LogReader(path) as reader:
+        for count, record in enumerate(reader):
+            if record.topic in own or record.schema in _FIX_TYPES:
+                sheaf = sheaves.setdefault(record.topic, _Sheaf(record.schema))
+                sheaf.data.append(record.data)
+                sheaf.arrived_ns.append(record.log_time_ns)
+            if progress and count % _PROGRESS_EVERY == 0:
+                progress(reader.fraction)
+        torn = reader.torn
+    if ODOMETRY_TOPIC not in sheaves:
+        raise LogError(f"{path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {path} -o estimate.mcap")
+    estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
+    if not len(estimate):
+        raise LogError(f"{path}: no message of {ODOMETRY_TOPIC} is whole")
+    origin = _origin(estimate, sheaves.get(_GLOBAL_TOPIC, _Sheaf("")))
+    aids = _aids(sheaves.get(_AID_TOPIC, _Sheaf("")))
+    return Evidence(
+        estimate=estimate,
+        truth=_truth(path, truth_topic, sheaves.get(truth_topic), origin),
+        aids=aids,
+        health=_health(sheaves.get(_HEALTH_TOPIC, _Sheaf(""))),
+        resets=_resets(sheaves.get(_RESET_TOPIC, _Sheaf(""))),
+        fixes=_fixes({t: s for t, s in sheaves.items() if t not in own and s.schema in _FIX_TYPES}, aids, origin),
+        torn=torn,
+        unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
+    )
+
+
+def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) -> Trajectory:
+    """The truth of a topic that gives poses or geodetic positions; rows without a finite position are left out."""
+    if sheaf is None:
+        if topic != TRUTH_TOPIC:
+            raise LogError(f"{path}: holds no {topic}; name a topic that does hold a reference with --truth")
+        return from_rows(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 7)))
+    truth = _positions(sheaf, origin)
+    if truth is None:
+        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} tells no position"
+        raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
+    return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
+
+
+def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
+    """Where the messages of a topic say the body (or antenna) was; None where they do not say it."""
+    if sheaf.schema in POSE_TYPES:
+        return decode(sheaf.schema, sheaf.data, sheaf.arrived_ns)
+    if sheaf.schema == schemas.NAV_SAT_FIX and origin is not None:
+        return decode_geodetic(sheaf.data, sheaf.arrived_ns, origin)
+    if sheaf.schema == schemas.LANDMARK_FIX:
+        places = [(_t_ns(m), m.pose.pose.position) for m in sheaf.messages()]
+        stamps = np.array([t_ns for t_ns, _ in places], np.int64)
+        return from_rows(stamps, stamps, np.array([(p.x, p.y, p.z) for _, p in places]).reshape(-1, 3))
+    return None
+
+
+def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
+    """Where map lies on Earth, from one estimate told both in map and as latitude and longitude.
+
+    The origin is the place from which p leads to that latitude and longitude, found by iteration: the axes of map turn with it.
+    """
+    for fix in sheaf.messages():
+        row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
+        if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():
+            east, north, up = (float(x) for x in estimate.p[row])
+            place = origin = np.array([fix.latitude, fix.longitude, fix.altitude])
+            for _ in range(5):
+                told = Origin(*map(float, origin)).to_geodetic((north, east, -up))
+                origin = origin + (place - told)
+            return Origin(*map(float, origin))
+    return None
+
+
+def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
+    """The last decision on each measurement, in order of validity."""
+    last: dict[tuple[str, str, int, int], AidStatus] = {}
+    for status in sheaf.parsed(decode_aid_status):
+        key = (status.topic, status.kind, status.t_ns, status.arrived_ns)
+        if key not in last or status.revision >= last[key].revision:
+            last[key] = status
+    return tuple(sorted(last.values(), key=lambda s: (s.t_ns, s.arrived_ns, s.topic, s.kind)))
+
+
+def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
+    points = []
+    for message in sheaf.messages():
+        values = {pair.key: pair.value for status in message.status for pair in status.values}
+        points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
+    return tuple(points)
+
+
+def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
+    jumps = []
+    for m in sheaf.messages():
+        delta_p, delta_v, delta_theta = ((v.x, v.y, v.z) for v in (m.delta_position, m.delta_velocity, m.delta_rotation))
+        jumps.append(Jump(_t_ns(m), int(m.counter), delta_p, delta_v, delta_theta))
+    return tuple(jumps)
+
+
+def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
+    """The fixes of the topics on which a decision was made, with that decision."""
+    fused: dict[str, set[int]] = {}
+    for status in aids:
+        stamps = fused.setdefault(status.topic, set())
+        if status.reason is Reason.FUSED:
+            stamps.add(status.t_ns)
+    fixes = {}
+    for topic, sheaf in sheaves.items():
+        positions = _positions(sheaf, origin) if topic in fused else None
+        if positions is not None:
+            was_fused = np.array([t in fused[topic] for t in positions.t_ns.tolist()], bool)
+            fixes[topic] = Fixes(positions.t_ns, positions.p, was_fused)
+    return fixes
+
+
+def _t_ns(message: Any) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
