@@ -103,10 +103,15 @@ for _name, _text in LANDFIX_MSGS.items():
     STORE.register(get_types_from_msg(_text, _name))
 
 
+def is_known(name: str) -> bool:
+    """Whether a type is one of ROS 2 Humble's or ours."""
+    return name in STORE.fielddefs
+
+
 @cache
 def schema_text(name: str) -> str:
     """The ros2msg text of a type with its dependencies; our own types keep their comments. KeyError: unknown type."""
-    if name not in STORE.fielddefs:
+    if not is_known(name):
         raise KeyError(name)
     text, _ = STORE.generate_msgdef(name, ros_version=2)
     if name in LANDFIX_MSGS:
@@ -117,7 +122,7 @@ def schema_text(name: str) -> str:
 @cache
 def type_hash(name: str) -> str:
     """RIHS01 hash of a type, such as RIHS01_3cc97dc7... of nav_msgs/msg/Odometry. KeyError: unknown type."""
-    if name not in STORE.fielddefs:
+    if not is_known(name):
         raise KeyError(name)
     return STORE.hash_rihs01(name)
 
