@@ -103,7 +103,7 @@ def measure_script(
     return measure(benchmark, prepare, work, len(script), units)
 
 
-def test_batch(benchmark: BenchmarkFixture, config: Config) -> None:
+def test_batch(benchmark: BenchmarkFixture) -> None:
     samples, count = ImuBuffer(), 3200
     for sample in imu_samples((count + 1) / 200):
         samples.insert(sample)
