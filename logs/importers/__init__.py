@@ -1,0 +1,89 @@
+"""Logs of other programs -> an MCAP log that landfix replays, and a configuration beside it.
+
+    csv        a folder of CSV files             euroc      the folder layout of ASL data sets
+    ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
+
+Each importer is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is needed.
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import msgspec
+
+from logs.encoding import Encoded, encode_input, encode_truth
+from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
+from logs.reader import LogError
+from logs.recorder import Recorder
+
+__all__ = ["KINDS", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
+
+KINDS = {"csv": "csv_folder", "euroc": "euroc", "ulog": "ulog", "dataflash": "dataflash", "tlog": "tlog"}
+
+_PROGRESS_EVERY = 2000  # messages
+_READING = 0.3  # its share of the work
+
+
+class ImportSummary(msgspec.Struct, frozen=True):
+    """What was written: the log, its configuration, messages by topic, when they arrived, and what a person should know."""
+
+    out: str
+    config: str
+    messages: dict[str, int]
+    start_ns: int
+    end_ns: int
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the log."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{topic} {n}" for topic, n in self.messages.items())
+        lines = [f"{self.seconds:.1f} s: {counts}", f"configuration: {self.config}", *(f"note: {note}" for note in self.notes)]
+        return "\n".join(lines)
+
+
+def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
+    """What is in a log of that kind (KINDS). Raises LogError."""
+    if kind not in KINDS:
+        raise LogError(f"no importer called {kind}; there are {', '.join(KINDS)}")
+    if not source.exists():
+        raise LogError(f"{source}: no such file or folder")
+    importer: Callable[[Path, ImportOptions, Progress | None], Recording] = import_module(f"logs.importers.{KINDS[kind]}").read
+    return importer(source, options, progress)
+
+
+def convert(
+    kind: str, source: Path, out: Path, progress: Progress | None = None, options: ImportOptions = DEFAULTS
+) -> ImportSummary:
+    """Write the log of that kind to `out`, and its configuration next to it (same name, .toml). Raises LogError."""
+    if out.exists() and source.exists() and out.samefile(source):
+        raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
+    recording = read(kind, source, options, None if progress is None else lambda done: progress(_READING * done))
+    counts: dict[str, int] = {}
+    start_ns = end_ns = None
+    with Recorder(out, metadata={"imported_from": source.name, "import_kind": kind}) as recorder:
+        for k, message in enumerate(recording, 1):
+            topic, schema, data = encode(message)
+            recorder.write(topic, schema, data, message.arrived_ns)
+            counts[topic] = counts.get(topic, 0) + 1
+            start_ns = message.arrived_ns if start_ns is None else start_ns
+            end_ns = message.arrived_ns
+            if progress and k % _PROGRESS_EVERY == 0:
+                progress(_READING + (1.0 - _READING) * k / len(recording))
+    config = out.with_suffix(".toml")
+    try:
+        config.write_text(recording.settings.toml(kind, source, tuple(counts)))
+    except OSError as error:
+        raise LogError(f"{config}: cannot be written ({error.strerror})") from None
+    return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, recording.notes)
+
+
+def encode(message: Message) -> Encoded:
+    """A message of a Recording on the wire."""
+    if isinstance(message, Truth):
+        return encode_truth(message.t_ns, message.p_n, message.v_n, message.q_nb_wxyz)
+    return encode_input(message)

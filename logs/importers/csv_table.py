@@ -1,0 +1,229 @@
+"""One CSV file (plain or gzipped) as numbers, its columns found by name: the header says what a column is and in which unit.
+
+A cell that is no number becomes nan. A line with too few or too many cells is left out and counted, a torn file is read as
+far as it goes; both are told in `notes`.
+"""
+
+import re
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from logs.importers.recording import EPOCH_NS, Times
+from logs.reader import LogError
+from models.frames import GRAVITY
+from models.messages import Array
+
+DEG = np.pi / 180.0
+
+_UNIX_S = 100_000_000  # stamps above it (1973) count from 1970, smaller ones from the log's own start
+_VALIDITY = ("t", "time", "timestamp", "stamp")
+_ARRIVAL = ("arrived", "arrival", "t_arrived")
+_TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: told by the size
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A physical quantity under the names people give it: stem + axis + unit; the unit's factor makes it SI."""
+
+    name: str
+    stems: tuple[str, ...]
+    units: Mapping[str, float]
+
+    def names(self, axis: str) -> dict[str, float]:
+        """Every header that means this quantity along `axis` ("" for a scalar), with its factor."""
+        return {stem + axis + unit: factor for unit, factor in self.units.items() for stem in self.stems}
+
+
+GYRO = Quantity(
+    "angular rate",
+    ("g", "g_", "gyro_", "gyro", "w", "w_", "w_rs_s_", "omega_", "angular_velocity_"),
+    {"_rad_s": 1.0, "_rad_s_1": 1.0, "": 1.0, "_deg_s": DEG, "_deg_s_1": DEG, "_dps": DEG},
+)
+ACCEL = Quantity(
+    "specific force",
+    ("a", "a_", "accel_", "acc_", "accel", "acc", "f", "f_", "a_rs_s_", "linear_acceleration_"),
+    {"_m_s2": 1.0, "_m_s_2": 1.0, "_mps2": 1.0, "": 1.0, "_g": GRAVITY},
+)
+POSITION = Quantity("position", ("p", "p_", "pos_", "p_rs_r_", "position_"), {"_m": 1.0, "": 1.0})
+VELOCITY = Quantity("velocity", ("v", "v_", "vel_", "v_rs_r_", "velocity_"), {"_m_s": 1.0, "_m_s_1": 1.0, "_mps": 1.0, "": 1.0})
+ATTITUDE = Quantity("attitude", ("q", "q_", "q_rs_", "quat_"), {"": 1.0})
+SIGMA_POSITION = Quantity("position sigma", ("std_", "sigma_"), {"_m": 1.0})
+SIGMA_VELOCITY = Quantity("velocity sigma", ("std_", "sigma_"), {"_m_s": 1.0, "_mps": 1.0})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """names: the headers in lower case, [unit] as _unit; values (n, columns); t_ns (n,) validity; arrived_ns (n,) or None."""
+
+    file: str
+    names: tuple[str, ...]
+    values: Array
+    t_ns: Times
+    arrived_ns: Times | None
+    notes: tuple[str, ...]
+
+    def find(self, names: Mapping[str, float] | Iterable[str]) -> Array | None:
+        """The column (n,) under the first of these names that is there, times its factor; None where none is."""
+        factors = names if isinstance(names, Mapping) else dict.fromkeys(names, 1.0)
+        for name, factor in factors.items():
+            if name in self.names:
+                return np.asarray(self.values[:, self.names.index(name)] * factor)
+        return None
+
+    def vector(self, quantity: Quantity, axes: str) -> Array | None:
+        """Columns (n, len(axes)) of a quantity; None where all are missing. Raises LogError where some are."""
+        columns = [self.find(quantity.names(axis)) for axis in axes]
+        found = [c for c in columns if c is not None]
+        if not found:
+            return None
+        missing = [axis for axis, column in zip(axes, columns, strict=True) if column is None]
+        if missing:
+            raise self._no_column(quantity, missing[0])
+        return np.stack(found, axis=1)
+
+    def needed(self, quantity: Quantity, axes: str) -> Array:
+        """Columns (n, len(axes)) of a quantity. Raises LogError where one is missing."""
+        found = self.vector(quantity, axes)
+        if found is None:
+            raise self._no_column(quantity, axes[0])
+        return found
+
+    def _no_column(self, quantity: Quantity, axis: str) -> LogError:
+        examples = " or ".join(list(quantity.names(axis))[:2])
+        return LogError(f"{self.file}: no column for {quantity.name} {axis} (such as {examples}); it has {', '.join(self.names)}")
+
+
+def read_table(path: Path, t0_ns: int | None = None) -> Table:
+    """The table in a CSV file. Stamps since the log's start are counted from t0_ns (None: EPOCH_NS). Raises LogError."""
+    text, torn = _text(path)
+    lines = text.splitlines()
+    if not lines:
+        raise LogError(f"{path.name}: the file is empty")
+    names = tuple(_plain(cell) for cell in lines[0].split(","))
+    if not any(re.match("[a-z]", name) for name in names):
+        raise LogError(f"{path.name}: the first line must name the columns (t_s, gx_rad_s, ...); it begins {lines[0][:40]!r}")
+    notes = [f"{path.name}: torn; read as far as it goes"] if torn else []
+    rows = [line for line in lines[1:] if line.strip()]
+    if not rows:
+        raise LogError(f"{path.name}: no line after the header")
+    try:
+        values = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
+        if values.shape[1] != len(names):
+            raise ValueError
+    except ValueError:
+        rows, note = _whole(rows, len(names))
+        notes += [f"{path.name}: {note}"] if note else []
+        values = np.array([[_number(cell) for cell in row.split(",")] for row in rows]).reshape(-1, len(names))
+    t_ns = _times(path.name, names, rows, _VALIDITY, t0_ns)
+    if t_ns is None:
+        raise LogError(f"{path.name}: no column of time (t_s or timestamp_ns); it has {', '.join(names)}")
+    stamped = t_ns >= 0
+    if not stamped.all():
+        notes.append(f"{path.name}: {np.count_nonzero(~stamped)} lines without a time left out")
+        rows = [row for row, keep in zip(rows, stamped.tolist(), strict=True) if keep]
+    if not stamped.any():
+        raise LogError(f"{path.name}: no line with a time and {len(names)} cells in it")
+    arrived_ns = _times(path.name, names, rows, _ARRIVAL, t0_ns)
+    return Table(path.name, names, values[stamped], t_ns[stamped], arrived_ns, tuple(notes))
+
+
+def _plain(header: str) -> str:
+    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"."""
+    return re.sub(r"[^a-z0-9]+", "_", header.lower()).strip("_")
+
+
+def _text(path: Path) -> tuple[str, bool]:
+    """The text of a file, unpacked, and whether its end is missing."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: {error.strerror}") from None
+    torn = False
+    if path.suffix == ".gz":
+        data, torn = _unpacked(path, data)
+    try:
+        return data.decode("utf-8-sig"), torn
+    except UnicodeDecodeError:
+        raise LogError(f"{path.name}: not a CSV text file") from None
+
+
+def _unpacked(path: Path, data: bytes) -> tuple[bytes, bool]:
+    parts = []
+    while data:
+        gzip = zlib.decompressobj(wbits=31)
+        try:
+            parts.append(gzip.decompress(data))
+        except zlib.error:
+            if not parts:
+                raise LogError(f"{path.name}: not a gzip file, or a damaged one") from None
+            return b"".join(parts), True
+        if not gzip.eof:
+            return b"".join(parts), True
+        data = gzip.unused_data
+    return b"".join(parts), False
+
+
+def _whole(rows: list[str], cells: int) -> tuple[list[str], str]:
+    """The lines with the right number of cells, and a note on the others."""
+    whole = [row for row in rows if row.count(",") + 1 == cells]
+    left_out = len(rows) - len(whole)
+    return whole, f"{left_out} lines without {cells} cells left out" if left_out else ""
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _times(file: str, names: tuple[str, ...], rows: list[str], stems: tuple[str, ...], t0_ns: int | None) -> Times | None:
+    """Stamps (n,) in ns since 1970, exact to the last digit; -1 where the cell is no number; None where there is no column."""
+    units = {stem + unit: ns for unit, ns in _TIME_UNITS.items() for stem in stems}
+    name = next((n for n in units if n in names), None)
+    if name is None:
+        return None
+    k = names.index(name)
+    cells = [row.split(",", k + 1)[k] for row in rows]
+    first = next((t for t in map(_decimal, cells) if t is not None), None)
+    if first is None:
+        raise LogError(f"{file}: no number in column {name}")
+    unit_ns = units[name] or _unit_by_size(float(first))
+    shift = 0 if abs(first) * unit_ns > _UNIX_S * 10**9 else EPOCH_NS if t0_ns is None else t0_ns
+    t_ns = _float_times(cells, unit_ns)
+    return _exact_times(cells, unit_ns, shift) if t_ns is None else t_ns + shift
+
+
+def _float_times(cells: list[str], unit_ns: int) -> Times | None:
+    """Stamps in ns by way of float64, where that is exact: all are numbers, and below 2^53 ns."""
+    try:
+        stamps = np.array(cells, dtype=np.float64) * unit_ns
+    except ValueError:
+        return None
+    return np.rint(stamps).astype(np.int64) if (np.abs(stamps) < 2.0**53).all() else None
+
+
+def _exact_times(cells: list[str], unit_ns: int, shift: int) -> Times:
+    stamps = (None if t is None else round(t * unit_ns) + shift for t in map(_decimal, cells))
+    return np.array([t if t is not None and 0 <= t < 2**63 else -1 for t in stamps], dtype=np.int64)
+
+
+def _decimal(cell: str) -> Decimal | None:
+    try:
+        value = Decimal(cell.strip())
+    except InvalidOperation:
+        return None
+    return value if value.is_finite() else None
+
+
+def _unit_by_size(stamp: float) -> int:
+    """ns per unit of a stamp whose header names none: counted from 1970 its size tells the unit, otherwise it is seconds."""
+    for smallest, unit_ns in ((1e17, 1), (1e14, 10**3), (1e11, 10**6)):
+        if stamp > smallest:
+            return unit_ns
+    return 10**9

@@ -1,0 +1,224 @@
+"""ArduPilot's on-board logs (.bin), by pymavlink.
+
+    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro
+    GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only
+
+ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
+A GPS row is written when the fix arrives. Its week time tells how much later than others it did: t_ns is the receiver's time
+on the log's clock, set so that the fastest fix took no time, and what all fixes have in common is `delay_s` of the settings.
+"""
+
+import contextlib
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink import DFReader
+from scipy.ndimage import minimum_filter1d
+
+from logs.importers import frames, recording, sensors
+from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
+from logs.importers.settings import Settings
+from logs.reader import LogError
+from models.messages import Array, Vec3
+
+_MAGIC = b"\xa3\x95"
+_TIME = "time_us"  # since boot; the first column of every table
+_FIELDS = {
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS"),
+    "GPA": ("HAcc", "VAcc", "SAcc"),
+    "BARO": ("Press",),
+    "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
+    "ORGN": ("Type", "Lat", "Lng", "Alt"),
+}
+_FILTERS = ("XKF1", "NKF1", "EKF1")
+_ALIASES = {"IMU2": "IMU", "IMU3": "IMU", "GPS2": "GPS", "NKF1": "XKF1", "EKF1": "XKF1"}  # same fields under another name
+_DELAYS = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EK2_GPS_DELAY", "EKF_POS_DELAY")  # parameters, newest first; 0: not given
+_USUAL_DELAY_MS = 200.0
+_WEEK_MS = 7 * 86_400_000
+_DRIFT_WINDOW = 601  # fixes (2 min at 5 Hz) over which the autopilot's clock keeps step with GPS time
+_LATE_US = 2_000_000  # a fix later than this has a wrong week time
+
+Tables = Mapping[str, Mapping[str, Array]]  # message -> field -> column
+
+
+def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
+    """The recording in a .bin file. Raises LogError."""
+    options.refuse_but("dataflash", "imu")
+    with contextlib.closing(_open(source)) as log, _silence():
+        tables = _tables(source, log, progress)
+        timebase_us = round(1e6 * getattr(log.clock, "timebase", 0.0))
+        parameters: dict[str, float] = dict(log.params)
+    notes: list[str] = []
+    if timebase_us <= 0:
+        timebase_us = EPOCH_NS // 1000
+        notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
+    imu = _imu(source, tables, options.imu.upper() or "IMU", timebase_us, notes)
+    gnss = [s for suffix in ("", "2") for s in _gnss(source, tables, suffix, timebase_us)]
+    truth = _truth(tables, timebase_us, notes)
+    origin, delay_s = None, 0.0
+    if gnss:
+        notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
+        delay_s = _delay_s(parameters, gnss[0])
+        origin = sensors.origin_of_truth(gnss[0], truth, _known_origin(tables)) if truth else None
+    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
+    return Recording((*gnss, *_baro(tables, timebase_us), imu, *([truth] if truth else [])), settings, tuple(notes))
+
+
+def _open(source: Path) -> Any:
+    """pymavlink's reader. Raises LogError."""
+    try:
+        with source.open("rb") as file:
+            magic = file.read(len(_MAGIC))
+    except OSError as error:
+        raise LogError(f"{source}: {error.strerror}") from None
+    if magic != _MAGIC:
+        raise LogError(f"{source.name}: {'not an ArduPilot dataflash log (.bin)' if magic else 'the file is empty'}")
+    try:
+        with _silence():
+            return DFReader.DFReader_binary(str(source))
+    except Exception as error:  # pymavlink raises whatever a damaged file makes it stumble over
+        raise LogError(f"{source.name}: cannot be read as a dataflash log: {error}") from None
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """pymavlink prints a line for each damaged place."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        yield
+
+
+def _tables(source: Path, log: Any, progress: Progress | None) -> Tables:
+    """All wanted messages; instance k > 0 of a message under its name with k + 1 behind. Fields a version lacks are nan."""
+    wanted = [*_FIELDS, *_ALIASES]
+    rows: dict[str, list[list[float]]] = {}
+    count = 0
+    while (message := log.recv_match(type=wanted)) is not None:
+        name = message.get_type()
+        instance = getattr(message, "I", getattr(message, "C", 0))
+        fields = _FIELDS[_ALIASES.get(name, name)]
+        row = [_time_us(source, message), *(getattr(message, field, np.nan) for field in fields)]
+        rows.setdefault(f"{name}{instance + 1}" if instance else name, []).append(row)
+        count += 1
+        if progress and count % 10_000 == 0:
+            progress(log.percent / 100.0)
+    return {
+        name: dict(zip((_TIME, *_FIELDS[_ALIASES.get(name, name.rstrip("23456789"))]), np.array(row, float).T, strict=True))
+        for name, row in rows.items()
+    }
+
+
+def _time_us(source: Path, message: Any) -> float:
+    """Since boot. TimeMS of a GPS row is the receiver's; its T is ours."""
+    for field, unit in (("TimeUS", 1.0), ("T", 1e3), ("TimeMS", 1e3)):
+        stamp = getattr(message, field, None)
+        if stamp is not None:
+            return float(stamp) * unit
+    raise LogError(f"{source.name}: rows without TimeUS or TimeMS: the log is of an ArduPilot before 3.0")
+
+
+def _t_ns(time_us: Array, timebase_us: int) -> Times:
+    return (np.rint(time_us).astype(np.int64) + timebase_us) * 1000
+
+
+def _vector(table: Mapping[str, Array], *fields: str) -> Array:
+    return np.stack([table[field] for field in fields], axis=1)
+
+
+def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[str]) -> Stream:
+    table = tables.get(name)
+    if table is None:
+        there = ", ".join(sorted(n for n in tables if n.startswith("IMU"))) or "none"
+        raise LogError(f"{source.name}: no IMU messages called {name} in it (there are: {there})")
+    gyro_b, accel_b = _vector(table, "GyrX", "GyrY", "GyrZ"), _vector(table, "AccX", "AccY", "AccZ")
+    t_ns = _t_ns(table[_TIME], timebase_us)
+    notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)
+    return recording.imu(t_ns, recording.arrival(t_ns), gyro_b, accel_b)
+
+
+def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[Stream]:
+    """Position and velocity of one receiver; suffix "" or "2"."""
+    table, topic = tables.get(f"GPS{suffix}"), f"/gnss{suffix}"
+    if table is None:
+        return []
+    lla = _vector(table, "Lat", "Lng", "Alt")
+    sensors.check_place(lla, source.name)
+    status = sensors.navsat_status(table["Status"])
+    variance, speed_variance = _variances(table, tables.get(f"GPA{suffix}"))
+    t_ns, arrived_ns = _t_ns(_receiver_time_us(table), timebase_us), recording.arrival(_t_ns(table[_TIME], timebase_us))
+    moving = np.flatnonzero(status >= 0)
+    course, speed = np.deg2rad(table["GCrs"]), table["Spd"]
+    v_n = np.stack([speed * np.cos(course), speed * np.sin(course), table["VZ"]], axis=1)[moving]
+    velocity = recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance[moving], f"{topic}/velocity")
+    return [recording.gnss(t_ns, arrived_ns, lla, variance, status, topic), velocity]
+
+
+def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tuple[Array, Array]:
+    """Of position (n, 3) m^2 and velocity (n, 3) m^2/s^2: of the receiver's own accuracies (GPA), else of HDOP and unknown."""
+    n = len(gps[_TIME])
+    position = sensors.variance_from_dop(gps["HDop"], np.full(n, np.nan))
+    velocity = np.full((n, 3), np.nan)
+    if gpa is not None:  # written with the same stamp as its GPS row
+        _, mine, theirs = np.intersect1d(gps[_TIME], gpa[_TIME], return_indices=True)
+        accuracy = _vector(gpa, "HAcc", "VAcc", "SAcc")[theirs] ** 2
+        known = (accuracy > 0.0).all(axis=1)
+        mine, accuracy = mine[known], accuracy[known]
+        position[mine] = accuracy[:, [0, 0, 1]]
+        velocity[mine] = accuracy[:, [2, 2, 2]]
+    return position, velocity
+
+
+def _receiver_time_us(table: Mapping[str, Array]) -> Array:
+    """Week time of each fix on the log's clock [us]: arrival less what it took longer than the fastest fix around."""
+    arrived_us = table[_TIME]
+    week, week_ms = (np.where(np.isnan(table[new]), table[old], table[new]) for new, old in (("GWk", "Week"), ("GMS", "TimeMS")))
+    dated = np.flatnonzero(week > 0)
+    if len(dated) == 0:
+        return arrived_us
+    receiver_us = (week[dated] * _WEEK_MS + week_ms[dated]) * 1e3
+    ahead_us = arrived_us[dated] - (receiver_us - receiver_us[0])
+    latency_us = ahead_us - minimum_filter1d(ahead_us, _DRIFT_WINDOW, mode="nearest")
+    t_us = arrived_us.copy()
+    t_us[dated] -= np.where(latency_us < _LATE_US, latency_us, 0.0)
+    return t_us
+
+
+def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
+    """What the autopilot takes for the age of a fix at its arrival, less what t_ns has already."""
+    delay_ms = next((parameters[name] for name in _DELAYS if parameters.get(name, 0.0) > 0.0), _USUAL_DELAY_MS)
+    already_ms = float(np.median(gnss.arrived_ns - gnss.t_ns)) * 1e-6
+    return max(0.0, delay_ms - already_ms) * 1e-3
+
+
+def _baro(tables: Tables, timebase_us: int) -> list[Stream]:
+    table = tables.get("BARO")
+    if table is None or np.isnan(table["Press"]).all():
+        return []
+    t_ns = _t_ns(table[_TIME], timebase_us)
+    return [recording.baro(t_ns, recording.arrival(t_ns), table["Press"])]
+
+
+def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:
+    table = next((tables[name] for name in _FILTERS if name in tables), None)
+    if table is None:
+        notes.append(f"no reference in it ({', '.join(_FILTERS)})")
+        return None
+    notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    q_nb = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in ("Roll", "Pitch", "Yaw")))
+    return recording.truth(
+        _t_ns(table[_TIME], timebase_us), _vector(table, "PN", "PE", "PD"), _vector(table, "VN", "VE", "VD"), q_nb
+    )
+
+
+def _known_origin(tables: Tables) -> Vec3 | None:
+    """The last origin of the EKF (ORGN, type 0) that the log tells."""
+    table = tables.get("ORGN")
+    rows = np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
+    if table is None or len(rows) == 0:
+        return None
+    lat, lon, alt = (float(table[field][rows[-1]]) for field in ("Lat", "Lng", "Alt"))
+    return lat, lon, alt

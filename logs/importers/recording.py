@@ -1,0 +1,177 @@
+"""What an importer makes of a foreign log: columns of numbers that become messages one by one, in the order of arrival.
+
+Everything here is already NED / FRD / SI. A value that the log does not give is nan; strange values stay as they are, the
+estimator has a reason for each. Where a log knows no arrival times, messages arrived in the order in which they stand.
+"""
+
+import heapq
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.importers.settings import Settings
+from logs.reader import LogError
+from models.messages import Array, Baro, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Quat, Vec3
+
+Times: TypeAlias = NDArray[np.int64]
+Progress: TypeAlias = Callable[[float], None]  # told the fraction done
+
+EPOCH_NS = 1_700_000_000 * 10**9  # 2023-11-14T22:13:20Z: when t = 0 was, in logs that do not know the date
+_BLOCK = 4096  # rows that are plain Python objects at one time
+
+
+class Truth(msgspec.Struct, frozen=True, eq=False):
+    """Where the vehicle really was, or the log's own estimate for reference; nan: not given."""
+
+    t_ns: int
+    arrived_ns: int
+    p_n: Vec3
+    v_n: Vec3
+    q_nb_wxyz: Quat
+    topic: str = "/truth"
+
+
+Message: TypeAlias = Input | Truth
+
+
+class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a log cannot say about itself; an empty text means "as the log, or the data set it belongs to, says".
+
+    axes: where x, y and z of the IMU point, a letter each of f/b, r/l, u/d ("frd", "flu", "urf"), csv and euroc only;
+    world: the same for positions, of n/s, e/w, u/d ("ned", "enu"), csv only; imu: which of several IMUs ("imu2", "IMU3");
+    pose_fix_hz: take poses of vision.csv as pose fixes, at most so many a second (0: none), csv only.
+    """
+
+    axes: str = ""
+    world: str = ""
+    imu: str = ""
+    pose_fix_hz: float = 0.0
+
+    def refuse_but(self, kind: str, *names: str) -> None:
+        """Raise LogError for an option that is set and not among `names`, those that mean something for this kind of log."""
+        for name in self.__struct_fields__:
+            if name not in names and getattr(self, name) != getattr(DEFAULTS, name):
+                raise LogError(f"--{name.replace('_', '-')} means nothing for {kind} logs; leave it out")
+
+
+DEFAULTS = ImportOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Messages of one topic: t_ns, arrived_ns (n,), columns (n, ...), and what makes a message of one row of them."""
+
+    topic: str
+    t_ns: Times
+    arrived_ns: Times
+    columns: tuple[Array, ...]
+    make: Callable[..., Message]
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __iter__(self) -> Iterator[Message]:
+        """In the order of arrival; messages that arrived together as they stand in the log."""
+        order = np.argsort(self.arrived_ns, kind="stable")
+        for start in range(0, len(order), _BLOCK):
+            rows = order[start : start + _BLOCK]
+            columns = (column[rows].tolist() for column in self.columns)
+            yield from map(self.make, self.t_ns[rows].tolist(), self.arrived_ns[rows].tolist(), *columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A whole log, and what the estimator should know about it. Of messages that arrived together, earlier streams come first."""
+
+    streams: tuple[Stream, ...]
+    settings: Settings
+    notes: tuple[str, ...] = ()  # what a person should know, one line each
+
+    def __len__(self) -> int:
+        return sum(map(len, self.streams))
+
+    def __iter__(self) -> Iterator[Message]:
+        return heapq.merge(*self.streams, key=_arrived)
+
+    def stream(self, topic: str) -> Stream | None:
+        """The stream of that topic, None where the log has none."""
+        return next((s for s in self.streams if s.topic == topic), None)
+
+
+def _arrived(message: Message) -> int:
+    return message.arrived_ns
+
+
+def arrival(t_ns: Times) -> Times:
+    """When messages stamped t_ns arrived, if they stand in the order of arrival: the running maximum of the stamps.
+
+    So a stamp that steps backward keeps its place. A single stamp that leaps ahead of its neighbours does not hold up the rest.
+    """
+    held = t_ns.copy()
+    if len(t_ns) > 2:
+        leaps = 1 + np.flatnonzero((t_ns[1:-1] > t_ns[2:]) & (t_ns[2:] >= t_ns[:-2]))
+        held[leaps] = t_ns[leaps + 1]
+    return np.maximum.accumulate(held)
+
+
+def imu(t_ns: Times, arrived_ns: Times, gyro_b: Array, accel_b: Array, topic: str = "/imu") -> Stream:
+    """ImuSamples; gyro_b (n, 3) rad/s, accel_b (n, 3) m/s^2."""
+
+    def make(t: int, arrived: int, gyro: list[float], accel: list[float]) -> ImuSample:
+        return ImuSample(t, arrived, (gyro[0], gyro[1], gyro[2]), (accel[0], accel[1], accel[2]), topic)
+
+    return Stream(topic, t_ns, arrived_ns, (gyro_b, accel_b), make)
+
+
+def gnss(t_ns: Times, arrived_ns: Times, lla: Array, variance_n: Array, status: Array, topic: str = "/gnss") -> Stream:
+    """GnssFixes; lla (n, 3) deg, deg, m; variance_n (n, 3) m^2, a row with nan: no covariance; status (n,) as NavSatStatus."""
+
+    def make(t: int, arrived: int, place: list[float], variance: list[float], state: float) -> GnssFix:
+        return GnssFix(t, arrived, place[0], place[1], place[2], _diagonal(variance), int(state), topic)
+
+    return Stream(topic, t_ns, arrived_ns, (lla, variance_n, status), make)
+
+
+def gnss_velocity(t_ns: Times, arrived_ns: Times, v_n: Array, variance_n: Array, topic: str = "/gnss/velocity") -> Stream:
+    """GnssVelocities; v_n (n, 3) m/s, variance_n (n, 3) m^2/s^2, a row with nan: no covariance."""
+
+    def make(t: int, arrived: int, v: list[float], variance: list[float]) -> GnssVelocity:
+        return GnssVelocity(t, arrived, (v[0], v[1], v[2]), _diagonal(variance), topic)
+
+    return Stream(topic, t_ns, arrived_ns, (v_n, variance_n), make)
+
+
+def baro(t_ns: Times, arrived_ns: Times, pressure_pa: Array, topic: str = "/baro") -> Stream:
+    """Baros of unknown variance; pressure_pa (n,)."""
+
+    def make(t: int, arrived: int, pressure: float) -> Baro:
+        return Baro(t, arrived, pressure, 0.0, topic)
+
+    return Stream(topic, t_ns, arrived_ns, (pressure_pa,), make)
+
+
+def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, variance: Array, topic: str = "/pose_fix") -> Stream:
+    """PoseFixes; p_n (n, 3) m, q_nb_wxyz (n, 4), variance (n, 6) m^2 and rad^2."""
+
+    def make(t: int, arrived: int, p: list[float], q: list[float], variances: list[float]) -> PoseFix:
+        return PoseFix(t, arrived, (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3]), np.diag(np.array(variances)), topic=topic)
+
+    return Stream(topic, t_ns, arrived_ns, (p_n, q_nb_wxyz, variance), make)
+
+
+def truth(t_ns: Times, p_n: Array, v_n: Array, q_nb_wxyz: Array) -> Stream:
+    """Truths, stamped as they arrive; p_n (n, 3) m, v_n (n, 3) m/s, q_nb_wxyz (n, 4)."""
+
+    def make(t: int, arrived: int, p: list[float], v: list[float], q: list[float]) -> Truth:
+        return Truth(t, arrived, (p[0], p[1], p[2]), (v[0], v[1], v[2]), (q[0], q[1], q[2], q[3]))
+
+    return Stream("/truth", t_ns, arrival(t_ns), (p_n, v_n, q_nb_wxyz), make)
+
+
+def _diagonal(variances: list[float]) -> Array | None:
+    return None if any(map(math.isnan, variances)) else np.diag(np.array(variances))

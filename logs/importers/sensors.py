@@ -1,0 +1,105 @@
+"""What receivers and IMUs write down, made comparable: units, fix types, accuracies, pressure, the origin of a log's truth."""
+
+import numpy as np
+
+from logs.importers.recording import Stream, Times
+from logs.reader import LogError
+from models.frames import GRAVITY, Origin
+from models.messages import Array, Vec3
+
+UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
+VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
+_AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes are right
+
+
+def check_imu(gyro_b: Array, accel_b: Array, where: str) -> list[str]:
+    """Refuse deg/s, g and missing gravity by LogError; notes on what looks odd. gyro_b (n, 3), accel_b (n, 3), FRD."""
+    force = np.linalg.norm(accel_b, axis=1)
+    rate = np.linalg.norm(gyro_b, axis=1)
+    if not np.isfinite(force).any() or not np.isfinite(rate).any():
+        raise LogError(f"{where}: no finite IMU sample in it")
+    median = float(np.nanmedian(force))
+    if 0.8 < median < 1.3:
+        raise LogError(f"{where}: the accelerometer reads {median:.2f} in the median: that is g; needed: m/s^2 (x {GRAVITY})")
+    if median < 2.0:
+        raise LogError(f"{where}: the accelerometer reads {median:.2f} in the median: gravity is missing; needed: specific force")
+    if median > 30.0:
+        raise LogError(f"{where}: the accelerometer reads {median:.1f} in the median, which is not m/s^2 (raw counts?)")
+    fast = float(np.nanpercentile(rate, 95))
+    if fast > 20.0:
+        raise LogError(f"{where}: one gyro sample in twenty is above {fast:.0f}, that is deg/s; needed: rad/s (x 0.0174533)")
+    mean = np.nanmean(accel_b, axis=0)
+    if -mean[2] < _AXES_LEAN * np.linalg.norm(mean):
+        force_b = ", ".join(f"{x:.1f}" for x in mean)
+        return [f"{where}: the mean specific force in FRD is ({force_b}) m/s^2, far from (0, 0, -9.8): wrong axes?"]
+    return []
+
+
+def check_rate(t_ns: Times, where: str) -> list[str]:
+    """A note where the IMU is too slow to navigate by."""
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 0.0
+    if period_s > 0.05:
+        return [f"{where}: {1.0 / period_s:.1f} IMU samples a second are too few to navigate by: log 50 or more"]
+    return []
+
+
+def check_place(lla: Array, where: str) -> None:
+    """Refuse latitudes and longitudes that are not degrees. lla (n, 3)."""
+    worst = float(np.nanmax(np.abs(lla[:, :2]), initial=0.0))
+    if worst > 360.0:
+        unit = "1e-7 deg" if worst > 1e5 else "degrees and minutes"
+        raise LogError(f"{where}: latitude or longitude {worst:.0f} is not degrees ({unit}?)")
+
+
+def navsat_status(fix_type: Array) -> Array:
+    """sensor_msgs NavSatStatus of a MAVLink / PX4 / ArduPilot fix type: < 3 (none, 2D) -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
+    return np.select([fix_type < 3, fix_type == 3, fix_type == 4], [-1.0, 0.0, 1.0], 2.0)
+
+
+def variance_from_dop(hdop: Array, vdop: Array) -> Array:
+    """Variances (n, 3) in NED, m^2, of HDOP and VDOP (n,); nan: not given.
+
+    HDOP^2 UERE^2 = sigma_n^2 + sigma_e^2, VDOP UERE = sigma_d                                      (Groves 2013, eq. 9.144)
+    """
+    horizontal = 0.5 * (hdop * UERE_M) ** 2
+    vertical = (np.where(np.isnan(vdop), VDOP_OVER_HDOP * hdop, vdop) * UERE_M) ** 2
+    return np.stack([horizontal, horizontal, vertical], axis=1)
+
+
+def standard_pressure(height_m: Array) -> Array:
+    """p = 101325 (1 - 2.25577e-5 h)^5.25588 Pa, (n,): the standard atmosphere that barometric heights are made with."""
+    return np.asarray(101325.0 * np.maximum(1.0 - 2.25577e-5 * height_m, 0.0) ** 5.25588)
+
+
+def origin_of_truth(gnss: Stream, truth: Stream, known: Vec3 | None = None) -> Vec3 | None:
+    """Latitude, longitude [deg], height [m] of the point that the truth is relative to: the median over the fixes of
+
+        origin = place of the fix (-) p_n at its time
+
+    `known`, what the log itself says, is taken when it agrees to 2 m in each axis. None where fixes and truth never meet.
+    """
+    lla, status, t_ns = gnss.columns[0], gnss.columns[2], truth.t_ns
+    fixes = np.flatnonzero((status >= 0) & np.isfinite(lla).all(axis=1))
+    if len(t_ns) == 0:
+        return known
+    nearest = np.clip(np.searchsorted(t_ns, gnss.t_ns[fixes]), 0, len(t_ns) - 1)
+    p_n = truth.columns[0][nearest]
+    good = (np.abs(t_ns[nearest] - gnss.t_ns[fixes]) < 200_000_000) & np.isfinite(p_n).all(axis=1)
+    if not good.any():
+        return known
+    fixes, p_n = fixes[good], p_n[good]
+    every = max(1, len(fixes) // 300)  # a median needs no more
+    fixes, p_n = fixes[::every], p_n[::every]
+    if known is not None and np.abs(_offset(Origin(*known), lla[fixes], p_n)).max() < 2.0:
+        return known
+    lat, lon, alt = lla[fixes[0]].tolist()
+    origin = Origin(lat, lon, alt)
+    for _ in range(3):  # n turns a little with its origin
+        offset = _offset(origin, lla[fixes], p_n)
+        origin = Origin(*origin.to_geodetic(offset))
+    return origin.lat_deg, origin.lon_deg, origin.alt_m
+
+
+def _offset(origin: Origin, lla: Array, p_n: Array) -> Array:
+    places = np.array([origin.to_ned(*place) for place in lla.tolist()])
+    return np.asarray(np.median(places - p_n, axis=0))

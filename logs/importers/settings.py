@@ -1,0 +1,116 @@
+"""What the estimator should know about an imported log, as the TOML text that lies beside it.
+
+Noise is *effective*: vibration that folds into a sample, scale and mounting errors act like noise, so it is up to 20 times the
+data sheet's. Values of known data sets are tuned on them; the rest are chosen by kind of vehicle, and the text says so.
+"""
+
+from pathlib import Path
+
+import msgspec
+
+from models.imu import ImuNoise
+from models.messages import Vec3
+
+MULTIROTOR = ImuNoise(gyro_noise=5e-3, accel_noise=0.3, gyro_walk=1e-4, accel_walk=5e-3)
+FIXED_WING = ImuNoise(gyro_noise=3e-3, accel_noise=0.15, gyro_walk=1e-4, accel_walk=3e-3)
+CAR = ImuNoise(gyro_noise=1e-3, accel_noise=5e-2, gyro_walk=5e-5, accel_walk=2e-3)
+
+BY_KIND = "not known for this log: typical of a multirotor's vibration at 50 Hz; tune it"
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """One log's share of the configuration.
+
+    noise_reason: where the noise is from; gnss_delay_s: how much older a fix is than its stamp; antenna_b_m: from the IMU to
+    the GNSS antenna; origin: lat_deg, lon_deg, alt_m of the frame of the log's truth; None: the estimator chooses.
+    """
+
+    noise: ImuNoise = MULTIROTOR
+    noise_reason: str = BY_KIND
+    gnss_delay_s: float = 0.0
+    antenna_b_m: Vec3 = (0.0, 0.0, 0.0)
+    origin: Vec3 | None = None
+    altitude: str = ""  # what the heights of GNSS refer to
+
+    def toml(self, kind: str, source: Path, topics: tuple[str, ...]) -> str:
+        """The text; topics: those of the log that are inputs."""
+        inputs = {
+            "imu": [t for t in topics if t.startswith("/imu")],
+            "gnss": [t for t in topics if t.startswith("/gnss") and not t.endswith("/velocity")],
+            "gnss_velocity": [t for t in topics if t.startswith("/gnss") and t.endswith("/velocity")],
+            "pose_fix": [t for t in topics if t.startswith("/pose_fix")],
+        }
+        lines = [
+            f"# Written by: landfix import {kind} {source.name}   (importing again writes it anew: copy it before you change it)",
+            "",
+            "[imu]",
+            'axes = "flu"  # as the importer wrote the samples',
+            f"# noise: {self.noise_reason}",
+            *(f"{field} = {getattr(self.noise, field):.6g}" for field in self.noise.__struct_fields__),
+            "",
+            "[inputs]",
+            *(f"{name} = [{', '.join(map(_quoted, found))}]" for name, found in inputs.items() if found),
+        ]
+        if "/baro" in topics:
+            lines.append('# baro = ["/baro"]  # off until wanted')
+        if inputs["gnss"]:
+            antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
+            lines += ["", "[gnss]", f"delay_s = {round(self.gnss_delay_s, 6)!r}", f"antenna_b_m = [{antenna}]"]
+        if self.origin is not None:
+            lat, lon, alt = self.origin
+            lines += ["", "[map]", f"origin = [{lat:.10f}, {lon:.10f}, {alt:.4f}]"]
+            if self.altitude:
+                lines.append(f"# heights: {self.altitude}")
+        return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"'
+
+
+class DataSet(msgspec.Struct, frozen=True):
+    """A public collection of flights: its IMU axes, its world axes ("": by the headers of its files), and what else is known."""
+
+    axes: str = "frd"
+    world: str = ""
+    noise: ImuNoise = MULTIROTOR
+    noise_reason: str = BY_KIND
+    gnss_delay_s: float = 0.0
+    antenna_b_m: Vec3 = (0.0, 0.0, 0.0)
+    altitude: str = ""
+
+
+_TUNED = "effective values, tuned on this data set"
+
+UNKNOWN = DataSet()
+DATA_SETS = {
+    "euroc": DataSet("urf", "enu", ImuNoise(7e-4, 4e-2, 1e-4, 1e-3), _TUNED),
+    "tumvi_room": DataSet("flu", "enu", ImuNoise(1.5e-3, 2e-2, 5e-5, 1e-3), _TUNED),
+    "blackbird_clover": DataSet("frd", "enu", ImuNoise(7e-4, 2e-2, 1e-4, 1e-3), _TUNED),
+    "quad_rtk_dot": DataSet(noise=ImuNoise(2e-3, 0.3, 1e-4, 5e-3), noise_reason=_TUNED),
+    "rtk_drive_walk": DataSet(
+        noise=CAR,
+        noise_reason="a car: data sheet x 15 for engine and road, and for 1 % of accelerometer scale error",
+        antenna_b_m=(0.0, -0.05, 0.0),
+        altitude="above mean sea level",
+    ),
+    "umn_thor75": DataSet(
+        noise=FIXED_WING, noise_reason="a fixed wing with engine at 50 Hz: what was measured at rest, x 7 (gyro) and x 50 (accel)"
+    ),
+    "inertialnav_logs": DataSet(
+        gnss_delay_s=0.21,  # position; velocity 0.23, height 0.35
+        noise_reason="typical of a multirotor's vibration at 50 Hz",
+        altitude="above mean sea level (f450_glitch), above the take-off point (quad106)",
+    ),
+    "ardupilot_logs": DataSet(
+        gnss_delay_s=0.2,  # the autopilot's own EKF_POS_DELAY
+        noise_reason="typical of a multirotor's vibration at 50 Hz",
+        altitude="above mean sea level",
+    ),
+}
+
+
+def data_set(folder: Path) -> DataSet:
+    """The data set that a folder belongs to, by the names along its path; UNKNOWN if none."""
+    names = (p.name for p in (folder, *folder.parents))
+    return next((DATA_SETS[name] for name in names if name in DATA_SETS), UNKNOWN)

@@ -1,0 +1,208 @@
+"""MAVLink telemetry logs (.tlog: each message behind the time at which the ground station received it), by pymavlink.
+
+    HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: told in a note)  ->  /imu
+    GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
+    LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only
+
+Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
+message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
+"""
+
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink import mavutil
+
+from logs.importers import frames, recording, sensors
+from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
+from logs.importers.settings import Settings
+from logs.reader import LogError
+from models.frames import GRAVITY
+from models.messages import Array, Vec3
+
+_MILLI_G = GRAVITY * 1e-3
+_RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+_GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc")
+_FIELDS = {
+    "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
+    "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
+    "SCALED_PRESSURE": ("press_abs",),
+    "ATTITUDE": ("roll", "pitch", "yaw"),
+    "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
+    "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
+}  # fmt: skip
+_RECEIVERS = {"GPS_RAW_INT": "/gnss", "GPS2_RAW": "/gnss2"}
+_ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA: its RAW_IMU is in mG and mrad/s
+_NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
+_IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2")  # the best first
+_UNKNOWN = 65535
+_UNIX_US = 1e14  # stamps above it count from 1970
+_REBOOT_US = 5e6  # stamps that fall by more
+_GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
+_SPEED_SIGMA = 0.5  # m/s, where the receiver tells none
+_NO_VERTICAL_SIGMA = 100.0  # m/s: GPS_RAW_INT has no vertical speed; 0 with this says nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """All messages of one name: when they were valid, when they arrived, and their fields as columns."""
+
+    t_ns: Times
+    arrived_ns: Times
+    fields: Mapping[str, Array]
+
+    def __getitem__(self, field: str) -> Array:
+        return self.fields[field]
+
+    def vector(self, *fields: str) -> Array:
+        return np.stack([self.fields[field] for field in fields], axis=1)
+
+
+def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
+    """The recording in a .tlog file. Raises LogError."""
+    options.refuse_but("tlog", "imu")
+    messages, autopilot, damaged = _messages(source, progress)
+    tables = _dated(messages)
+    notes = [f"{source.name}: {damaged} damaged messages passed over"] if damaged else []
+    imu = _imu(source, tables, options.imu.upper(), autopilot, notes)
+    gnss = [stream for name, topic in _RECEIVERS.items() for stream in _gnss(source, tables.get(name), topic)]
+    truth = _truth(tables, notes)
+    origin = None
+    if gnss:
+        if not any(tables[name]["alt_ellipsoid"].any() for name in _RECEIVERS if name in tables):
+            notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
+        origin = sensors.origin_of_truth(gnss[0], truth, _known_origin(tables)) if truth else None
+    settings = Settings(origin=origin, altitude="above the ellipsoid where the log knows it, else above mean sea level")
+    return Recording((*gnss, *_baro(tables), imu, *([truth] if truth else [])), settings, tuple(notes))
+
+
+def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
+    """Rows (arrived_us, stamp_us, *fields) of each wanted message of the vehicle, its autopilot, and how many were damaged."""
+    rows: dict[int, dict[str, list[list[float]]]] = {}
+    autopilots: dict[int, int] = {}
+    total = damaged = 0
+    with closing(_open(source)) as log:
+        while (message := log.recv_msg()) is not None:
+            name, total = message.get_type(), total + 1
+            if name == "BAD_DATA":
+                damaged += 1
+            elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
+                autopilots[message.get_srcSystem()] = message.autopilot
+            elif name in _FIELDS:
+                row = [round(message._timestamp * 1e6), _stamp_us(message), *(getattr(message, f, 0) for f in _FIELDS[name])]
+                rows.setdefault(message.get_srcSystem(), {}).setdefault(name, []).append(row)
+            if progress and total % 5000 == 0:
+                progress(log.percent / 100.0)
+    if total == 0:
+        raise LogError(f"{source.name}: the file is empty")
+    if not rows:
+        raise LogError(f"{source.name}: not a MAVLink telemetry log (.tlog), or one without IMU, GPS and attitude")
+    system = max(rows, key=lambda s: sum(map(len, rows[s].values())))
+    return {name: np.array(r, float) for name, r in rows[system].items()}, autopilots.get(system, _NOT_A_VEHICLE), damaged
+
+
+def _open(source: Path) -> Any:
+    try:
+        return mavutil.mavlogfile(str(source))
+    except OSError as error:
+        raise LogError(f"{source}: {error.strerror}") from None
+
+
+def _stamp_us(message: Any) -> float:
+    """Since boot or 1970; 0: not given."""
+    time_usec = getattr(message, "time_usec", None)
+    return float(getattr(message, "time_boot_ms", 0) * 1000 if time_usec is None else time_usec)
+
+
+def _dated(messages: Mapping[str, Array]) -> dict[str, _Table]:
+    """Columns by name, with t_ns and arrived_ns; boot by boot the stamps are shifted so that the fastest message took no time."""
+    everything = np.concatenate([rows[:, :2] for rows in messages.values()])
+    everything = everything[np.argsort(everything[:, 0], kind="stable")]
+    booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
+    reboots = booting[1:, 0][np.diff(booting[:, 1]) < -_REBOOT_US]
+    boot = np.searchsorted(reboots, booting[:, 0], side="right")
+    ahead = booting[:, 0] - booting[:, 1]
+    shift = np.array([ahead[boot == k].min() if (boot == k).any() else 0.0 for k in range(len(reboots) + 1)])
+    tables = {}
+    for name, rows in messages.items():
+        arrived_us, stamp_us = rows[:, 0], rows[:, 1]
+        since_boot = stamp_us + shift[np.searchsorted(reboots, arrived_us, side="right")]
+        t_us = np.select([stamp_us <= 0, stamp_us < _UNIX_US], [arrived_us, since_boot], stamp_us)
+        columns = dict(zip(_FIELDS[name], rows[:, 2:].T, strict=True))
+        tables[name] = _Table(_ns(t_us), _ns(arrived_us), columns)
+    return tables
+
+
+def _ns(t_us: Array) -> Times:
+    return np.rint(t_us).astype(np.int64) * 1000
+
+
+def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int, notes: list[str]) -> Stream:
+    usable = [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]  # others' is in counts of the chip
+    name = next((n for n in ([wanted] if wanted else usable) if n in usable), None)
+    if name is None:
+        there = ", ".join(usable) or "none in physical units"
+        raise LogError(f"{source.name}: no IMU messages {wanted or ', '.join(_IMUS)} in it (there are: {there})")
+    table = tables[name]
+    gyro_b, accel_b = table.vector("xgyro", "ygyro", "zgyro"), table.vector("xacc", "yacc", "zacc")
+    if name != "HIGHRES_IMU":
+        gyro_b, accel_b = gyro_b * 1e-3, accel_b * _MILLI_G
+        notes.append(f"{source.name}: IMU from {name}, in steps of 0.001 rad/s and 0.01 m/s^2; HIGHRES_IMU is better")
+    notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(table.t_ns, source.name)
+    return recording.imu(table.t_ns, table.arrived_ns, gyro_b, accel_b)
+
+
+def _gnss(source: Path, table: _Table | None, topic: str) -> list[Stream]:
+    if table is None:
+        return []
+    height = np.where(table["alt_ellipsoid"] != 0, table["alt_ellipsoid"], table["alt"]) * 1e-3
+    lla = np.stack([table["lat"] * 1e-7, table["lon"] * 1e-7, height], axis=1)
+    sensors.check_place(lla, source.name)
+    status = sensors.navsat_status(table["fix_type"])
+    t_ns, arrived_ns = table.t_ns, table.arrived_ns
+    streams = [recording.gnss(t_ns, arrived_ns, lla, _position_variance(table), status, topic)]
+    moving = np.flatnonzero((status >= 0) & (table["vel"] != _UNKNOWN) & (table["cog"] != _UNKNOWN))
+    if len(moving):
+        speed, course = table["vel"][moving] * 1e-2, np.deg2rad(table["cog"][moving] * 1e-2)
+        v_n = np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(len(moving))], axis=1)
+        sigma = np.where(table["vel_acc"] > 0, table["vel_acc"] * 1e-3, _SPEED_SIGMA)[moving]
+        variance = np.stack([sigma**2, sigma**2, np.full(len(moving), _NO_VERTICAL_SIGMA**2)], axis=1)
+        streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, variance, f"{topic}/velocity"))
+    return streams
+
+
+def _position_variance(table: _Table) -> Array:
+    """(n, 3) m^2: of h_acc and v_acc [mm] where given, else of eph and epv [100 x HDOP, VDOP]; nan: not given."""
+    hdop, vdop = (np.where(table[name] == _UNKNOWN, np.nan, table[name] * 1e-2) for name in ("eph", "epv"))
+    accuracy = table.vector("h_acc", "h_acc", "v_acc") * 1e-3
+    return np.where((accuracy > 0.0).all(axis=1, keepdims=True), accuracy**2, sensors.variance_from_dop(hdop, vdop))
+
+
+def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
+    table = tables.get("SCALED_PRESSURE")
+    if table is None:
+        return []
+    return [recording.baro(table.t_ns, table.arrived_ns, table["press_abs"] * 100.0)]
+
+
+def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:
+    position, attitude = tables.get("LOCAL_POSITION_NED"), tables.get("ATTITUDE")
+    if position is None or attitude is None:
+        notes.append("no reference in it (LOCAL_POSITION_NED with ATTITUDE)")
+        return None
+    notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    order = np.argsort(attitude.t_ns, kind="stable")
+    q_known = frames.attitude_from_euler(attitude["roll"], attitude["pitch"], attitude["yaw"])
+    q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], q_known[order], _GAP_NS)
+    return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)
+
+
+def _known_origin(tables: Mapping[str, _Table]) -> Vec3 | None:
+    table = tables.get("GPS_GLOBAL_ORIGIN")
+    if table is None:
+        return None
+    return float(table["latitude"][-1]) * 1e-7, float(table["longitude"][-1]) * 1e-7, float(table["altitude"][-1]) * 1e-3

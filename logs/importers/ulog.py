@@ -1,0 +1,180 @@
+"""PX4 logs (.ulg), by pyulog.
+
+    sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
+    vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
+    *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
+
+PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
+receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from logs.importers import frames, recording, sensors
+from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
+from logs.importers.settings import Settings
+from logs.reader import LogError
+from models.messages import Array, Vec3
+
+Topic: TypeAlias = Mapping[str, Any]  # field -> column
+
+_MAGIC = b"ULog\x01\x12\x35"
+_WANTED = (
+    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_gps_position", "sensor_gps",
+    "vehicle_attitude", "vehicle_local_position", "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
+)  # fmt: skip
+_ATTITUDE_GAP_NS = 200_000_000
+_UNIX_US = 10**14  # stamps above it count from 1970
+
+
+def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
+    """The recording in a .ulg file. Raises LogError."""
+    options.refuse_but("ulog")
+    log = _open(source)
+    if progress:
+        progress(0.8)
+    topics: dict[str, Topic] = {d.name: d.data for d in reversed(log.data_list)}  # of several instances the first
+    notes: list[str] = [f"{source.name}: damaged in places; the rest was read"] if log.file_corruption else []
+    receiver = next((topics[name] for name in ("vehicle_gps_position", "sensor_gps") if name in topics), None)
+    clock = _clock(receiver, notes)
+    imu = _imu(source, topics, clock, notes)
+    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock)]
+    truth, origin = _truth(topics, receiver, clock, notes)
+    if truth and aids and aids[0].topic == "/gnss":
+        origin = sensors.origin_of_truth(aids[0], truth, origin)
+    delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
+    if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
+        delay_s = 0.0  # the receiver's driver has already said when the fix was valid
+    altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
+    settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
+    return Recording((*aids, imu, *([truth] if truth else [])), settings, tuple(notes))
+
+
+def _open(source: Path) -> Any:
+    """The parsed file; needs the extra px4."""
+    try:
+        from pyulog import ULog  # noqa: PLC0415 (an extra)
+    except ModuleNotFoundError:
+        raise LogError("reading PX4 logs needs pyulog: pip install 'landfix[px4]'") from None
+    try:
+        with source.open("rb") as file:
+            magic = file.read(len(_MAGIC))
+    except OSError as error:
+        raise LogError(f"{source}: {error.strerror}") from None
+    if magic != _MAGIC:
+        raise LogError(f"{source.name}: {'not a PX4 log (.ulg)' if magic else 'the file is empty'}")
+    try:
+        return ULog(str(source), list(_WANTED))
+    except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
+        raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
+
+
+def _clock(receiver: Topic | None, notes: list[str]) -> int:
+    """What to add to the log's stamps [us] to count from 1970."""
+    if receiver is not None and receiver["timestamp"][0] > _UNIX_US:
+        return 0
+    if receiver is not None:
+        dated = np.flatnonzero(receiver.get("time_utc_usec", np.zeros(1)) > _UNIX_US)
+        if len(dated):
+            k = dated[0]
+            return int(receiver["time_utc_usec"][k]) - int(receiver["timestamp"][k])
+    notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
+    return EPOCH_NS // 1000
+
+
+def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:
+    """t_ns, arrived_ns: of the sample where the driver gives it, and of its publication."""
+    published = topic["timestamp"].astype(np.int64)
+    sampled = topic["timestamp_sample"].astype(np.int64) if "timestamp_sample" in topic else published
+    sampled = np.where(sampled > 0, sampled, published)
+    return (sampled + clock_us) * 1000, recording.arrival((published + clock_us) * 1000)
+
+
+def _vector(topic: Topic, *names: str) -> Array:
+    return np.stack([topic[name] for name in names], axis=1).astype(np.float64)
+
+
+def _imu(source: Path, topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> Stream:
+    if "sensor_combined" in topics:
+        topic = topics["sensor_combined"]
+        gyro_b = _vector(topic, "gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
+        accel_b = _vector(topic, "accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
+        t_ns, arrived_ns = _times(topic, clock_us)
+    elif "sensor_gyro" in topics and "sensor_accel" in topics:
+        topic = topics["sensor_gyro"]
+        gyro_b = _vector(topic, "x", "y", "z")
+        t_ns, arrived_ns = _times(topic, clock_us)
+        accel = _vector(topics["sensor_accel"], "x", "y", "z")
+        t_accel, _ = _times(topics["sensor_accel"], clock_us)
+        accel_b = np.stack([np.interp(t_ns - t_ns[0], t_accel - t_ns[0], column) for column in accel.T], axis=1)
+        notes.append("no sensor_combined: raw sensor_gyro, with sensor_accel interpolated to its stamps")
+    else:
+        raise LogError(f"{source.name}: no IMU in it (sensor_combined, or sensor_gyro with sensor_accel)")
+    notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)
+    return recording.imu(t_ns, arrived_ns, gyro_b, accel_b)
+
+
+def _place(topic: Topic) -> tuple[Array, Array]:
+    """(n, 3) deg, deg, m above the ellipsoid where it is known, else above sea level; and (n,) how much these differ."""
+    if "latitude_deg" in topic:
+        lla, ellipsoid = _vector(topic, "latitude_deg", "longitude_deg", "altitude_msl_m"), _vector(topic, "altitude_ellipsoid_m")
+    else:
+        lla, ellipsoid = _vector(topic, "lat", "lon", "alt") * [1e-7, 1e-7, 1e-3], _vector(topic, "alt_ellipsoid") * 1e-3
+    geoid = np.where(ellipsoid[:, 0] != 0.0, ellipsoid[:, 0] - lla[:, 2], 0.0)
+    lla[:, 2] += geoid
+    return lla, geoid
+
+
+def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[Stream]:
+    lla, geoid = _place(topic)
+    sensors.check_place(lla, source.name)
+    if not geoid.any():
+        notes.append("GNSS heights are above sea level (no other known); set [map] geoid_m to have them above the ellipsoid")
+    t_ns, arrived_ns = _times(topic, clock_us)
+    status = sensors.navsat_status(topic["fix_type"])
+    variance = np.square(_vector(topic, "eph", "eph", "epv"))  # PX4 takes eph as one sigma per axis
+    moving = np.flatnonzero((topic["vel_ned_valid"] != 0) & (status >= 0))
+    v_n = _vector(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")[moving]
+    speed_sigma = topic["s_variance_m_s"][moving].astype(np.float64)  # m/s, despite its name
+    speed_variance = np.repeat(speed_sigma[:, np.newaxis] ** 2, 3, axis=1)
+    streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status)]
+    if len(moving):
+        streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))
+    return streams
+
+
+def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    topic = topics.get("vehicle_air_data")
+    if topic is None or "baro_pressure_pa" not in topic:
+        return []
+    t_ns, arrived_ns = _times(topic, clock_us)
+    return [recording.baro(t_ns, arrived_ns, topic["baro_pressure_pa"].astype(np.float64))]
+
+
+def _truth(
+    topics: Mapping[str, Topic], receiver: Topic | None, clock_us: int, notes: list[str]
+) -> tuple[Stream | None, Vec3 | None]:
+    """Ground truth, else the autopilot's own estimate, at the stamps of its position; and where its origin is."""
+    suffix = "_groundtruth" if "vehicle_local_position_groundtruth" in topics else ""
+    position, attitude = topics.get(f"vehicle_local_position{suffix}"), topics.get(f"vehicle_attitude{suffix}")
+    if position is None or attitude is None:
+        notes.append("no reference in it (vehicle_local_position with vehicle_attitude)")
+        return None, None
+    if not suffix:
+        notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    valid = (position["xy_valid"] != 0) & (position["z_valid"] != 0)
+    origin = None
+    if np.isfinite(position["ref_lat"][valid]).any():
+        k = np.flatnonzero(valid & np.isfinite(position["ref_lat"]))[-1]
+        valid &= position["ref_timestamp"] == position["ref_timestamp"][k]  # positions from before the origin moved are elsewhere
+        geoid = float(np.median(_place(receiver)[1])) if receiver is not None else 0.0
+        origin = (float(position["ref_lat"][k]), float(position["ref_lon"][k]), float(position["ref_alt"][k]) + geoid)
+    rows = np.flatnonzero(valid)
+    t_ns, t_attitude = _times(position, clock_us)[0][rows], _times(attitude, clock_us)[0]
+    q_nb = frames.attitude_at(t_ns, t_attitude, _vector(attitude, "q[0]", "q[1]", "q[2]", "q[3]"), _ATTITUDE_GAP_NS)
+    p_n, v_n = (_vector(position, *names)[rows] for names in (("x", "y", "z"), ("vx", "vy", "vz")))
+    return recording.truth(t_ns, p_n, v_n, q_nb), origin
