@@ -1,5 +1,6 @@
 """An Evaluation as tables a person reads."""
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -28,9 +29,11 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
 
 def _table(title: str, *columns: str) -> Table:
     """A table whose first column is text and whose others are numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
+    table = Table(
+        title=title, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
     for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left")
+        table.add_column(column, justify="right" if k else "left", no_wrap=not k)
     return table
 
 
@@ -45,7 +48,8 @@ def _summary(e: Evaluation) -> Text:
     modes = ", ".join(f"{mode} {share:.1%}" for mode, share in sorted(e.modes.items(), key=lambda m: -m[1]))
     latency = ", ".join(f"{topic} {1e3 * p.p50:.1f} / {1e3 * p.p99:.1f} ms" for topic, p in e.latency_s.items())
     lines = [
-        f"{e.log}: {e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
+        e.log,
+        f"{e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
         f"compared with truth at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
         f"modes: {modes or 'not told'}; without absolute information {e.without_absolute_s:.1f} s",
         f"latency, median / 99 %: {latency}",
@@ -78,21 +82,12 @@ def _accuracy(a: Accuracy) -> Table:
 
 
 def _honesty(h: Honesty) -> Table:
-    covered = f"{h.radius95_covered:.1%} of the time inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
-    table = _table(
-        f"Consistency: {covered}",
-        "NEES / dof",
-        "mean",
-        "95 % band",
-        "samples inside",
-        "in 95 % ellipsoid",
-        "n (independent)",
-        "verdict",
-    )
+    covered = f"{h.radius95_covered:.1%} inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
+    table = _table(f"Consistency: {covered}", "NEES / dof", "mean", "95 % band", "in band", "in 95 %", "n", "n eff", "verdict")
     rows: list[tuple[str, Consistency]] = [
         ("position", h.position),
-        ("  outside outages", h.position_aided),
-        ("  inside outages", h.position_outages),
+        ("  aided", h.position_aided),
+        ("  in outages", h.position_outages),
         ("attitude", h.attitude),
         ("velocity", h.velocity),
         ("pose", h.pose),
@@ -100,18 +95,18 @@ def _honesty(h: Honesty) -> Table:
     for name, c in rows:
         if c.n:
             low, high = c.band
-            verdict = "consistent" if c.consistent else "overconfident" if c.mean > high else "too cautious"
+            verdict = "consistent" if c.consistent else "too sure" if c.mean > high else "cautious"
             table.add_row(
-                name, _number(c.mean), f"{low:.2f} - {high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
-                f"{c.n} ({c.n_effective:.0f})", verdict,
+                name, _number(c.mean), f"{low:.2f}-{high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
+                str(c.n), f"{c.n_effective:.0f}", verdict,
             )  # fmt: skip
     return table
 
 
 def _outages(e: Evaluation) -> Table:
     table = _table(
-        "Outages of absolute information", "source", "from s", "for s", "RMSE m", "max m", "end m", "end %", "95 % radius m",
-        "NEES / 3", "attitude RMSE deg",
+        "Outages: no absolute information", "source", "at s", "for s", "RMSE m", "max m", "end m", "end %", "95 % m",
+        "NEES/3", "att deg",
     )  # fmt: skip
     for o in e.outages:
         d = o.drift
@@ -122,7 +117,7 @@ def _outages(e: Evaluation) -> Table:
 
 
 def _aids(e: Evaluation) -> Table:
-    table = _table("Measurements", "source", "kind", "fused", "others", "NIS / dof", "test ratio 95 %", "delay s, median", "max")
+    table = _table("Measurements", "source", "kind", "fused", "others", "NIS/dof", "ratio 95 %", "delay s", "max")
     for a in e.aids:
         others = ", ".join(f"{reason} {n}" for reason, n in a.reasons.items() if reason != "fused")
         ratio, delay = a.test_ratio, a.delay_s

@@ -163,10 +163,19 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
         mixed: Array = (1.0 - wx) * x[a] + wx * x[b]
         return mixed
 
-    q = trajectory.q_wxyz
-    turn = (rotation(q[a]).inv() * rotation(q[b])).as_rotvec() if len(a) else np.empty((0, 3))
-    q_t = (rotation(q[a]) * Rotation.from_rotvec(w[:, None] * turn)).as_quat(scalar_first=True) if len(a) else q[a]
     others = (trajectory.p, trajectory.v_body, trajectory.covariance, trajectory.v_covariance)
     p, v_body, covariance, v_covariance = (blend(x) for x in others)
     arrived = np.maximum(trajectory.arrived_ns[a], trajectory.arrived_ns[b])
-    return Trajectory(t, arrived, p, q_t, v_body, covariance, v_covariance), told
+    q_wxyz = _slerp(trajectory.q_wxyz[a], trajectory.q_wxyz[b], w)
+    return Trajectory(t, arrived, p, q_wxyz, v_body, covariance, v_covariance), told
+
+
+def _slerp(q_a: Array, q_b: Array, w: Array) -> Array:
+    """Quaternions w of the shorter way from q_a to q_b, (n, 4); nan where one of them is not given."""
+    q = np.full_like(q_a, np.nan)
+    given = np.isfinite(q_a).all(axis=1) & np.isfinite(q_b).all(axis=1)
+    if given.any():
+        start = rotation(q_a[given])
+        turn = (start.inv() * rotation(q_b[given])).as_rotvec()
+        q[given] = (start * Rotation.from_rotvec(w[given, None] * turn)).as_quat(scalar_first=True)
+    return q
