@@ -144,7 +144,7 @@ def _propagate(
     R_nb: Array,
     gyro_b: Array,
     accel_b: Array,
-    earth: Array,
+    earth_rate: Array,
     gradient: float,
     Qc: Array,
 ) -> Array:
