@@ -1,0 +1,278 @@
+"""The sans-I/O heart: messages in, estimates and reports out. Daemon, replay, simulation and tests drive this same object."""
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from estimator.eskf import Eskf, sound
+from estimator.history import Entry, History
+from estimator.initialise import InitialiseConfig
+from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.imu import sample_refusal
+from estimator.sources.pose import PoseConfig, pose_aid
+from estimator.sources.source import Aid, Refusal
+from estimator.tracker import Tracker, TrackerConfig
+from models import so3, state
+from models.frames import Origin
+from models.imu import Coast, ImuNoise
+from models.messages import (
+    AidStatus,
+    Array,
+    Baro,
+    Estimate,
+    GnssFix,
+    GnssVelocity,
+    Health,
+    ImuSample,
+    Input,
+    LandmarkFix,
+    Output,
+    PoseFix,
+    Reason,
+    Reset,
+    Tick,
+    Unusable,
+    Vec3,
+    vec3,
+)
+from models.state import E, X
+
+_RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
+
+
+class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[estimator]: how far back it looks, and how it speaks."""
+
+    history_s: Annotated[float, Meta(gt=0, le=60, description="s: measurements may be late by this much")] = 6.0
+    dead_reckoning_after_s: Annotated[
+        float, Meta(gt=0, description="s: without an absolute position the mode is dead_reckoning")
+    ] = 3.0
+    health_hz: Annotated[float, Meta(gt=0, le=10, description="Hz: rate of /landfix/health")] = 2.0
+    future_s: Annotated[float, Meta(gt=0, description="s: a stamp may run ahead of its stream's clock by this much")] = 1.0
+    reset_sigma: Annotated[
+        float, Meta(gt=0, description="a jump larger than this many standard deviations is told as a reset")
+    ] = 5.0
+
+
+class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """All parameters of the estimator; origin is (lat_deg, lon_deg, alt_m) or None."""
+
+    imu: ImuNoise = ImuNoise()
+    coast: Coast = Coast()
+    gnss: GnssConfig = GnssConfig()
+    pose_fix: PoseConfig = PoseConfig()
+    initialise: InitialiseConfig = InitialiseConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    origin: tuple[float, float, float] | None = None
+
+
+class Fusion:
+    """`handle(message)` is everything. It never raises: a defect of ours is counted, reported and survived."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+        self._history = self._begin()
+        self._counts: dict[str, int] = {}
+        self._detail = ""
+        self._health_period_ns = round(1e9 / config.estimator.health_hz)
+        self._next_health_ns: int | None = None
+        self._future_ns = round(config.estimator.future_s * 1e9)
+        self._now: tuple[int, int] | None = None  # newest accepted stamp of IMU or tick, and its arrival
+        self._reset_counter = 0
+        self._published: Estimate | None = None
+
+    def handle(self, message: Input) -> list[Output]:
+        """Take one message; what it leads to, in order."""
+        try:
+            if type(message) is ImuSample:
+                return self._imu(message)
+            return self._other(message)
+        except Exception as error:  # noqa: BLE001  (the flight goes on; the count of these must stay 0)
+            self._detail = f"internal error: {type(error).__name__}: {error}"
+            return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
+
+    def _begin(self) -> History:
+        config = self._config
+        tracker = Tracker(
+            TrackerConfig(
+                imu=config.imu,
+                coast=config.coast,
+                initialise=config.initialise,
+                origin=Origin.of(config.origin),
+                dead_reckoning_after_s=config.estimator.dead_reckoning_after_s,
+            )
+        )
+        return History(tracker, config.estimator.history_s)
+
+    # --- inputs ---------------------------------------------------------------------------------------------------------
+
+    def _imu(self, sample: ImuSample) -> list[Output]:
+        refusal = sample_refusal(sample) or self._future(sample)
+        if refusal is None and (reason := self._history.insert_sample(sample)) is not None:
+            refusal = Refusal(reason)
+        if refusal is not None:
+            return [self._refuse(sample, refusal)]
+        if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
+            return []
+        self._now = (sample.t_ns, sample.arrived_ns)
+        tracker = self._history.advance(sample.t_ns)
+        return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
+
+    def _other(self, message: Input) -> list[Output]:
+        match message:
+            case PoseFix() | LandmarkFix():
+                return self._aid(message, pose_aid(message, self._config.pose_fix))
+            case GnssFix():
+                return self._aid(message, position_aid(message, self._config.gnss))
+            case GnssVelocity():
+                return self._aid(message, velocity_aid(message, self._config.gnss))
+            case Tick():
+                return self._tick(message)
+            case Unusable():
+                return [self._refuse(message, Refusal(Reason.MALFORMED, message.detail))]
+            case Baro():
+                return [self._refuse(message, Refusal(Reason.UNSUPPORTED, "the barometer is not configured"))]
+            case _:
+                return [self._refuse(message, Refusal(Reason.UNKNOWN_TOPIC))]
+
+    def _aid(self, message: Input, aid: Aid | Refusal) -> list[Output]:
+        """A measurement takes its place; it is processed before the next output."""
+        refusal = aid if isinstance(aid, Refusal) else self._future(message)
+        if refusal is None and isinstance(aid, Aid) and (reason := self._history.insert_aid(aid)) is not None:
+            refusal = Refusal(reason)
+        return [] if refusal is None else [self._refuse(message, refusal)]
+
+    def _tick(self, tick: Tick) -> list[Output]:
+        """Time goes on; only where the IMU is missing does that lead to an estimate."""
+        if refusal := self._future(tick):
+            return [self._refuse(tick, refusal)]
+        if self._now is None or tick.t_ns > self._now[0]:
+            self._now = (tick.t_ns, tick.arrived_ns)
+        samples = self._history.samples
+        if not samples.count or (tick.t_ns - samples.newest_ns) * 1e-9 <= self._config.coast.gap_s:
+            return []
+        tracker = self._history.advance(tick.t_ns, coast=True).copy()
+        tracker.propagate(samples, tick.t_ns)
+        return self._publish(tracker, tick.t_ns, tick.arrived_ns, vec3(samples.u[samples.count - 1]))
+
+    def _future(self, message: Input) -> Refusal | None:
+        """A stamp that runs ahead of the clock by more than future_s: the clock is the newest stamp plus the time since."""
+        if self._now is None:
+            return None
+        newest_ns, arrived_ns = self._now
+        ahead_ns = message.t_ns - newest_ns - max(0, message.arrived_ns - arrived_ns)
+        return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > self._future_ns else None
+
+    # --- outputs --------------------------------------------------------------------------------------------------------
+
+    def _publish(self, tracker: Tracker, t_ns: int, arrived_ns: int, gyro: Vec3) -> list[Output]:
+        """Estimate (with a Reset before it, if it jumped), decisions that are new, health when it is due."""
+        out: list[Output] = []
+        changed = self._history.changed()
+        last = self._published
+        if tracker.is_aligned and tracker.hypotheses is not None and (last is None or t_ns > last.t_ns):
+            lead = tracker.hypotheses.lead
+            if not sound(lead.x, lead.cov):
+                return [self._restart(t_ns, arrived_ns)]
+            if last is not None and changed and (jump := self._jump(last, lead, t_ns)) is not None:
+                self._reset_counter += 1
+                p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
+                out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
+            bias = lead.x[X.BG].tolist()
+            self._published = Estimate(
+                t_ns,
+                arrived_ns,
+                lead.x.copy(),
+                lead.cov[: E.SIZE, : E.SIZE].copy(),
+                (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
+                tracker.mode(self._history.samples.newest_ns, t_ns),
+                self._reset_counter,
+                tracker.last_absolute_ns,
+                tracker.origin,
+            )
+            out.append(self._published)
+        for entry in changed:
+            out.append(self._aid_status(entry))
+        if self._next_health_ns is None or t_ns >= self._next_health_ns:
+            self._next_health_ns = t_ns + self._health_period_ns
+            out.append(self._health(tracker, t_ns, arrived_ns))
+        return out
+
+    def _jump(self, last: Estimate, lead: Eskf, t_ns: int) -> Array | None:
+        """How far the estimate stands from where the last published one has gone since; None where that is within its noise."""
+        samples = self._history.samples
+        old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
+        old.propagate(samples, samples.first_after(last.t_ns), t_ns)
+        delta = state.local(old.x, lead.x)
+        sigma = np.sqrt(np.diag(lead.cov)[: E.SIZE])
+        seen = slice(E.P.start, E.THETA.stop)  # a bias that is corrected moves nothing
+        return delta if (np.abs(delta[seen]) > self._config.estimator.reset_sigma * sigma[seen]).any() else None
+
+    def _restart(self, t_ns: int, arrived_ns: int) -> AidStatus:
+        """The state is not finite or P not positive: nothing of it is published, the alignment begins again."""
+        self._history = self._begin()
+        self._published = None
+        self._detail = "internal error: the state was lost; aligning again"
+        self._count(Reason.INTERNAL)
+        return AidStatus(t_ns, arrived_ns, "", "state", Reason.INTERNAL, detail=self._detail)
+
+    def _aid_status(self, entry: Entry) -> AidStatus:
+        aid, decision = entry.aid, entry.decision
+        assert decision is not None
+        if entry.told is not None:
+            self._counts[entry.told] -= 1
+        entry.told = decision.reason
+        self._count(decision.reason)
+        return AidStatus(
+            aid.t_ns,
+            aid.arrived_ns,
+            aid.topic,
+            aid.kind,
+            decision.reason,
+            entry.revision,
+            decision.innovation,
+            decision.innovation_sigma,
+            decision.test_ratio,
+            (aid.arrived_ns - aid.t_ns) * 1e-9,
+            entry.replayed,
+            decision.detail,
+        )
+
+    def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:
+        """The report of a message that is no measurement."""
+        self._count(refusal.reason)
+        delay_s = (message.arrived_ns - message.t_ns) * 1e-9
+        kind = type(message).__name__
+        return AidStatus(
+            message.t_ns, message.arrived_ns, message.topic, kind, refusal.reason, delay_s=delay_s, detail=refusal.detail
+        )
+
+    def _count(self, reason: Reason) -> None:
+        self._counts[reason] = self._counts.get(reason, 0) + 1
+
+    def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
+        hypotheses = tracker.hypotheses
+        radius = attitude = math.inf
+        if hypotheses is not None and tracker.is_aligned:
+            cov = hypotheses.lead.cov
+            horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
+            radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
+            attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
+        never = tracker.last_absolute_ns < 0
+        return Health(
+            t_ns,
+            arrived_ns,
+            tracker.mode(self._history.samples.newest_ns, t_ns),
+            math.inf if never else (t_ns - tracker.last_absolute_ns) * 1e-9,
+            radius,
+            attitude,
+            self._reset_counter,
+            {topic: source.phase.value for topic, source in sorted(tracker.sources.items())},
+            dict(sorted(self._counts.items())),
+            len(hypotheses.members) if hypotheses is not None else 0,
+            tracker.anchor.at(t_ns) if tracker.anchor else None,
+            self._detail or (tracker.plausibility.detail if not tracker.is_aligned else ""),
+        )

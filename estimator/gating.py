@@ -1,0 +1,26 @@
+"""Tests on innovations: is one too large (chi-square), is their mean off (CUSUM)?"""
+
+from functools import cache
+
+from scipy.stats import chi2
+
+from models.messages import Array
+
+
+@cache
+def gate(probability: float, dof: int) -> float:
+    """The value that a chi-square variable of `dof` degrees of freedom stays below with `probability`."""
+    return float(chi2.ppf(probability, dof))
+
+
+def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tuple[float, ...]:
+    """One step of the two-sided cumulative sum of normalised innovations (Page 1954).
+
+        g+ <- max(0, g+ + nu/sigma - k),   g- <- max(0, g- - nu/sigma - k)
+
+    sums: (g+ and g- of each component; () to begin); slack: k, in sigma.
+    """
+    if len(sums) != 2 * len(nu):
+        sums = (0.0,) * (2 * len(nu))
+    steps = [sign * float(n / s) - slack for n, s in zip(nu, sigma, strict=True) for sign in (1.0, -1.0)]
+    return tuple(max(0.0, g + step) for g, step in zip(sums, steps, strict=True))

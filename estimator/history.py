@@ -1,0 +1,160 @@
+"""Exact rewind: the estimate is a function of the set of measurements, ordered by time of validity, never by arrival.
+
+A late or reordered measurement takes its place in the order; the tracker goes back to the last checkpoint before it and does
+everything again, gates and source machines included, once, before the next output. So late = punctual, to the bit. A stop at
+an IMU sample changes no bit of the propagation, therefore checkpoints stand at samples and may stand at any of them.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+
+from estimator.samples import ImuBuffer
+from estimator.sources.source import Aid
+from estimator.tracker import Decision, Tracker
+from models.messages import ImuSample, Reason
+
+_CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
+_LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, for the alignment
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """An aid in the history, what became of it last time, how often that changed, the samples replayed
+    for it, and the reason last reported."""
+
+    aid: Aid
+    decision: Decision | None = None
+    revision: int = -1
+    replayed: int = 0
+    told: Reason | None = None
+
+
+class History:
+    """Samples, aids and checkpoints of the last `history_s`, and the tracker at the end of them."""
+
+    def __init__(self, tracker: Tracker, history_s: float) -> None:
+        self.samples = ImuBuffer()
+        self.tracker = tracker
+        self._span_ns = int(history_s * 1e9)
+        self._orders: list[tuple[int, str, str, bytes]] = []
+        self._entries: list[Entry] = []
+        self._next = 0  # first entry that the tracker has not seen
+        self._checkpoints = [tracker.copy()]
+        self._checkpoint_times = [tracker.t_ns]
+        self._since_checkpoint = 0  # IMU samples
+        self._redo_from_ns: int | None = None
+        self._changed: list[Entry] = []
+
+    def insert_sample(self, sample: ImuSample) -> Reason | None:
+        """Put an IMU sample in its place; the reason where it is not taken."""
+        if sample.t_ns > self.samples.newest_ns:
+            self.samples.insert(sample)
+            if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
+                self._rewind_to(sample.t_ns)
+            return None
+        if sample.t_ns <= self._checkpoint_times[0]:
+            return Reason.TOO_OLD
+        if not self.samples.insert(sample):
+            return Reason.DUPLICATE
+        self._rewind_to(sample.t_ns)
+        return None
+
+    def insert_aid(self, aid: Aid) -> Reason | None:
+        """Put an aid in its place; the reason where it is not taken."""
+        if aid.t_ns <= self._checkpoint_times[0] or aid.t_ns < self.samples.newest_ns - self._span_ns:
+            return Reason.TOO_OLD
+        k = bisect_left(self._orders, aid.order)
+        if k < len(self._orders) and self._orders[k] == aid.order:
+            return Reason.DUPLICATE
+        self._orders.insert(k, aid.order)
+        entry = Entry(aid)
+        self._entries.insert(k, entry)
+        if k < self._next or aid.t_ns <= self.tracker.t_ns:
+            entry.replayed = self.samples.count - self.samples.first_after(aid.t_ns)
+            self._rewind_to(aid.t_ns)
+        return None
+
+    def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
+        """The tracker with every measurement up to `to_ns`, redone where something came late.
+
+        coast: go on beyond the newest IMU sample, for the measurements that wait there.
+        """
+        if self._redo_from_ns is not None:
+            self._restore()
+        limit = to_ns if coast else min(to_ns, self.samples.newest_ns)
+        while self._next < len(self._entries) and self._entries[self._next].aid.t_ns <= limit:
+            entry = self._entries[self._next]
+            self._propagate(entry.aid.t_ns, before=True)
+            self._decide(entry, self.tracker.process(entry.aid, self.samples))
+            self._next += 1
+        self._propagate(limit, before=False)
+        return self.tracker
+
+    def changed(self) -> list[Entry]:
+        """Entries whose decision is new or another than last told; each is handed out once."""
+        if not self._changed:
+            return self._changed
+        changed, self._changed = self._changed, []
+        return changed
+
+    def _decide(self, entry: Entry, decision: Decision) -> None:
+        if entry.decision is None or entry.decision.reason is not decision.reason:
+            entry.revision += 1
+            self._changed.append(entry)
+        entry.decision = decision
+
+    def _propagate(self, to_ns: int, *, before: bool) -> None:
+        """Move the tracker to `to_ns`, leaving checkpoints at samples on the way; before: aids at to_ns are still to come."""
+        samples, tracker = self.samples, self.tracker
+        if tracker.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
+            tracker.propagate(samples, to_ns)
+            self._since_checkpoint += 1
+        else:
+            self._propagate_far(to_ns)
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not before and to_ns == samples.newest_ns:
+            self._checkpoint()
+
+    def _propagate_far(self, to_ns: int) -> None:
+        """As _propagate, over any number of samples; checkpoints strictly before to_ns."""
+        samples, tracker = self.samples, self.tracker
+        begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns - 1)
+        stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : end : _CHECKPOINT_SAMPLES].tolist()
+        for stop in stops:
+            tracker.propagate(samples, stop)
+            self._checkpoint()
+        self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
+        if tracker.t_ns < to_ns:
+            tracker.propagate(samples, to_ns)
+
+    def _checkpoint(self) -> None:
+        self._checkpoints.append(self.tracker.copy())
+        self._checkpoint_times.append(self.tracker.t_ns)
+        self._since_checkpoint = 0
+        horizon = self.samples.newest_ns - self._span_ns
+        keep = bisect_right(self._checkpoint_times, horizon) - 1  # the newest that is older than the horizon
+        if keep <= 0:
+            return
+        del self._checkpoints[:keep], self._checkpoint_times[:keep]
+        oldest = self._checkpoint_times[0]
+        self.samples.forget_before(oldest - _LEVELLING_NS)
+        drop = 0
+        while drop < self._next and self._entries[drop].aid.t_ns <= oldest:
+            drop += 1
+        if drop:
+            del self._entries[:drop], self._orders[:drop]
+            self._next -= drop
+
+    def _rewind_to(self, t_ns: int) -> None:
+        """Whatever was done at or after t_ns is to be done again, before the next output."""
+        self._redo_from_ns = t_ns if self._redo_from_ns is None else min(self._redo_from_ns, t_ns)
+
+    def _restore(self) -> None:
+        """Back to the last checkpoint strictly before the time from which to redo."""
+        assert self._redo_from_ns is not None
+        k = bisect_left(self._checkpoint_times, self._redo_from_ns) - 1
+        del self._checkpoints[k + 1 :], self._checkpoint_times[k + 1 :]
+        self.tracker = self._checkpoints[k].copy()
+        at = self.tracker.t_ns
+        self._next = bisect_right(self._orders, at, key=lambda order: order[0])
+        self._since_checkpoint = 0
+        self._redo_from_ns = None

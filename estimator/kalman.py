@@ -1,0 +1,36 @@
+"""The Kalman update: filterpy's extended Kalman filter behind one wrapper that checks shapes.
+
+    S = H P H^T + R,  K = P H^T S^-1,  dx = K nu,  P <- (I - K H) P (I - K H)^T + K R K^T       (Joseph form)
+
+The filter's own state is the error, which is zero before every update, so nu is the whole residual. This is the only file that
+imports filterpy: its `update` broadcasts a column into a matrix without a word, has no gate, and keeps P only nearly symmetric.
+"""
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from models.messages import Array
+
+
+class ErrorStateKalman:
+    """One update of an n-dimensional error state; holds no state between calls."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._zero = np.zeros(size)
+        self._ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
+
+    def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array]:
+        """Error dx (n,) and posterior covariance (n, n), symmetric.
+
+        cov: (n, n) prior; nu: (m,); h: (m, n); noise: (m, m).
+        Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is singular.
+        """
+        m, n = len(nu), self._size
+        if nu.shape != (m,) or h.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):
+            raise ValueError(f"shapes do not fit: nu {nu.shape}, H {h.shape}, R {noise.shape}, P {cov.shape}, n = {n}")
+        ekf = self._ekf
+        ekf.x, ekf.P = self._zero, cov
+        predicted = np.zeros(m)
+        ekf.update(nu, lambda _: h, lambda _: predicted, R=noise)
+        return ekf.x, 0.5 * (ekf.P + ekf.P.T)

@@ -1,0 +1,64 @@
+"""The IMU samples that the filter may still need, in order of their time of validity."""
+
+import numpy as np
+
+from models.messages import ImuSample
+
+
+class ImuBuffer:
+    """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid."""
+
+    __slots__ = ("count", "newest_ns", "previous_ns", "t_ns", "u")
+
+    def __init__(self, capacity: int = 4096) -> None:
+        self.t_ns = np.zeros(capacity, np.int64)
+        self.u = np.zeros((capacity, 6))
+        self.count = 0
+        self.newest_ns = self.previous_ns = -(2**62)
+
+    def insert(self, s: ImuSample) -> bool:
+        """Put a sample in its place; False where one of the same stamp stands there already and stays.
+
+        Of two different samples of one stamp the smaller (as a tuple) stays, whichever came first.
+        """
+        if self.count == len(self.t_ns):
+            self._grow()
+        k = self.count
+        if s.t_ns <= self.newest_ns:
+            k = int(np.searchsorted(self.t_ns[: self.count], s.t_ns))
+            if self.t_ns[k] == s.t_ns:
+                row = s.gyro_b + s.accel_b
+                if row >= tuple(self.u[k].tolist()):
+                    return False
+                self.u[k] = row
+                return True
+            self.t_ns[k + 1 : self.count + 1] = self.t_ns[k : self.count]
+            self.u[k + 1 : self.count + 1] = self.u[k : self.count]
+        self.t_ns[k] = s.t_ns
+        row_k = self.u[k]
+        row_k[0], row_k[1], row_k[2] = s.gyro_b
+        row_k[3], row_k[4], row_k[5] = s.accel_b
+        self.count += 1
+        if k == self.count - 1:
+            self.previous_ns, self.newest_ns = self.newest_ns, s.t_ns
+        else:
+            self.previous_ns = int(self.t_ns[self.count - 2])
+        return True
+
+    def first_after(self, t_ns: int) -> int:
+        """Index of the first sample later than t_ns (count where there is none)."""
+        if self.previous_ns <= t_ns:
+            return self.count - 1 if t_ns < self.newest_ns else self.count
+        return int(np.searchsorted(self.t_ns[: self.count], t_ns, side="right"))
+
+    def forget_before(self, t_ns: int) -> None:
+        """Drop samples older than t_ns."""
+        k = int(np.searchsorted(self.t_ns[: self.count], t_ns))
+        if k:
+            self.t_ns[: self.count - k] = self.t_ns[k : self.count]
+            self.u[: self.count - k] = self.u[k : self.count]
+            self.count -= k
+
+    def _grow(self) -> None:
+        self.t_ns = np.concatenate([self.t_ns, np.zeros_like(self.t_ns)])
+        self.u = np.concatenate([self.u, np.zeros_like(self.u)])

@@ -1,0 +1,1 @@
+"""One file a source: what makes its messages usable, what measurement they are, and how far the source is trusted."""

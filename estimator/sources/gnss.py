@@ -1,0 +1,116 @@
+"""GNSS: position on the ellipsoid and velocity over ground, of an antenna beside the IMU.
+
+The receiver's covariance is taken as white noise; on top of it the position carries a slow error (atmosphere, multipath) that
+repeats from fix to fix and is considered, not averaged away.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from estimator.sources.source import (
+    FALSE_POSITION_M,
+    FALSE_VELOCITY_M_S,
+    Aid,
+    Refusal,
+    SlowError,
+    SourceRules,
+    covariance_refusal,
+    log_false,
+    order,
+)
+from models.frames import Origin
+from models.measurements import Position, Velocity
+from models.messages import Array, GnssFix, GnssVelocity, Reason
+
+_AXES = np.arange(3)
+_FASTEST_M_S = 500.0
+_HIGHEST_M = 50_000.0
+
+
+class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """[gnss]: delay, lever arm, noise where the receiver gives none, and how the source is judged."""
+
+    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.01
+    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 10.0
+    believe_after_s: Annotated[
+        float, Meta(gt=0, description="s: after so long of consistent contradiction GNSS is believed, not the filter")
+    ] = 60.0
+    probation: Annotated[
+        int, Meta(ge=0, description="fixes that must pass before a (returning) GNSS is fused beside another absolute source")
+    ] = 10
+    hold_s: Annotated[float, Meta(ge=0, description="s: how long GNSS is held off when its innovations drift; 0: never")] = 10.0
+    delay_s: Annotated[float, Meta(ge=0, le=5, description="s: stamps are later than validity by this much")] = 0.0
+    antenna_b_m: Annotated[
+        tuple[float, float, float], Meta(description="m: antenna from the IMU, forward right down")
+    ] = (0.0, 0.0, 0.0)
+    horizontal_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 1.5
+    vertical_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 3.0
+    velocity_sigma_m_s: Annotated[float, Meta(gt=0, description="m/s: where the receiver gives no covariance")] = 0.3
+    slow_sigma_m: Annotated[float, Meta(ge=0, description="m: slow part of the position error, horizontal; 0: none")] = 0.5
+    slow_s: Annotated[float, Meta(gt=0, description="s: correlation time of the slow part")] = 60.0
+
+
+def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
+    """A fix as a position measurement."""
+    place = (fix.lat_deg, fix.lon_deg, fix.alt_m)
+    if fix.status < 0:
+        return Refusal(Reason.NO_FIX)
+    if not all(map(math.isfinite, place)):
+        return Refusal(Reason.NOT_FINITE, "position")
+    if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0 or abs(fix.alt_m) > _HIGHEST_M:
+        return Refusal(Reason.IMPLAUSIBLE, "no place on Earth: latitude and longitude are expected in degrees, height in metres")
+    if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
+        return Refusal(Reason.NO_FIX, "latitude and longitude are exactly zero")
+    noise = fix.covariance_n
+    if noise is None:
+        noise = np.diag([config.horizontal_sigma_m**2, config.horizontal_sigma_m**2, config.vertical_sigma_m**2])
+    if refusal := covariance_refusal(noise):
+        return refusal
+    lever = np.array(config.antenna_b_m)
+
+    def measurement(origin: Origin | None) -> Position | None:
+        return None if origin is None else Position(np.array(origin.to_ned(*place)), noise, _AXES, lever)
+
+    t_ns = fix.t_ns - round(config.delay_s * 1e9)
+    slow = config.slow_sigma_m**2
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=fix.arrived_ns,
+        topic=fix.topic,
+        kind="gnss_position",
+        order=order(t_ns, "gnss_position", fix.topic, *place, noise.tobytes()),
+        rules=config,
+        absolute=True,
+        log_false=log_false(config, [FALSE_POSITION_M] * 3),
+        measurement=measurement,
+        slow_error=SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s) if slow else None,
+        geodetic=place,
+    )
+
+
+def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
+    """A velocity over ground as a measurement."""
+    v_n = np.array(velocity.v_n)
+    if not np.isfinite(v_n).all():
+        return Refusal(Reason.NOT_FINITE, "velocity")
+    if np.linalg.norm(v_n) > _FASTEST_M_S:
+        return Refusal(Reason.IMPLAUSIBLE, f"faster than {_FASTEST_M_S:.0f} m/s: metres per second are expected")
+    noise: Array = velocity.covariance_n if velocity.covariance_n is not None else np.eye(3) * config.velocity_sigma_m_s**2
+    if refusal := covariance_refusal(noise):
+        return refusal
+    z = Velocity(v_n, noise, np.array(config.antenna_b_m))
+    t_ns = velocity.t_ns - round(config.delay_s * 1e9)
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=velocity.arrived_ns,
+        topic=velocity.topic,
+        kind="gnss_velocity",
+        order=order(t_ns, "gnss_velocity", velocity.topic, v_n.tobytes(), noise.tobytes()),
+        rules=config,
+        absolute=False,
+        log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
+        measurement=lambda _: z,
+    )

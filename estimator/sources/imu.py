@@ -1,0 +1,52 @@
+"""The IMU: is a sample usable, is the stream plausible?
+
+A vehicle that flies on gravity feels about 9.8 m/s^2 over any second. A stream whose specific force averages one (unit g) or
+nothing (gravity taken out), or whose rates cannot be rad/s, is refused with a reason rather than integrated.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.sources.source import Phase, Refusal
+from models.messages import Array, ImuSample, Reason
+
+_FASTEST_RAD_S = 100.0  # beyond any MEMS gyroscope (5700 deg/s)
+_STRONGEST_M_S2 = 1000.0  # beyond any MEMS accelerometer (100 g)
+_GRAVITY_BAND = (5.0, 20.0)  # m/s^2, of a mean over a second in flight
+_UNIT_G_BAND = (0.5, 2.0)
+_SWIFT_RAD_S = 20.0  # a rate whose mean magnitude is above this is degrees
+
+
+class Plausibility(NamedTuple):
+    """Whether the stream can be used, and why not."""
+
+    phase: Phase
+    detail: str = ""
+
+
+def sample_refusal(sample: ImuSample) -> Refusal | None:
+    """Why one sample cannot be used."""
+    g, a = sample.gyro_b, sample.accel_b
+    total = g[0] + g[1] + g[2] + a[0] + a[1] + a[2]
+    if not math.isfinite(total):
+        return Refusal(Reason.NOT_FINITE)
+    if not (-_FASTEST_RAD_S < min(g) and max(g) < _FASTEST_RAD_S):
+        return Refusal(Reason.IMPLAUSIBLE, "angular rate beyond any gyroscope: rad/s are expected")
+    if not (-_STRONGEST_M_S2 < min(a) and max(a) < _STRONGEST_M_S2):
+        return Refusal(Reason.IMPLAUSIBLE, "specific force beyond any accelerometer: m/s^2 are expected")
+    return None
+
+
+def stream_plausibility(u: Array) -> Plausibility:
+    """Judge about a second of samples u (k, 6), gyro then accel."""
+    force = float(np.linalg.norm(u[:, 3:].mean(axis=0)))
+    rate = float(np.linalg.norm(u[:, :3], axis=1).mean())
+    if _UNIT_G_BAND[0] < force < _UNIT_G_BAND[1]:
+        return Plausibility(Phase.STOPPED, f"specific force averages {force:.2f}: unit g? m/s^2 are expected")
+    if not _GRAVITY_BAND[0] < force < _GRAVITY_BAND[1]:
+        return Plausibility(Phase.STOPPED, f"specific force averages {force:.2f} m/s^2: gravity is missing or the unit is wrong")
+    if rate > _SWIFT_RAD_S:
+        return Plausibility(Phase.STOPPED, f"angular rate averages {rate:.0f} rad/s: degrees per second?")
+    return Plausibility(Phase.ACTIVE)

@@ -1,0 +1,152 @@
+"""What all aiding sources share: the rules they are judged by, the measurement they deliver, and the machine that trusts them.
+
+    stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or found out)--> stopped
+
+The machine is a value in the tracker's checkpoint and reads times of validity only, so a replayed past is judged the same.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from hashlib import blake2b
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from estimator.gating import cusum
+from models.frames import Origin
+from models.measurements import Measurement
+from models.messages import Array, Reason
+
+_NEVER = -(2**62)
+
+
+class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How a source is judged."""
+
+    gate_probability: Annotated[
+        float, Meta(gt=0.5, lt=1, description="share of good measurements that pass the chi-square gate")
+    ] = 0.9999
+    timeout_s: Annotated[float, Meta(gt=0, description="s: silent for longer, the source has stopped")] = 5.0
+    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.05
+    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 3.0
+    believe_after_s: Annotated[
+        float, Meta(gt=0, description="s: after so long of consistent contradiction the source is believed, not the filter")
+    ] = 20.0
+    probation: Annotated[
+        int, Meta(ge=0, description="measurements that must pass before a (returning) source is fused beside another absolute one")
+    ] = 0
+    hold_s: Annotated[float, Meta(ge=0, description="s: how long a source that was found out is held off; 0: never")] = 0.0
+    cusum_slack: Annotated[float, Meta(gt=0, description="sigma: bias of the innovations that is tolerated")] = 1.0
+    cusum_limit: Annotated[float, Meta(gt=0, description="sigma: cumulated bias at which the source is found out")] = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aid:
+    """A message that passed its checks, as a measurement.
+
+    order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
+    on the map; log_false: ln of the probability density of a false reading; slow_error: which considered errors it carries, with
+    their covariance if the message brings it.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    topic: str
+    kind: str
+    order: tuple[int, str, str, bytes]
+    rules: SourceRules
+    absolute: bool
+    log_false: float
+    measurement: Callable[[Origin | None], Measurement | None]
+    slow_error: "SlowError | None" = None
+    geodetic: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlowError:
+    """An error that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s."""
+
+    block: str
+    covariance: Array
+    tau_s: float
+
+
+class Refusal(NamedTuple):
+    """Why a message is no measurement."""
+
+    reason: Reason
+    detail: str = ""
+
+
+# Half widths of the box in which a false reading is expected, per component.
+FALSE_POSITION_M, FALSE_ATTITUDE_RAD, FALSE_VELOCITY_M_S = 50.0, 1.0, 30.0
+
+
+def log_false(rules: SourceRules, half_widths: list[float]) -> float:
+    """ln(share x density) of a false reading, uniform in a box of these half widths."""
+    return math.log(rules.false_share) - sum(math.log(2.0 * w) for w in half_widths)
+
+
+def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[int, str, str, bytes]:
+    """Where a measurement stands among all: by time, then kind, topic and content, so that arrival plays no part."""
+    raw = b"".join(c if isinstance(c, bytes) else np.float64(c).tobytes() for c in content)
+    return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
+
+
+def covariance_refusal(cov: Array) -> Refusal | None:
+    """Why `cov` is no covariance: not finite, asymmetric or not positive definite; None where it is one."""
+    if not np.isfinite(cov).all():
+        return Refusal(Reason.NOT_FINITE, "covariance")
+    scale = np.sqrt(np.abs(np.diag(cov)))
+    if not (np.diag(cov) > 0).all() or (np.abs(cov - cov.T) > 1e-6 * np.outer(scale, scale)).any():
+        return Refusal(Reason.NOT_PSD, "a variance is not positive" if not (np.diag(cov) > 0).all() else "not symmetric")
+    if np.linalg.eigvalsh(cov / np.outer(scale, scale))[0] <= 0:
+        return Refusal(Reason.NOT_PSD, "an eigenvalue is not positive")
+    return None
+
+
+class Phase(StrEnum):
+    """How far a source is trusted."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    ACTIVE = "active"
+
+
+class SourceState(NamedTuple):
+    """The machine of one source."""
+
+    phase: Phase = Phase.STOPPED
+    last_ns: int = _NEVER  # newest measurement
+    fused_ns: int = _NEVER
+    passed: int = 0  # in a row, while starting
+    held_until_ns: int = _NEVER
+    sums: tuple[float, ...] = ()
+
+    def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
+        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no one to vouch."""
+        state = self
+        if t_ns - self.last_ns > rules.timeout_s * 1e9:
+            state = state._replace(phase=Phase.STARTING, passed=0, sums=())
+        if state.phase is Phase.STOPPED and t_ns >= state.held_until_ns:
+            state = state._replace(phase=Phase.STARTING, passed=0, sums=())
+        if state.phase is Phase.STARTING and (state.passed >= rules.probation or (alone and t_ns >= state.held_until_ns)):
+            state = state._replace(phase=Phase.ACTIVE)
+        return state._replace(last_ns=t_ns)
+
+    def judge(self, rules: SourceRules, t_ns: int, *, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
+        """The measurement passed its gate or not, was fused or not."""
+        state = self._replace(fused_ns=t_ns if fused else self.fused_ns)
+        if state.phase is Phase.STARTING:
+            return state._replace(passed=state.passed + 1 if passed else 0)
+        if rules.hold_s > 0:
+            sums = cusum(state.sums, nu, sigma, rules.cusum_slack)
+            found_out = max(sums) > rules.cusum_limit
+            if state.phase is Phase.ACTIVE and found_out:
+                return state._replace(phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
+            return state._replace(sums=sums)
+        return state

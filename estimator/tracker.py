@@ -1,0 +1,233 @@
+"""What the estimator knows at one instant: everything that a checkpoint has to keep.
+
+A tracker takes measurements in the order of their validity and changes by nothing else: no clock, no arrival, no randomness.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from estimator import initialise
+from estimator.hypotheses import Hypotheses
+from estimator.initialise import InitialiseConfig, Level
+from estimator.samples import ImuBuffer
+from estimator.sources.imu import Plausibility, stream_plausibility
+from estimator.sources.source import Aid, Phase, SourceState
+from models import imu
+from models.frames import Origin
+from models.imu import Coast, ImuNoise
+from models.measurements import Measurement, Pose, Position
+from models.messages import Array, LastGnss, Mode, Reason
+from models.state import E, X
+
+_NEVER = -(2**62)
+_FEWEST_SAMPLES = 5  # of IMU, to level with
+_STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
+_XYZ = 3
+
+
+class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What a tracker is made with; origin None: the first GNSS fix becomes the origin."""
+
+    imu: ImuNoise
+    coast: Coast
+    initialise: InitialiseConfig
+    origin: Origin | None
+    dead_reckoning_after_s: Annotated[float, Meta(gt=0)] = 3.0
+
+
+class Decision(NamedTuple):
+    """What became of a measurement (the part of AidStatus that does not depend on arrival)."""
+
+    reason: Reason
+    innovation: tuple[float, ...] = ()
+    innovation_sigma: tuple[float, ...] = ()
+    test_ratio: float = 0.0
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """The vehicle at rest: levelled, at a position fix."""
+
+    level: Level
+    z: Position | Pose
+
+
+@dataclass(frozen=True, slots=True)
+class GnssAnchor:
+    """The last trusted GNSS fix: place (lat, lon, alt), time, 1-sigma radius [m] and speed then [m/s]."""
+
+    place: tuple[float, float, float]
+    t_ns: int
+    sigma_m: float
+    speed_m_s: float
+
+    def at(self, t_ns: int) -> LastGnss:
+        """Grown with its age: the vehicle may have gone on at the speed it had."""
+        age_s = (t_ns - self.t_ns) * 1e-9
+        return LastGnss(*self.place, age_s=age_s, sigma_m=float(np.hypot(self.sigma_m, self.speed_m_s * age_s)))
+
+
+class Tracker:
+    """Hypotheses, alignment, source machines and what was last known, at t_ns."""
+
+    def __init__(self, config: TrackerConfig) -> None:
+        self.config = config
+        self.t_ns = _NEVER
+        self.origin = config.origin
+        self.constants = imu.constants(config.imu, config.coast, config.origin)
+        self.hypotheses: Hypotheses | None = None
+        self.is_aligned = False
+        self.still: Still | None = None
+        self.plausibility = Plausibility(Phase.STARTING, "no IMU yet")
+        self.sources: dict[str, SourceState] = {}
+        self.absolute: frozenset[str] = frozenset()  # topics that have given positions
+        self.last_absolute_ns = _NEVER
+        self.anchor: GnssAnchor | None = None
+
+    def copy(self) -> "Tracker":
+        """An independent tracker in the same state; what never changes in place is shared."""
+        other = object.__new__(Tracker)
+        other.__dict__.update(self.__dict__)
+        other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
+        other.sources = self.sources.copy()
+        return other
+
+    def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
+        """Through the IMU samples to `to_ns`."""
+        if self.hypotheses is not None and self.t_ns < to_ns:
+            index = samples.first_after(self.t_ns)
+            for member in self.hypotheses.members:
+                member.filter.propagate(samples, index, to_ns)
+        self.t_ns = to_ns
+
+    def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
+        """What an estimate for t_ns rests on."""
+        if self.hypotheses is None or not self.is_aligned:
+            return Mode.STARTING if self.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
+        if (t_ns - newest_imu_ns) * 1e-9 > self.config.coast.gap_s:
+            return Mode.COASTING
+        aided = (t_ns - self.last_absolute_ns) * 1e-9 <= self.config.dead_reckoning_after_s
+        return Mode.AIDED if aided else Mode.DEAD_RECKONING
+
+    def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
+        """Take a measurement valid now (t_ns is aid.t_ns)."""
+        if aid.geodetic and self.origin is None and self.hypotheses is None:
+            self.origin = Origin(*aid.geodetic)
+            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+        z = aid.measurement(self.origin)
+        if z is None:
+            return Decision(Reason.NO_ORIGIN, detail="give [map] origin to use GNSS beside fixes on a local map")
+        state = self.sources.get(aid.topic, SourceState()).arrive(aid.rules, aid.t_ns, alone=self._alone(aid))
+        if aid.absolute:
+            self.absolute |= {aid.topic}
+        gyro_b = self._gyro(samples)
+        if self.hypotheses is None or not self.is_aligned:
+            decision = self._align(aid, z, samples, gyro_b)
+            if self.hypotheses is not None:
+                state = state._replace(fused_ns=aid.t_ns)
+                self._note_absolute(aid, z)
+        else:
+            decision, state = self._judge(aid, z, gyro_b, state)
+        self.sources[aid.topic] = state
+        return decision
+
+    def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState) -> tuple[Decision, SourceState]:
+        """Gate and fuse, once aligned."""
+        assert self.hypotheses is not None
+        trusted = state.phase is Phase.ACTIVE
+        verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
+        sigma = np.sqrt(np.diag(verdict.seen.s))
+        if verdict.fused:
+            reason = Reason.FUSED
+            if aid.absolute:
+                self._note_absolute(aid, z)
+        elif trusted or not verdict.passed:
+            reason = Reason.GATED
+        else:
+            reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
+        state = state.judge(aid.rules, aid.t_ns, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma)
+        ratio = verdict.seen.distance2 / verdict.gate
+        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio), state
+
+    def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
+        """Start the filter, or go on finding the heading."""
+        config = self.config.initialise
+        whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
+        if whole or self.hypotheses is None:
+            stretch = self._stretch(samples)
+            if stretch is None:
+                return Decision(Reason.ALIGNING, detail="waiting for the IMU")
+            self.plausibility = stream_plausibility(stretch)
+            if self.plausibility.phase is not Phase.ACTIVE:
+                return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
+            at = initialise.level(self.t_ns, stretch, config)
+            if whole and isinstance(z, Pose):
+                if self.hypotheses is None or len(self.hypotheses.members) > 1:
+                    self.hypotheses = initialise.start_from_pose(self.t_ns, z, at, self.constants, config)
+                    return Decision(Reason.ALIGNING)
+            elif aid.absolute and isinstance(z, Pose | Position):
+                return self._find_heading(aid, z, at, samples, gyro_b)
+            else:
+                return Decision(Reason.ALIGNING, detail="waiting for a position")
+        assert self.hypotheses is not None
+        initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        if initialise.aligned(self.hypotheses, config):
+            del self.hypotheses.members[1:]
+            self.is_aligned = True
+        return Decision(Reason.ALIGNING)
+
+    def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
+        """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
+        config = self.config.initialise
+        if at.still:
+            self.still = Still(at, z)
+            return Decision(Reason.ALIGNING, detail="at rest: the heading shows when the vehicle moves")
+        if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
+            self.hypotheses = initialise.start_from_position(self.t_ns, z, at, self.constants, config)
+            return Decision(Reason.ALIGNING)
+        rest = self.still
+        self.hypotheses = initialise.start_from_position(rest.level.t_ns, rest.z, rest.level, self.constants, config)
+        index = samples.first_after(rest.level.t_ns)
+        for member in self.hypotheses.members:
+            member.filter.propagate(samples, index, self.t_ns)
+        initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        return Decision(Reason.ALIGNING)
+
+    def _stretch(self, samples: ImuBuffer) -> Array | None:
+        """The last `level_s` of IMU samples up to now (k, 6); None where there is no such stretch yet."""
+        span_ns = int(self.config.initialise.level_s * 1e9)
+        end = samples.first_after(self.t_ns)
+        begin = int(np.searchsorted(samples.t_ns[:end], self.t_ns - span_ns))
+        if end - begin < _FEWEST_SAMPLES or samples.t_ns[end - 1] - samples.t_ns[begin] < 0.5 * span_ns:
+            return None
+        return samples.u[begin:end]
+
+    def _gyro(self, samples: ImuBuffer) -> Array:
+        """The raw angular rate now, (3,)."""
+        if not samples.count:
+            return np.zeros(3)
+        index = samples.first_after(self.t_ns)
+        return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)[:3]
+
+    def _alone(self, aid: Aid) -> bool:
+        """No other absolute source is active that could vouch for this one."""
+        return not any(
+            topic != aid.topic and topic in self.absolute and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
+            for topic, s in self.sources.items()
+        )
+
+    def _note_absolute(self, aid: Aid, z: Measurement) -> None:
+        """An absolute position was fused; a geodetic one is the last-known GPS."""
+        if not aid.absolute:
+            return
+        self.last_absolute_ns = aid.t_ns
+        if aid.geodetic and self.hypotheses is not None:
+            lead = self.hypotheses.lead
+            sigma = float(np.sqrt(np.diag(z.noise)[: _XYZ - 1].max()))
+            speed = float(np.linalg.norm(lead.x[X.V]) + np.sqrt(np.trace(lead.cov[E.V, E.V])))
+            self.anchor = GnssAnchor(aid.geodetic, aid.t_ns, sigma, speed)

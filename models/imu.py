@@ -1,0 +1,379 @@
+"""The motion model: strapdown mechanisation, error transition and process noise, as compiled kernels.
+
+    p' = v,   v' = R (f - b_a - n_a) + g(p) - 2 w_ie x v,   R' = R [w - b_g - n_g - R^T w_ie]x,   b' = n_b
+                                                                        (Groves 2013, sec. 5.3; Sola 2017, eq. 235)
+Rates and specific forces are taken as linear in time between two samples. Over one step of length h, with R0, Rm, R1 at its
+beginning, middle and end, and a = R f in n:
+
+    alpha = h (w0 + w1)/2 + h^2/12 w0 x w1                               (exact to h^3 for linear w; Groves 2013, eq. 5.80)
+    s_v = h/6 (R0 f0 + 4 Rm fm + R1 f1),   s_p = h^2/6 (R0 f0 + 2 Rm fm)                              (Simpson's rule)
+    v1 = v0 + s_v + h (g - 2 w_ie x v),    p1 = p0 + h v0 + s_p + h^2/2 (g - 2 w_ie x v)
+
+Error transition (local attitude error; exact in theta because R(t) theta(t) is constant without bias):
+
+    dp1 = dp + h dv - [s_p]x R0 theta + h^2/6 [s_v]x Rm db_g - h^2/2 Rm db_a
+    dv1 =         dv - [s_v]x R0 theta + h/2   [s_v]x Rm db_g - h     Rm db_a
+    theta1 = R1^T R0 theta - h R1^T Rm db_g
+
+When the IMU itself is missing the model is constant velocity with a turn rate that dies away, and much larger noise (`coast`).
+States beyond E.SIZE in P are first-order Gauss-Markov errors that the filter considers: c1 = exp(-h/tau) c + n_c.
+"""
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models import so3
+from models.frames import GRAVITY, Origin
+from models.messages import Array
+from models.state import E, X
+
+# Compiled code reads plain integers: where the parts of the error state and of the packed nominal state begin.
+_P, _V, _T, _G, _A, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.BA.start, E.SIZE
+_XP, _XV, _XQ, _XG, _XA = X.P.start, X.V.start, X.Q.start, X.BG.start, X.BA.start
+
+_NS = 1e-9  # s per ns
+_EARTH_RADIUS = 6_371_000.0  # m, mean
+
+
+class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Noise densities and random walks of the IMU as mounted: vibration makes them up to 20 x the data sheet's."""
+
+    gyro_noise: Annotated[float, msgspec.Meta(gt=0, description="rad/s/sqrt(Hz): white noise of the gyroscope")] = 2e-3
+    accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): white noise of the accelerometer")] = 0.1
+    gyro_walk: Annotated[float, msgspec.Meta(gt=0, description="rad/s^2/sqrt(Hz): random walk of the gyro bias")] = 1e-4
+    accel_walk: Annotated[float, msgspec.Meta(gt=0, description="m/s^3/sqrt(Hz): random walk of the accel bias")] = 3e-3
+
+
+class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The model that carries on when IMU samples are missing."""
+
+    gap_s: Annotated[float, msgspec.Meta(gt=0, description="s: longer gaps between IMU samples are coasted")] = 0.1
+    accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): unknown acceleration while coasting")] = 3.0
+    gyro_noise: Annotated[float, msgspec.Meta(gt=0, description="rad/s/sqrt(Hz): unknown turning while coasting")] = 0.3
+    turn_decay_s: Annotated[float, msgspec.Meta(gt=0, description="s: time constant with which the last turn rate dies away")] = 1.0
+
+
+# Layout of the constants that the kernels read, one float array.
+_C_GRAVITY = 0  # m/s^2 at the origin
+_C_GRADIENT = 1  # 1/s^2: g / radius of the Earth where the origin is known, else 0
+_C_EARTH = 2  # rad/s, Earth rate in n, three numbers
+_C_GYRO_PSD, _C_ACCEL_PSD = 5, 6  # (rad/s)^2/Hz, (m/s^2)^2/Hz
+_C_GYRO_WALK_PSD, _C_ACCEL_WALK_PSD = 7, 8
+_C_COAST_GYRO_PSD, _C_COAST_ACCEL_PSD = 9, 10
+_C_GAP_S, _C_TURN_DECAY_S = 11, 12
+_C_SIZE = 13
+
+
+def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
+    """Everything the kernels need besides state and samples, packed as C says."""
+    c = np.zeros(_C_SIZE)
+    c[_C_GRAVITY] = GRAVITY
+    if origin is not None:
+        c[_C_GRAVITY], c[_C_EARTH:_C_EARTH + 3] = origin.gravity, origin.earth_rate_n
+        c[_C_GRADIENT] = origin.gravity / _EARTH_RADIUS
+    c[_C_GYRO_PSD], c[_C_ACCEL_PSD] = noise.gyro_noise**2, noise.accel_noise**2
+    c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD] = noise.gyro_walk**2, noise.accel_walk**2
+    c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD] = coast.gyro_noise**2, coast.accel_noise**2
+    c[_C_GAP_S], c[_C_TURN_DECAY_S] = coast.gap_s, coast.turn_decay_s
+    return c
+
+
+@njit(cache=True, inline="always")
+def _gravity(p: Array, v: Array, c: Array) -> tuple[float, float, float]:
+    """g(p) - 2 w_ie x v in n: towards the Earth's centre, weaker with height, plus Coriolis (Groves 2013, eq. 5.53)."""
+    w = c[_C_EARTH:_C_EARTH + 3]
+    k = c[_C_GRADIENT]
+    gx = -k * p[0] - 2.0 * (w[1] * v[2] - w[2] * v[1])
+    gy = -k * p[1] - 2.0 * (w[2] * v[0] - w[0] * v[2])
+    gz = c[_C_GRAVITY] + 2.0 * k * p[2] - 2.0 * (w[0] * v[1] - w[1] * v[0])
+    return gx, gy, gz
+
+
+@njit(cache=True, inline="always")
+def _rotate(r: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """R x."""
+    return (
+        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+    )
+
+
+@njit(cache=True, inline="always")
+def _matrix_into(q: Array, r: Array) -> None:
+    """so3.matrix without a new array."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    r[0, 0], r[0, 1], r[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+    r[1, 0], r[1, 1], r[1, 2] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+    r[2, 0], r[2, 1], r[2, 2] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+@njit(cache=True, inline="always")
+def _turn(q: Array, hw: float, hx: float, hy: float, hz: float) -> None:
+    """q <- q (hw, hx, hy, hz), in place."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    q[0] = w * hw - x * hx - y * hy - z * hz
+    q[1] = w * hx + x * hw + y * hz - z * hy
+    q[2] = w * hy - x * hz + y * hw + z * hx
+    q[3] = w * hz + x * hy - y * hx + z * hw
+
+
+@njit(cache=True, inline="always")
+def _cross_columns(sx: float, sy: float, sz: float, r: Array, scale: float, out: Array) -> None:
+    """out = scale [s]x R."""
+    for j in range(3):
+        out[0, j] = scale * (sy * r[2, j] - sz * r[1, j])
+        out[1, j] = scale * (sz * r[0, j] - sx * r[2, j])
+        out[2, j] = scale * (sx * r[1, j] - sy * r[0, j])
+
+
+# Rows of the workspace (_WORK, 3, 3): rotations at three instants, then the blocks of the transition.
+_R0, _RM, _R1, _PT, _VT, _PG, _VG, _TT, _TG = range(9)
+_WORK = 9
+
+
+@njit(cache=True)
+def _strapdown(x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c: Array, work: Array) -> None:
+    """One step of the nominal state, in place; fills the blocks of the error transition in `work`."""
+    p, v, q, bg, ba = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA], x[_XA:]
+    r0, rm, r1 = work[_R0], work[_RM], work[_R1]
+    _matrix_into(q, r0)
+    earth = c[_C_EARTH:_C_EARTH + 3]
+    a0, a1, a2 = w0[0] - bg[0], w0[1] - bg[1], w0[2] - bg[2]
+    b0, b1, b2 = w1[0] - bg[0], w1[1] - bg[1], w1[2] - bg[2]
+    k = h * h / 12.0
+    ex = r0[0, 0] * earth[0] + r0[1, 0] * earth[1] + r0[2, 0] * earth[2]
+    ey = r0[0, 1] * earth[0] + r0[1, 1] * earth[1] + r0[2, 1] * earth[2]
+    ez = r0[0, 2] * earth[0] + r0[1, 2] * earth[1] + r0[2, 2] * earth[2]
+    ax = 0.5 * h * (a0 + b0) + k * (a1 * b2 - a2 * b1) - h * ex
+    ay = 0.5 * h * (a1 + b1) + k * (a2 * b0 - a0 * b2) - h * ey
+    az = 0.5 * h * (a2 + b2) + k * (a0 * b1 - a1 * b0) - h * ez
+    quarter = 0.25 * math.sqrt(ax * ax + ay * ay + az * az)  # half of the half rotation's angle
+    s = 0.25 if quarter < 1e-8 else 0.25 * math.sin(quarter) / quarter
+    hw = math.cos(quarter)
+    _turn(q, hw, s * ax, s * ay, s * az)
+    _matrix_into(q, rm)
+    _turn(q, hw, s * ax, s * ay, s * az)
+    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    q[0], q[1], q[2], q[3] = q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
+    _matrix_into(q, r1)
+    n0 = _rotate(r0, f0[0] - ba[0], f0[1] - ba[1], f0[2] - ba[2])
+    nm = _rotate(rm, 0.5 * (f0[0] + f1[0]) - ba[0], 0.5 * (f0[1] + f1[1]) - ba[1], 0.5 * (f0[2] + f1[2]) - ba[2])
+    n1 = _rotate(r1, f1[0] - ba[0], f1[1] - ba[1], f1[2] - ba[2])
+    kv, kp = h / 6.0, h * h / 6.0
+    vx, vy, vz = kv * (n0[0] + 4.0 * nm[0] + n1[0]), kv * (n0[1] + 4.0 * nm[1] + n1[1]), kv * (n0[2] + 4.0 * nm[2] + n1[2])
+    px, py, pz = kp * (n0[0] + 2.0 * nm[0]), kp * (n0[1] + 2.0 * nm[1]), kp * (n0[2] + 2.0 * nm[2])
+    gx, gy, gz = _gravity(p, v, c)
+    hh = 0.5 * h * h
+    p[0] += h * v[0] + px + hh * gx
+    p[1] += h * v[1] + py + hh * gy
+    p[2] += h * v[2] + pz + hh * gz
+    v[0] += vx + h * gx
+    v[1] += vy + h * gy
+    v[2] += vz + h * gz
+    _cross_columns(px, py, pz, r0, -1.0, work[_PT])
+    _cross_columns(vx, vy, vz, r0, -1.0, work[_VT])
+    _cross_columns(vx, vy, vz, rm, kp, work[_PG])
+    _cross_columns(vx, vy, vz, rm, 0.5 * h, work[_VG])
+    for i in range(3):
+        for j in range(3):
+            work[_TT, i, j] = r1[0, i] * r0[0, j] + r1[1, i] * r0[1, j] + r1[2, i] * r0[2, j]
+            work[_TG, i, j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
+
+
+@njit(cache=True)
+def _transition_rows(m: Array, h: float, work: Array, out: Array) -> None:
+    """out = the position, velocity and attitude rows of Phi m, m (>= 15, k); the bias rows of Phi m are those of m.
+
+    One inner loop an output row, its coefficients in scalars: the form that LLVM turns into vector instructions.
+    """
+    k = m.shape[1]
+    hh = -0.5 * h * h
+    for i in range(3):
+        r0, r1, r2 = work[_RM, i, 0], work[_RM, i, 1], work[_RM, i, 2]
+        t0, t1, t2 = work[_PT, i, 0], work[_PT, i, 1], work[_PT, i, 2]
+        g0, g1, g2 = work[_PG, i, 0], work[_PG, i, 1], work[_PG, i, 2]
+        for j in range(k):
+            out[_P + i, j] = (
+                m[_P + i, j] + h * m[_V + i, j]
+                + t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
+                + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
+                + hh * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
+            )  # fmt: skip
+        t0, t1, t2 = work[_VT, i, 0], work[_VT, i, 1], work[_VT, i, 2]
+        g0, g1, g2 = work[_VG, i, 0], work[_VG, i, 1], work[_VG, i, 2]
+        for j in range(k):
+            out[_V + i, j] = (
+                m[_V + i, j]
+                + t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
+                + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
+                - h * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
+            )  # fmt: skip
+        t0, t1, t2 = work[_TT, i, 0], work[_TT, i, 1], work[_TT, i, 2]
+        g0, g1, g2 = work[_TG, i, 0], work[_TG, i, 1], work[_TG, i, 2]
+        for j in range(k):
+            out[_T + i, j] = (
+                t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
+                + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
+            )  # fmt: skip
+
+
+@njit(cache=True)
+def _covariance(cov: Array, h: float, work: Array, rows: Array, turned: Array, block: Array) -> None:
+    """P <- Phi P Phi^T = Phi (Phi P)^T, in place, exactly symmetric.
+
+    Scratch: rows (9, n) for Phi P, turned (15, 9) for its transpose, block (9, 9) for the result's upper left.
+    """
+    n = cov.shape[0]
+    _transition_rows(cov, h, work, rows)
+    for i in range(_G):
+        for j in range(_N):
+            turned[j, i] = rows[i, j]
+    _transition_rows(turned, h, work, block)
+    for i in range(_G):
+        for j in range(i, _G):
+            cov[i, j] = block[i, j]
+            cov[j, i] = block[i, j]
+        for j in range(_G, n):
+            cov[i, j] = rows[i, j]
+            cov[j, i] = rows[i, j]
+
+
+@njit(cache=True, inline="always")
+def _add_noise(cov: Array, h: float, gyro: float, accel: float, gyro_walk: float, accel_walk: float) -> None:
+    """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral)."""
+    for i in range(3):
+        cov[_P + i, _P + i] += accel * h * h * h / 3.0
+        cov[_P + i, _V + i] += 0.5 * accel * h * h
+        cov[_V + i, _P + i] += 0.5 * accel * h * h
+        cov[_V + i, _V + i] += accel * h
+        cov[_T + i, _T + i] += gyro * h
+        cov[_G + i, _G + i] += gyro_walk * h
+        cov[_A + i, _A + i] += accel_walk * h
+
+
+@njit(cache=True)
+def _gauss_markov(cov: Array, h: float, tau: Array, sigma2: Array) -> None:
+    """The considered states: c1 = phi c + n, phi = exp(-h/tau), Q = sigma^2 (1 - phi^2)."""
+    n = cov.shape[0]
+    for k in range(tau.shape[0]):
+        i = _N + k
+        phi = math.exp(-h / tau[k])
+        for j in range(n):
+            cov[i, j] *= phi
+            cov[j, i] = cov[i, j]
+        cov[i, i] = phi * cov[i, i] + sigma2[k] * (1.0 - phi * phi)
+
+
+@njit(cache=True)
+def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> None:
+    """One step of the nominal state without IMU: v turns with the yaw rate, attitude with the last rate, which dies away with its age.
+
+    psi = integral of w_n,z;  v1 = Rz(psi) v,  p1 = p + h v,  R1 = R exp(alpha)      (coordinated turn; Bar-Shalom 2001, 11.7)
+    The error transition is that of constant velocity: theta and dv do not mix.
+    """
+    decay = c[_C_TURN_DECAY_S]
+    gain = decay * (math.exp(-age / decay) - math.exp(-(age + h) / decay))
+    p, v, q, bg = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA]
+    work[:] = 0.0
+    r0, r1 = work[_R0], work[_R1]
+    _matrix_into(q, r0)
+    a = np.empty(3)
+    for i in range(3):
+        a[i] = gain * (w[i] - bg[i])
+        p[i] += h * v[i]
+    psi = r0[2, 0] * a[0] + r0[2, 1] * a[1] + r0[2, 2] * a[2]
+    cos, sin = math.cos(psi), math.sin(psi)
+    v[0], v[1] = cos * v[0] - sin * v[1], sin * v[0] + cos * v[1]
+    q[:] = so3.normalise(so3.multiply(q, so3.quat_exp(a)))
+    _matrix_into(q, r1)
+    work[_TT] = r1.T @ r0
+
+
+@njit(cache=True)
+def _step(
+    x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array, work: Array, ends: Array,
+) -> bool:  # fmt: skip
+    """The nominal state from `from_ns` to `to_ns`, both within the interval that sample i closes; True where it had to coast."""
+    h = (to_ns - from_ns) * _NS
+    if i <= 0:
+        _coast(x, h, 1e9, ends[0], c, work)
+        return True
+    if i >= count or (t_ns[i] - t_ns[i - 1]) * _NS > c[_C_GAP_S]:
+        _coast(x, h, (from_ns - t_ns[i - 1]) * _NS, u[i - 1, :3], c, work)
+        return True
+    span = (t_ns[i] - t_ns[i - 1]) * _NS
+    s0 = (from_ns - t_ns[i - 1]) * _NS / span
+    s1 = (to_ns - t_ns[i - 1]) * _NS / span
+    for k in range(3):
+        w, f = u[i, k] - u[i - 1, k], u[i, 3 + k] - u[i - 1, 3 + k]
+        ends[0, k], ends[1, k] = u[i - 1, k] + s0 * w, u[i - 1, k] + s1 * w
+        ends[2, k], ends[3, k] = u[i - 1, 3 + k] + s0 * f, u[i - 1, 3 + k] + s1 * f
+    _strapdown(x, h, ends[0], ends[1], ends[2], ends[3], c, work)
+    return False
+
+
+@njit(cache=True)
+def propagate(
+    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int,
+    c: Array, tau: Array, sigma2: Array,
+) -> int:  # fmt: skip
+    """Take state and covariance from `from_ns` to `to_ns`, in place; the index of the first sample after `to_ns` is returned.
+
+    x: (16,) nominal; cov: (n, n), n = 15 + considered states; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
+    accel; i: first sample with t_ns[i] > from_ns; c: constants(); tau, sigma2: (n - 15,) of the considered states.
+    Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
+    A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
+    """
+    n = cov.shape[0]
+    work, ends = np.empty((_WORK, 3, 3)), np.zeros((4, 3))
+    rows, turned, block = np.empty((_G, n)), np.empty((_N, _G)), np.empty((_G, _G))
+    while from_ns < to_ns:
+        end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
+        h = (end - from_ns) * _NS
+        coasting = _step(x, t_ns, u, count, i, from_ns, end, c, work, ends)
+        _covariance(cov, h, work, rows, turned, block)
+        if coasting:
+            _add_noise(cov, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+        else:
+            _add_noise(cov, h, c[_C_GYRO_PSD], c[_C_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+        if n > _N:
+            _gauss_markov(cov, h, tau, sigma2)
+        from_ns = end
+        if i < count and end == t_ns[i]:
+            i += 1
+    return i
+
+
+@njit(cache=True)
+def transition(
+    x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array
+) -> Array:
+    """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
+    phi, nominal = np.eye(_N), x.copy()
+    work, ends, rows = np.empty((_WORK, 3, 3)), np.zeros((4, 3)), np.empty((_G, _N))
+    while from_ns < to_ns:
+        end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
+        _step(nominal, t_ns, u, count, i, from_ns, end, c, work, ends)
+        _transition_rows(phi, (end - from_ns) * _NS, work, rows)
+        phi[:_G] = rows
+        from_ns = end
+        if i < count and end == t_ns[i]:
+            i += 1
+    return phi
+
+
+@njit(cache=True)
+def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
+    """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
+    if i <= 0:
+        return u[0].copy()
+    if i >= count:
+        return u[count - 1].copy()
+    s = (at_ns - t_ns[i - 1]) / (t_ns[i] - t_ns[i - 1])
+    return u[i - 1] + s * (u[i] - u[i - 1])

@@ -1,0 +1,247 @@
+"""Measurement models: what each aid should have read, and how its reading depends on the error state.
+
+    nu = z (-) h(x_hat) = H dx + v,   v ~ N(0, R)
+
+A `Measurement` is a value made once from a message; `evaluate(x, gyro_b)` gives nu (m,) and H (m, 15) at a state. Only the
+components that were given have a row. Attitude noise is about the axes of n: R_true = exp(dtheta_n) R_measured.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models import so3
+from models.messages import Array
+from models.state import E, X
+
+# Compiled code reads plain integers.
+_P, _V, _T, _G, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.SIZE
+_XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
+_XA = X.BA.start
+
+_XYZ, _FIRST = np.arange(3), np.arange(1)
+
+
+class Measurement(Protocol):
+    """What the filter asks of a measurement."""
+
+    @property
+    def kind(self) -> str:
+        """Name for reports: position, velocity, pose, height ..."""
+
+    @property
+    def noise(self) -> Array:
+        """R, (m, m), of the given components."""
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """Which components of the whole measurement were given, (m,)."""
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """Innovation nu (m,) and Jacobian H (m, 15) at the nominal state x (16,); gyro_b: raw rate (3,), rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """z = p + R_nb l, of the given axes of n.
+
+    z_n: (3,) m; noise: (m, m) m^2; rows: components of z_n that were given; lever_b: from the IMU to the measured point, m.
+    """
+
+    z_n: Array
+    noise: Array
+    rows: NDArray[np.intp]
+    lever_b: Array
+    kind: str = "position"
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """See Measurement."""
+        nu, h = _position(x, self.z_n, self.lever_b)
+        return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Velocity:
+    """z = v + R_nb ((w - b_g) x l), m/s in n, of an antenna at lever_b; noise (3, 3)."""
+
+    z_n: Array
+    noise: Array
+    lever_b: Array
+    kind: str = "velocity"
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _XYZ
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """See Measurement."""
+        return _velocity(x, self.z_n, self.lever_b, gyro_b)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Position and attitude of the body, of the components that were given.
+
+    rows: of (x y z rx ry rz); noise (m, m) in that order. Attitude is given whole, as roll and pitch, as yaw, or not at all.
+    """
+
+    z_n: Array
+    q_nb_wxyz: Array
+    noise: Array
+    rows: NDArray[np.intp]
+    attitude: str = "full"  # full | tilt | yaw | none
+    kind: str = "pose"
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """See Measurement."""
+        if self.attitude == "yaw":
+            nu, h = _pose_yaw(x, self.z_n, self.q_nb_wxyz)
+        elif self.attitude == "tilt":
+            nu, h = _pose_tilt(x, self.z_n, self.q_nb_wxyz)
+        else:
+            nu, h = _pose(x, self.z_n, self.q_nb_wxyz)
+        return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Height:
+    """z = -p_d, metres above n's origin; noise (1, 1). What barometers and height above a datum give."""
+
+    z_m: float
+    noise: Array
+    kind: str = "height"
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _FIRST
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """See Measurement."""
+        h = np.zeros((1, _N))
+        h[0, E.P.stop - 1] = -1.0
+        return np.array([self.z_m + x[X.P][2]]), h
+
+
+@njit(cache=True)
+def _position(x: Array, z: Array, lever: Array) -> tuple[Array, Array]:
+    """nu = z - p - R l;  H_p = I, H_theta = -R [l]x."""
+    r = so3.matrix(x[_XQ:_XG])
+    h = np.zeros((3, _N))
+    offset = r @ lever
+    h[:, _T:_G] = -(r @ so3.skew(lever))
+    nu = np.empty(3)
+    for i in range(3):
+        h[i, _P + i] = 1.0
+        nu[i] = z[i] - x[_XP + i] - offset[i]
+    return nu, h
+
+
+@njit(cache=True)
+def _velocity(x: Array, z: Array, lever: Array, gyro: Array) -> tuple[Array, Array]:
+    """nu = z - v - R (w x l);  H_v = I, H_theta = -R [w x l]x, H_bg = R [l]x  (w = gyro - b_g)."""
+    r = so3.matrix(x[_XQ:_XG])
+    rate = gyro - x[_XG:_XA]
+    spin = so3.skew(rate) @ lever
+    h = np.zeros((3, _N))
+    h[:, _T:_G] = -(r @ so3.skew(spin))
+    h[:, _G : _G + 3] = r @ so3.skew(lever)
+    offset = r @ spin
+    nu = np.empty(3)
+    for i in range(3):
+        h[i, _V + i] = 1.0
+        nu[i] = z[i] - x[_XV + i] - offset[i]
+    return nu, h
+
+
+@njit(cache=True)
+def _pose(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
+    """nu_p = z - p;  nu_a = log(R_z R^T), H_theta = J_r^-1(nu_a) R   (R_z R^T = exp(nu_a) stays, R moves to R exp(theta))."""
+    r = so3.matrix(x[_XQ:_XG])
+    nu, h = np.empty(6), np.zeros((6, _N))
+    turn = so3.quat_log(so3.multiply(q, so3.conjugate(x[_XQ:_XG])))
+    h[3:, _T:_G] = so3.right_jacobian_inverse(turn) @ r
+    for i in range(3):
+        h[i, _P + i] = 1.0
+        nu[i] = z[i] - x[_XP + i]
+        nu[3 + i] = turn[i]
+    return nu, h
+
+
+@njit(cache=True)
+def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
+    """Yaw alone: nu = wrap(psi_z - psi), psi = atan2(R10, R00), in the place of rz; H from the first column of R turning."""
+    nu, h = _pose(x, z, q)
+    r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
+    difference = np.arctan2(m[1, 0], m[0, 0]) - np.arctan2(r[1, 0], r[0, 0])
+    nu[5] = np.arctan2(np.sin(difference), np.cos(difference))
+    level = r[0, 0] ** 2 + r[1, 0] ** 2
+    about_n = np.array([-r[2, 0] * r[0, 0] / level, -r[2, 0] * r[1, 0] / level, 1.0])
+    h[5, _T:_G] = about_n @ r
+    return nu, h
+
+
+@njit(cache=True)
+def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
+    """Roll and pitch alone: d = R R_z^T e_z is "down" as the fix saw it, turned by our attitude; nu = (d_y, -d_x), H = (R, rows x y) for small nu."""
+    nu, h = _pose(x, z, q)
+    r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
+    down = r @ m.T[:, 2]
+    nu[3], nu[4] = down[1], -down[0]
+    # d(exp(delta) d) = delta x d: exact rows, which become those of R where the two agree
+    h[3, _T:_G] = np.array([down[2], 0.0, -down[0]]) @ r
+    h[4, _T:_G] = np.array([0.0, down[2], -down[1]]) @ r
+    return nu, h
+
+
+@njit(cache=True)
+def innovation_covariance(cov: Array, h: Array, noise: Array) -> Array:
+    """S = H P H^T + R, with H (m, k) over the first k states of P; exactly symmetric."""
+    m, n = h.shape
+    s = np.empty((m, m))
+    ph = np.zeros((n, m))
+    for i in range(n):
+        for j in range(m):
+            total = 0.0
+            for k in range(n):
+                total += cov[i, k] * h[j, k]
+            ph[i, j] = total
+    for i in range(m):
+        for j in range(i, m):
+            total = 0.5 * (noise[i, j] + noise[j, i])
+            for k in range(n):
+                total += h[i, k] * ph[k, j]
+            s[i, j] = total
+            s[j, i] = total
+    return s
+
+
+@njit(cache=True)
+def mahalanobis(nu: Array, s: Array) -> tuple[float, float]:
+    """(nu^T S^-1 nu, ln det S) by Cholesky; (inf, inf) where S is not positive definite."""
+    m = nu.shape[0]
+    low = np.zeros((m, m))
+    y = np.empty(m)
+    d2, logdet = 0.0, 0.0
+    for i in range(m):
+        for j in range(i + 1):
+            total = s[i, j]
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return np.inf, np.inf
+                low[i, i] = np.sqrt(total)
+            else:
+                low[i, j] = total / low[j, j]
+        total = nu[i]
+        for k in range(i):
+            total -= low[i, k] * y[k]
+        y[i] = total / low[i, i]
+        d2 += y[i] * y[i]
+        logdet += 2.0 * np.log(low[i, i])
+    return d2, logdet

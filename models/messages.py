@@ -1,0 +1,238 @@
+"""What enters and leaves the estimator: immutable records in the estimator's own conventions (NED, FRD, SI, radians).
+
+`t_ns` is the time of validity, `arrived_ns` the time of arrival, both integer nanoseconds. `topic` names the source; two
+sources of one kind differ by topic only. Conversion from and to the wire (ENU, FLU, CDR) is logs/codec.py's work.
+"""
+
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Vec3: TypeAlias = tuple[float, float, float]
+Quat: TypeAlias = tuple[float, float, float, float]
+Array: TypeAlias = NDArray[np.float64]
+
+
+class ImuSample(msgspec.Struct, frozen=True, eq=False):
+    """Instantaneous inertial measurement in body axes (FRD).
+
+    gyro_b: rad/s; accel_b: specific force, m/s^2 (at rest and level: 0, 0, -9.8).
+    """
+
+    t_ns: int
+    arrived_ns: int
+    gyro_b: Vec3
+    accel_b: Vec3
+    topic: str = "/imu"
+
+
+class GnssFix(msgspec.Struct, frozen=True, eq=False):
+    """WGS-84 position of the antenna; alt_m above the ellipsoid.
+
+    covariance_n: (3, 3) m^2 in NED axes, or None where the receiver gives none; status < 0: no fix.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    covariance_n: Array | None
+    status: int = 0
+    topic: str = "/gnss"
+
+
+class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
+    """Velocity of the antenna over ground, v_n in NED axes, m/s; covariance_n (3, 3) m^2/s^2 or None."""
+
+    t_ns: int
+    arrived_ns: int
+    v_n: Vec3
+    covariance_n: Array | None
+    topic: str = "/gnss/velocity"
+
+
+class PoseFix(msgspec.Struct, frozen=True, eq=False):
+    """Position and attitude of the body in the map frame, from outside.
+
+    covariance: (6, 6), order x y z rx ry rz in NED axes, m^2 and rad^2; the rotation part is the error about the axes of n,
+    R_true = exp(dtheta_n) @ R_measured. A variance >= 9e4 m^2 or >= 10 rad^2, NaN or negative means "not given".
+    covariance_common: the part of the error that repeats from fix to fix (map, rig), same layout, in addition to covariance.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    p_n: Vec3
+    q_nb_wxyz: Quat
+    covariance: Array
+    covariance_common: Array | None = None
+    topic: str = "/pose_fix"
+
+
+class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
+    """A PoseFix made by our own vision, with what it rests on.
+
+    landmarks: identifiers in the map; similarity: 0..1, the thesis' eq. 5.5; residual_px: RMS of the outline fit.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    p_n: Vec3
+    q_nb_wxyz: Quat
+    covariance: Array
+    covariance_common: Array | None
+    landmarks: tuple[str, ...]
+    similarity: float
+    residual_px: float
+    topic: str = "/landfix/fix"
+
+
+class Baro(msgspec.Struct, frozen=True, eq=False):
+    """Static pressure, Pa, and its variance (0 where unknown)."""
+
+    t_ns: int
+    arrived_ns: int
+    pressure_pa: float
+    variance_pa2: float
+    topic: str = "/baro"
+
+
+class Tick(msgspec.Struct, frozen=True, eq=False):
+    """The only clock Fusion has: "it is now t_ns". Lets it go on when the IMU is silent."""
+
+    t_ns: int
+    arrived_ns: int
+    topic: str = "/landfix/tick"
+
+
+class Unusable(msgspec.Struct, frozen=True, eq=False):
+    """A message that could not become a measurement (torn, wrong type, nonsense), kept so that it gets its reason."""
+
+    t_ns: int
+    arrived_ns: int
+    topic: str
+    detail: str
+
+
+Input: TypeAlias = ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | Tick | Unusable
+
+
+class Mode(StrEnum):
+    """What the estimate rests on."""
+
+    STARTING = "starting"  # no plausible IMU stream yet
+    ALIGNING = "aligning"  # IMU is there; position, velocity or heading are not yet known
+    AIDED = "aided"  # an absolute source was fused within its timeout
+    DEAD_RECKONING = "dead_reckoning"  # IMU alone
+    COASTING = "coasting"  # not even an IMU: constant velocity and turn rate
+
+
+class Reason(StrEnum):
+    """Why a measurement was, or was not, used."""
+
+    FUSED = "fused"
+    GATED = "gated"  # chi-square test failed
+    PROBATION = "probation"  # source has just come (back); consistent, but not yet trusted
+    STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
+    WAITING = "waiting"  # newer than the newest IMU sample
+    ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
+    TOO_OLD = "too_old"  # older than history_s
+    IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
+    DUPLICATE = "duplicate"  # same content already there
+    NOT_FINITE = "not_finite"
+    NOT_PSD = "not_psd"  # covariance is zero, asymmetric or not positive definite
+    UNSUPPORTED = "unsupported"  # this combination of given components is not a measurement
+    NO_FIX = "no_fix"  # the receiver says so
+    NO_ORIGIN = "no_origin"  # a geodetic measurement, and a map that is nowhere on Earth
+    IMPLAUSIBLE = "implausible"  # wrong units, gravity missing, out of physical range
+    UNKNOWN_TOPIC = "unknown_topic"
+    MALFORMED = "malformed"
+    INTERNAL = "internal"  # a defect of ours; counted, must stay 0
+
+
+class AidStatus(msgspec.Struct, frozen=True, eq=False):
+    """What became of one measurement. Sent once, and again with a higher revision when the decision changes.
+
+    innovation, innovation_sigma: of the given components, in the measurement's own units; test_ratio: squared Mahalanobis
+    distance / gate (<= 1 passes); delay_s: arrival - validity; replayed: IMU samples processed again for it.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    topic: str
+    kind: str
+    reason: Reason
+    revision: int = 0
+    innovation: tuple[float, ...] = ()
+    innovation_sigma: tuple[float, ...] = ()
+    test_ratio: float = 0.0
+    delay_s: float = 0.0
+    replayed: int = 0
+    detail: str = ""
+
+
+class Estimate(msgspec.Struct, frozen=True, eq=False):
+    """The state with everything of t <= t_ns that has arrived.
+
+    nav: (16,) packed NavState (models/state.py, X); covariance: (15, 15) of the error state (E); gyro_b: angular rate with
+    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is told by a Reset).
+    """
+
+    t_ns: int
+    arrived_ns: int
+    nav: Array
+    covariance: Array
+    gyro_b: Vec3
+    mode: Mode
+    reset_counter: int
+    last_absolute_ns: int
+    origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_m of n's origin
+
+
+class Reset(msgspec.Struct, frozen=True, eq=False):
+    """The estimate jumped: new = old (+) delta. delta_theta_n is about the axes of n."""
+
+    t_ns: int
+    arrived_ns: int
+    counter: int
+    delta_p_n: Vec3
+    delta_v_n: Vec3
+    delta_theta_n: Vec3
+
+
+class LastGnss(msgspec.Struct, frozen=True, eq=False):
+    """The last trusted GNSS position, its age, and the 1-sigma horizontal radius grown with that age."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    age_s: float
+    sigma_m: float
+
+
+class Health(msgspec.Struct, frozen=True, eq=False):
+    """The estimator about itself, 1-10 Hz."""
+
+    t_ns: int
+    arrived_ns: int
+    mode: Mode
+    absolute_age_s: float  # since an absolute position was last fused; inf: never
+    radius95_m: float  # horizontal; inf before alignment
+    attitude_sigma_deg: float
+    reset_counter: int
+    sources: dict[str, str]  # topic -> stopped | starting | active
+    counts: dict[str, int]  # reason -> measurements so far
+    hypotheses: int
+    last_gnss: LastGnss | None = None
+    detail: str = ""
+
+
+Output: TypeAlias = Estimate | AidStatus | Health | Reset
+
+
+def vec3(v: Any) -> Vec3:
+    """The first three elements of v as plain floats."""
+    return float(v[0]), float(v[1]), float(v[2])

@@ -1,0 +1,84 @@
+"""The state table, written once: where each part stands in the packed nominal state (X) and in the error state (E).
+
+    x = (p_n, v_n, q_nb, b_g, b_a)                   16 numbers
+    dx = (dp_n, dv_n, theta, db_g, db_a)             15 numbers
+    p = p_hat + dp, v = v_hat + dv, R_nb = R_hat exp(theta), b = b_hat + db        (Sola 2017, table 4, local error)
+
+No other file writes an index of the state.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from models import so3
+from models.messages import Array
+
+
+class X:
+    """Nominal state, packed: position n [m], velocity n [m/s], quaternion wxyz, gyro bias [rad/s], accel bias [m/s^2]."""
+
+    P = slice(0, 3)
+    V = slice(3, 6)
+    Q = slice(6, 10)
+    BG = slice(10, 13)
+    BA = slice(13, 16)
+    SIZE = 16
+
+
+class E:
+    """Error state: position n, velocity n, attitude (about body axes), gyro bias, accel bias."""
+
+    P = slice(0, 3)
+    V = slice(3, 6)
+    THETA = slice(6, 9)
+    BG = slice(9, 12)
+    BA = slice(12, 15)
+    SIZE = 15
+    NAMES = ("pn", "pe", "pd", "vn", "ve", "vd", "thx", "thy", "thz", "bgx", "bgy", "bgz", "bax", "bay", "baz")
+
+
+@dataclass(frozen=True, slots=True)
+class NavState:
+    """The nominal state as a person reads it. q_nb_wxyz takes body vectors to n: x_n = R_nb @ x_b."""
+
+    p_n: Array
+    v_n: Array
+    q_nb_wxyz: Array
+    gyro_bias: Array
+    accel_bias: Array
+
+    @classmethod
+    def unpack(cls, x: Array) -> Self:
+        """From the packed (16,) array; the parts are copies."""
+        return cls(x[X.P].copy(), x[X.V].copy(), x[X.Q].copy(), x[X.BG].copy(), x[X.BA].copy())
+
+    def pack(self) -> Array:
+        """To the packed (16,) array."""
+        x = np.empty(X.SIZE)
+        x[X.P], x[X.V], x[X.Q], x[X.BG], x[X.BA] = self.p_n, self.v_n, self.q_nb_wxyz, self.gyro_bias, self.accel_bias
+        return x
+
+    @property
+    def R_nb(self) -> Array:
+        """Rotation matrix body -> n, (3, 3)."""
+        return so3.matrix(self.q_nb_wxyz)
+
+
+def retract(x: Array, dx: Array) -> Array:
+    """x (+) dx: packed state (16,) moved by the error (15,)."""
+    y = np.empty(X.SIZE)
+    y[X.P], y[X.V] = x[X.P] + dx[E.P], x[X.V] + dx[E.V]
+    y[X.Q] = so3.normalise(so3.multiply(x[X.Q], so3.quat_exp(dx[E.THETA])))
+    y[X.BG], y[X.BA] = x[X.BG] + dx[E.BG], x[X.BA] + dx[E.BA]
+    return y
+
+
+def local(x: Array, y: Array) -> Array:
+    """dx with x (+) dx = y."""
+    dx = np.empty(E.SIZE)
+    dx[E.P], dx[E.V] = y[X.P] - x[X.P], y[X.V] - x[X.V]
+    dx[E.THETA] = so3.quat_log(so3.multiply(so3.conjugate(x[X.Q]), y[X.Q]))
+    dx[E.BG], dx[E.BA] = y[X.BG] - x[X.BG], y[X.BA] - x[X.BA]
+    return dx
