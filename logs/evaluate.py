@@ -1,7 +1,7 @@
 """How good was the estimate in a log? Everything that can be said, with a truth or without, as one record.
 
     evaluation = evaluate(Path("estimate.mcap"))
-    print_table(evaluation)                               # for a person
+    logs.evaluation_table.print_table(evaluation)         # for a person
     msgspec.json.encode(evaluation)                       # for a program
 
 An estimate is compared at the truth's own stamps: it is interpolated between its neighbours, the truth never is, so a gap in the
@@ -27,15 +27,12 @@ from logs.evaluation import (
     RelativeError,
     ResetRow,
 )
-from logs.evaluation_table import print_table
 from logs.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
 from logs.metrics import Mask, Stats, Times
 from logs.trajectory import Trajectory, interpolate, nearest
 from models.messages import AidStatus, Array, Reason
 
-__all__ = ["Comparison", "Evaluation", "compare", "evaluate", "find_outages", "print_table"]
-
-ABSOLUTE_KINDS: Final = frozenset({"position", "pose"})  # measurements that say where, not only how fast or how high
+ABSOLUTE_KINDS: Final = frozenset({"gnss_position", "pose"})  # measurements that say where, not only how fast or how high
 LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a longer hole
 _ALL_SOURCES: Final = "all"
 _SHORTEST_OUTAGE_NS: Final = 2_000_000_000

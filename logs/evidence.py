@@ -83,17 +83,17 @@ class _Sheaf:
         self.arrived_ns: list[int] = []
         self.unreadable = 0
 
-    def parsed(self, parse: Callable[[bytes], T]) -> Iterator[T]:
-        """Each message parsed; one that cannot be is counted and left out."""
+    def parsed(self, parse: Callable[[bytes], T]) -> Iterator[tuple[int, T]]:
+        """Arrival and content of each message; one that cannot be parsed is counted and left out."""
         self.unreadable = 0
-        for data in self.data:
+        for arrived_ns, data in zip(self.arrived_ns, self.data, strict=True):
             try:
-                yield parse(data)
+                yield arrived_ns, parse(data)
             except (ValueError, KeyError, SerdeError):
                 self.unreadable += 1
 
-    def messages(self) -> Iterator[Any]:
-        """Each message as an object of its type."""
+    def messages(self) -> Iterator[tuple[int, Any]]:
+        """Arrival and content of each message, as an object of its type."""
         return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
 
 
@@ -152,9 +152,9 @@ def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
     if sheaf.schema == schemas.NAV_SAT_FIX and origin is not None:
         return decode_geodetic(sheaf.data, sheaf.arrived_ns, origin)
     if sheaf.schema == schemas.LANDMARK_FIX:
-        places = [(_t_ns(m), m.pose.pose.position) for m in sheaf.messages()]
-        stamps = np.array([t_ns for t_ns, _ in places], np.int64)
-        return from_rows(stamps, stamps, np.array([(p.x, p.y, p.z) for _, p in places]).reshape(-1, 3))
+        places = [(arrived, _t_ns(m), m.pose.pose.position) for arrived, m in sheaf.messages()]
+        arrived_ns, t_ns = (np.array([place[k] for place in places], np.int64) for k in (0, 1))
+        return from_rows(t_ns, arrived_ns, np.array([(p.x, p.y, p.z) for _, _, p in places]).reshape(-1, 3))
     return None
 
 
@@ -163,7 +163,7 @@ def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
 
     The origin is the place from which p leads to that latitude and longitude, found by iteration: the axes of map turn with it.
     """
-    for fix in sheaf.messages():
+    for _, fix in sheaf.messages():
         row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
         if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():
             east, north, up = (float(x) for x in estimate.p[row])
@@ -178,7 +178,7 @@ def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
 def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
     """The last decision on each measurement, in order of validity."""
     last: dict[tuple[str, str, int, int], AidStatus] = {}
-    for status in sheaf.parsed(decode_aid_status):
+    for _, status in sheaf.parsed(decode_aid_status):
         key = (status.topic, status.kind, status.t_ns, status.arrived_ns)
         if key not in last or status.revision >= last[key].revision:
             last[key] = status
@@ -187,7 +187,7 @@ def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
 
 def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
     points = []
-    for message in sheaf.messages():
+    for _, message in sheaf.messages():
         values = {pair.key: pair.value for status in message.status for pair in status.values}
         points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
     return tuple(points)
@@ -195,24 +195,27 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
 
 def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
     jumps = []
-    for m in sheaf.messages():
+    for _, m in sheaf.messages():
         delta_p, delta_v, delta_theta = ((v.x, v.y, v.z) for v in (m.delta_position, m.delta_velocity, m.delta_rotation))
         jumps.append(Jump(_t_ns(m), int(m.counter), delta_p, delta_v, delta_theta))
     return tuple(jumps)
 
 
 def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
-    """The fixes of the topics on which a decision was made, with that decision."""
+    """The fixes of the topics on which a decision was made, with that decision.
+
+    Found by arrival: the validity of a fix is its stamp less the delay that the estimator was told of.
+    """
     fused: dict[str, set[int]] = {}
     for status in aids:
-        stamps = fused.setdefault(status.topic, set())
+        arrivals = fused.setdefault(status.topic, set())
         if status.reason is Reason.FUSED:
-            stamps.add(status.t_ns)
+            arrivals.add(status.arrived_ns)
     fixes = {}
     for topic, sheaf in sheaves.items():
         positions = _positions(sheaf, origin) if topic in fused else None
         if positions is not None:
-            was_fused = np.array([t in fused[topic] for t in positions.t_ns.tolist()], bool)
+            was_fused = np.array([t in fused[topic] for t in positions.arrived_ns.tolist()], bool)
             fixes[topic] = Fixes(positions.t_ns, positions.p, was_fused)
     return fixes
 

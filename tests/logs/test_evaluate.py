@@ -8,8 +8,9 @@ from rich.console import Console
 
 from logs import schemas
 from logs.codec import encode, encode_input, encode_truth
-from logs.evaluate import Evaluation, compare, evaluate, find_outages, print_table
-from logs.evaluation import Honesty
+from logs.evaluate import compare, evaluate, find_outages
+from logs.evaluation import Evaluation, Honesty
+from logs.evaluation_table import print_table
 from logs.evidence import HealthPoint, read
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
@@ -229,8 +230,8 @@ def test_outages_are_told_by_source_and_of_all() -> None:
     """GIVEN /a silent over 10-20 s and /b over 15-40 s, THEN each has its outage and both together 15-20 s."""
     estimate = decode(schemas.ODOMETRY, [encode_truth(EPOCH_NS + k * S, *truth_at(k)).data for k in range(41)], [0] * 41)
     a = [aid(t) for t in range(41) if not 10 < t < 20]
-    b = [aid(t, "/b", "position") for t in range(41) if not 15 < t < 40]
-    velocity = [aid(t, "/c", "velocity") for t in range(41)]
+    b = [aid(t, "/b", "gnss_position") for t in range(41) if not 15 < t < 40]
+    velocity = [aid(t, "/c", "gnss_velocity") for t in range(41)]
     gated = [aid(17, reason=Reason.GATED)]
     outages = {name: seconds(spans) for name, spans in find_outages(a + b + velocity + gated, [], estimate).items()}
     assert outages == {"all": [(15.0, 20.0)], "/a": [(10.0, 20.0)], "/b": [(15.0, 40.0)]}
