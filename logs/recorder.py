@@ -1,9 +1,8 @@
 """Writing a log: MCAP, LZ4, profile ros2, such that a killed process has lost at most 0.1 s of it."""
 
 import os
-import struct
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -17,7 +16,7 @@ from logs.schemas import is_known, schema_text, type_hash
 METADATA_NAME: Final = "landfix"
 FLUSH_NS: Final = 100_000_000  # of log time
 CHUNK_BYTES: Final = 64 * 1024
-_FAILURES: Final = (OSError, ValueError, struct.error)  # disk full, file closed, a time that fits no 64 bits
+_FAILURES: Final = (OSError, ValueError)  # disk full; file closed
 
 _QOS: Final = """\
 - history: keep_last
@@ -64,10 +63,15 @@ class Recorder:
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        with self._one_line():
-            self._writer.start(profile="ros2", library="landfix")
-            self._writer.add_metadata(METADATA_NAME, dict(metadata or {}))
-        self.flush()
+        try:
+            with self._one_line():
+                self._writer.start(profile="ros2", library="landfix")
+                self._writer.add_metadata(METADATA_NAME, dict(metadata or {}))
+                self._file.flush()
+        except LogError:
+            with suppress(OSError):  # closing tries to write once more
+                self._file.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -77,6 +81,8 @@ class Recorder:
 
     def write(self, topic: str, schema: str, data: bytes, log_time_ns: int) -> None:
         """Add a CDR message of the type `schema`."""
+        if log_time_ns < 0:
+            raise LogError(f"{self.path}: a log time before 1970 ({log_time_ns} ns, {topic}) cannot be written")
         start = self._chunk_start_ns
         try:
             if start is None or not -FLUSH_NS < log_time_ns - start < FLUSH_NS:

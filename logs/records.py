@@ -19,7 +19,7 @@ from typing import Final, TypeAlias
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
@@ -37,6 +37,7 @@ _CONTENT: Final = {
     Opcode.CHANNEL: Channel.read,
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.METADATA: Metadata.read,
+    Opcode.STATISTICS: Statistics.read,
 }
 _NOTES: Final = {
     b"": "is empty",
@@ -53,7 +54,8 @@ class RecordFile:
     """The messages of an MCAP file; what else was in it stands in the attributes once the messages are through.
 
     profile: of the header, "" where it is lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damaged places,
-    each at least one chunk; lost_messages: in whole chunks, but of a channel whose definition was lost.
+    each at least one chunk; orphans: messages in whole chunks, but of a channel whose definition was lost; expected: the number
+    of messages its writer counted, None where that is lost.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -101,9 +103,11 @@ class RecordFile:
         self.metadata: list[Metadata] = []
         self.torn = True
         self.skipped_chunks = 0
-        self.lost_messages = 0
+        self.orphans = 0
+        self.expected: int | None = None
         self._whole = len(MAGIC)  # up to here everything was understood
         self._damaged = False  # the last chunk was
+        self._chunked = False
 
     def _frames(self) -> Iterator[tuple[int, bytes, int]]:
         """(opcode, content, position) of each record up to the footer; over damage to the next chunk."""
@@ -113,7 +117,8 @@ class RecordFile:
             frame = self._file.read(_FRAME.size)
             opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 0)
             end = start + _FRAME.size + length
-            if opcode == 0 or end > self.size:
+            early_footer = opcode == Opcode.FOOTER and end + len(MAGIC) != self.size
+            if opcode == 0 or end > self.size or early_footer:
                 found = self._next_chunk(self._whole)
                 if found is None:
                     return
@@ -123,7 +128,7 @@ class RecordFile:
                 continue
             yield opcode, self._file.read(length), start
             if opcode == Opcode.FOOTER:
-                self.torn = self._file.read(len(MAGIC)) != MAGIC
+                self.torn = self._file.read() != MAGIC
                 return
             start = end
 
@@ -139,13 +144,15 @@ class RecordFile:
     def _chunk(self, content: bytes, start: int) -> list[RawMessage]:
         """The messages of a chunk; none of them when it is damaged."""
         try:
-            stream, size = get_chunk_data_stream(Chunk.read(_stream(content)), validate_crc=True)
+            fields = _stream(content)
+            stream, size = get_chunk_data_stream(Chunk.read(fields), validate_crc=True)
             messages = self._block(stream.read(size))
         except Exception:  # each decompressor has exceptions of its own
             self._skip(start)
             self._damaged = True
             return []
-        self._whole, self._damaged = start + _FRAME.size + len(content), False
+        self._whole = start + _FRAME.size + fields.count  # by the chunk's own account: the record's length may be what is wrong
+        self._damaged, self._chunked = False, True
         return messages
 
     def _unchunked(self, opcode: int, content: bytes, start: int) -> list[RawMessage]:
@@ -153,6 +160,8 @@ class RecordFile:
         try:
             if opcode == Opcode.ATTACHMENT and zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little") != 0:
                 raise ValueError("attachment fails its CRC")
+            if opcode == Opcode.MESSAGE and self._chunked:
+                raise ValueError("a message that no CRC covers, in a file of chunks")
             return self._block(_FRAME.pack(opcode, len(content)) + content)
         except (McapError, ValueError, struct.error):
             self._skip(start)
@@ -173,7 +182,7 @@ class RecordFile:
                 if channel in known:
                     messages.append((channel, sequence, log_time, publish_time, block[at + 31 : after]))
                 else:
-                    self.lost_messages += 1
+                    self.orphans += 1
             elif opcode in _CONTENT:
                 self._note(_CONTENT[Opcode(opcode)](_stream(block[at + _FRAME.size : after])))
             at = after
@@ -191,6 +200,8 @@ class RecordFile:
                 self.metadata.append(record)
             case Header():
                 self.profile = record.profile
+            case Statistics():
+                self.expected = record.message_count
             case _:
                 pass
 

@@ -21,16 +21,19 @@ class RecoverSummary(msgspec.Struct, frozen=True):
     attachments: int
     metadata: int
     chunks_lost: int  # damaged places, each at least one chunk
-    messages_lost: int  # in whole chunks, but of a channel whose definition was lost
+    messages_lost: int | None  # None: the writer's count is lost as well
+    orphans: int  # messages that were whole, but of a channel whose definition was lost
     torn: bool  # the file had no proper end
     bytes_read: int
     bytes_written: int
 
     def __str__(self) -> str:
         kept = f"{self.messages} messages, {self.attachments} attachments and {self.metadata} metadata records kept"
-        lost = f"{self.chunks_lost} damaged places skipped" + (
-            f", {self.messages_lost} messages of unknown channels left out" if self.messages_lost else ""
-        )
+        lost = f"{self.chunks_lost} damaged places skipped"
+        if self.messages_lost is not None:
+            lost += f", {self.messages_lost} messages lost"
+        if self.orphans:
+            lost += f", {self.orphans} messages of unknown channels left out"
         end = "the file had been cut off" if self.torn else "the file had a proper end"
         return f"{kept}; {lost}; {end}"
 
@@ -60,7 +63,8 @@ def recover(
         attachments=len(records.attachments),
         metadata=len(records.metadata),
         chunks_lost=records.skipped_chunks,
-        messages_lost=records.lost_messages,
+        messages_lost=None if records.expected is None else records.expected - messages,
+        orphans=records.orphans,
         torn=records.torn,
         bytes_read=records.size,
         bytes_written=target.stat().st_size,
