@@ -47,8 +47,7 @@ class Tally:
         self.records += 1
         if self._first_ns is None:
             self._first_ns = log_time_ns
-        if log_time_ns > self._last_ns:
-            self._last_ns = log_time_ns
+        self._last_ns = max(self._last_ns, log_time_ns)
 
     def step(self, message: Input, outputs: list[Output]) -> None:
         """One input and what it caused."""

@@ -1,0 +1,87 @@
+"""landfix: the command line. Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage."""
+# ruff: noqa: D301  (\b keeps line breaks in help)
+
+import os
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+from typer.exceptions import TyperException
+
+from estimator.commands import demo, doctor, evaluate, recover, replay, simulate
+from estimator.commands import import_ as import_command
+from estimator.version import version
+
+_OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
+
+
+class OneLineErrors(TyperGroup):
+    """Turns what goes wrong inside a command into one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets it through."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except (typer.Exit, typer.Abort, TyperException, BrokenPipeError):  # usage errors exit with 2
+            raise
+        except Exception as error:
+            if os.environ.get("LANDFIX_DEBUG"):
+                raise
+            typer.echo(f"landfix: {one_line(error)}", err=True)
+            raise typer.Exit(1) from None
+
+
+def one_line(error: Exception) -> str:
+    """What a person reads: our own errors and the system's say what is wrong; anything else is a defect of ours."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    text = " ".join(str(error).split())
+    if type(error).__module__.partition(".")[0] in _OURS:
+        return text
+    return f"internal error, please report it: {type(error).__name__}: {text} (LANDFIX_DEBUG=1 shows where)"
+
+
+app = typer.Typer(
+    cls=OneLineErrors, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)  # fmt: skip
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"landfix {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _landfix(
+    _show_version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", hidden=True, help="Show the traceback of an error.")] = False,
+) -> None:
+    """Where a vehicle is when GPS is gone: IMU, rare pose fixes and last-known GPS in one honest estimate.
+
+    \b
+    Start here:
+      landfix demo                                     a simulated flight through the real pipeline
+      landfix import csv FLIGHT_DIR -o flight.mcap     a recorded flight as a log
+      landfix replay flight.mcap -o estimate.mcap -c vehicle.toml
+      landfix evaluate estimate.mcap                   how good it was
+    """
+    if debug:
+        os.environ["LANDFIX_DEBUG"] = "1"
+
+
+app.command("demo")(demo.command)
+app.command("replay")(replay.command)
+app.command("evaluate")(evaluate.command)
+app.command("simulate")(simulate.command)
+app.command("import")(import_command.command)
+app.command("recover")(recover.command)
+app.command("doctor")(doctor.command)
+
+
+def main() -> None:
+    """The entry point `landfix`."""
+    app(prog_name="landfix")

@@ -1,0 +1,4 @@
+"""One file a command: arguments, the call, what is printed. The work itself is done by the modules they call.
+
+Heavy imports stand inside the functions, so that `landfix --help` is fast.
+"""

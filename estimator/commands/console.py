@@ -1,0 +1,57 @@
+"""How commands speak: results on stdout, progress and remarks on stderr, JSON on request."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Out = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", "-c", help="TOML configuration (landfix doctor --config lists all keys).")
+]
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr; call the yielded function with the fraction done. Silent where stderr is no terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object; infinities and NaN become null."""
+    import msgspec
+
+    typer.echo(msgspec.json.format(msgspec.json.encode(value)).decode())
+
+
+def print_table(title: str, rows: "Sequence[Sequence[str | Text]]", header: Sequence[str] = ()) -> None:
+    """Rows under a title; strings stand as they are, rich Text keeps its colour."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=bool(header), box=None, pad_edge=False)
+    for name in header or [""] * max((len(r) for r in rows), default=1):
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    Console().print(table)
+
+
+def note(text: str) -> None:
+    """A remark on stderr."""
+    typer.echo(text, err=True)

@@ -1,0 +1,79 @@
+"""landfix doctor."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.console import Json, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from estimator.doctor import Check
+
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+
+
+def command(
+    log: Annotated[Path | None, typer.Argument(metavar="[LOG.mcap]", help="A log to check with the configuration.")] = None,
+    file: Annotated[Path | None, typer.Option("-c", metavar="FILE", help="TOML configuration to check.")] = None,
+    keys: Annotated[
+        bool, typer.Option("--config", help="Print a configuration with every key, its default, unit and meaning.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Check machine, configuration and log.
+
+    Every finding comes with what to do about it. Exit code 1 if something fails.
+
+    \b
+    Examples:
+      landfix doctor                              this machine
+      landfix doctor -c vehicle.toml              and a configuration
+      landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
+      landfix doctor --config > vehicle.toml      every key of the configuration, with its default, unit and meaning
+    """
+    if keys:
+        if log or file:
+            raise typer.BadParameter("--config lists all keys and takes no file; check a file with -c FILE")
+        _print_keys(json)
+        return
+    from estimator import doctor
+
+    checks = doctor.machine()
+    found, config = doctor.configuration(file)
+    checks += found
+    if log and config:
+        from estimator import doctor_log
+
+        with progress(f"read {log.name}") as report:
+            checks += doctor_log.log(log, config, report)
+    if json:
+        print_json({"checks": checks, "failed": doctor.failed(checks)})
+    else:
+        _print_checks(checks)
+    if doctor.failed(checks):
+        raise typer.Exit(1)
+
+
+def _print_checks(checks: "list[Check]") -> None:
+    from rich.text import Text
+
+    rows = [(Text(c.state, style=_COLOURS[c.state]), c.name, c.found + (f"\n-> {c.advice}" if c.advice else "")) for c in checks]
+    print_table("landfix doctor", rows)
+
+
+def _print_keys(json: bool) -> None:
+    from estimator.config import Config
+    from estimator.strict_toml import keys
+
+    table = keys(Config)
+    if json:
+        print_json([key._asdict() for key in table])
+        return
+    for section, rows in groupby(table, key=lambda key: key.section):
+        typer.echo(f"\n[{section}]")
+        for key in rows:
+            line = f"# {key.name} =" if key.default == "-" else f"{key.name} = {key.default}"
+            typer.echo(f"{line:<36} # {f'{key.unit}: ' if key.unit else ''}{key.meaning}")

@@ -1,0 +1,32 @@
+"""landfix recover."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from estimator.commands.console import Json, Out, print_json, progress
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="BROKEN.mcap", help="Log whose writer was cut off, or with damaged parts.")],
+    out: Out,
+    json: Json = False,
+) -> None:
+    """Make a torn or damaged log whole.
+
+    All whole records are kept; every MCAP tool can read the result.
+
+    \b
+    Examples:
+      landfix recover broken.mcap -o whole.mcap
+    """
+    from logs.recover import recover
+
+    with progress(f"recover {source.name}") as report:
+        result = recover(source, out, report)
+    if json:
+        print_json(result)
+    else:
+        typer.echo(f"{out}: {result}")

@@ -1,0 +1,65 @@
+"""landfix replay."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.console import ConfigFile, Json, Out, note, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from estimator.tally import ReplaySummary
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="IN.mcap", help="Log with the sensors' messages.")],
+    out: Out,
+    config: ConfigFile = None,
+    _from_fixes: Annotated[bool, typer.Option("--from-fixes", help="Use the fixes in the log (the only way so far).")] = True,
+    json: Json = False,
+) -> None:
+    """Run a log through the estimator.
+
+    The same bits come out that the flight would have published with this configuration.
+    OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and for every
+    measurement what became of it and why (/landfix/aid_status).
+
+    \b
+    Examples:
+      landfix replay flight.mcap -o estimate.mcap
+      landfix replay flight.mcap -o estimate.mcap -c vehicle.toml --json
+    """
+    from estimator.config import load
+    from estimator.replay import replay
+
+    loaded = load(config)
+    with progress(f"replay {source.name}") as report:
+        summary = replay(source, out, loaded, report)
+    if summary.torn:
+        note(f"landfix: {source} is torn; replayed up to its last whole record")
+    if json:
+        print_json(summary)
+    else:
+        print_summary(summary, out)
+
+
+def print_summary(summary: "ReplaySummary", out: Path) -> None:
+    """The summary as a person reads it."""
+    rows = [
+        ("log", f"{summary.duration_s:.1f} s, {summary.records} messages" + (", torn at its end" if summary.torn else "")),
+        ("speed", f"{summary.speed:.0f} x real time ({summary.elapsed_s:.1f} s)"),
+        ("IMU samples", f"{summary.imu_samples} -> {summary.estimates} estimates"),
+        *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),
+        ("modes", ", ".join(f"{mode} {s:.1f} s" for mode, s in summary.modes_s.items()) or "no estimate"),
+        ("longest without absolute fix", f"{summary.longest_without_absolute_s:.1f} s"),
+        ("worst 95 % radius", f"{summary.worst_radius95_m:.2f} m"),
+        ("resets", str(summary.resets)),
+        ("internal errors", str(summary.internal_errors)),
+    ]
+    print_table(f"{out}", rows)
+
+
+def _reasons(reasons: dict[str, int]) -> str:
+    """Counts of reasons as text, the most frequent first: 120 fused, 3 gated."""
+    return ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda item: -item[1]))

@@ -1,0 +1,134 @@
+"""The configuration of the whole program: TOML sections -> the parameter structs of the parts, composed here and nowhere else.
+
+Every section is the struct of the part it configures; `landfix doctor --config` prints all keys with default, unit and meaning.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from estimator import strict_toml
+from estimator.fusion import EstimatorConfig, FusionConfig
+from estimator.initialise import InitialiseConfig
+from estimator.publish import OutputConfig
+from estimator.sources.gnss import GnssConfig
+from estimator.sources.pose import PoseConfig
+from estimator.strict_toml import ConfigError
+from logs.codec import Decoder, ImuMounting, Topics
+from models.imu import Coast, ImuNoise
+
+__all__ = ["Config", "ConfigError", "load", "parse"]
+
+_TOPICS = Topics()
+_Topics: TypeAlias = tuple[str, ...]
+_Degrees: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
+_Latitude: TypeAlias = Annotated[float, Meta(ge=-90, le=90)]
+_Longitude: TypeAlias = Annotated[float, Meta(ge=-180, le=180)]
+_Height: TypeAlias = Annotated[float, Meta(ge=-1000, le=50_000)]
+
+
+class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
+    """[imu]: its noise, and how it sits in the vehicle."""
+
+    axes: Annotated[Literal["flu", "frd"], Meta(description="axes of the messages: forward-left-up or forward-right-down")] = (
+        "flu"
+    )
+    mounting_rpy_deg: Annotated[
+        tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the IMU in the body, both taken as FRD")
+    ] = (0.0, 0.0, 0.0)
+
+
+class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
+    """[inputs]: which topics are read, one or a list each; of equal kind, each topic is a source of its own."""
+
+    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu")] = _TOPICS.imu
+    gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
+    gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
+        _TOPICS.gnss_velocity
+    )
+    baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure")] = _TOPICS.baro
+    pose_fix: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/PoseWithCovarianceStamped in map")] = (
+        _TOPICS.pose_fix
+    )
+    left_image: Annotated[_Topics, Meta(description="topics of the left camera's images")] = _TOPICS.left_image
+    right_image: Annotated[_Topics, Meta(description="topics of the right camera's images")] = _TOPICS.right_image
+
+
+class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[map]: where it lies on Earth, and what stands on it."""
+
+    origin: Annotated[
+        tuple[_Latitude, _Longitude, _Height] | None,
+        Meta(description="deg,deg,m: latitude, longitude, ellipsoid height of the map's origin; without it the first GNSS fix"),
+    ] = None
+    geoid_m: Annotated[float, Meta(ge=-120, le=100, description="m: height of the geoid above the ellipsoid at the origin")] = 0.0
+    landmarks: Annotated[str | None, Meta(description="GeoJSON file of the landmarks, relative to the configuration")] = None
+
+
+class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[rig]: the cameras."""
+
+    file: Annotated[str | None, Meta(description="calibration file of the cameras, relative to the configuration")] = None
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All sections."""
+
+    imu: Imu = Imu()
+    inputs: Inputs = Inputs()
+    gnss: GnssConfig = GnssConfig()
+    pose_fix: PoseConfig = PoseConfig()
+    map: Map = Map()
+    rig: Rig = Rig()
+    output: OutputConfig = OutputConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    initialise: InitialiseConfig = InitialiseConfig()
+    coast: Coast = Coast()
+
+    def fusion(self) -> FusionConfig:
+        """What the estimator needs."""
+        return FusionConfig(
+            imu=self.imu,
+            coast=self.coast,
+            gnss=self.gnss,
+            pose_fix=self.pose_fix,
+            initialise=self.initialise,
+            estimator=self.estimator,
+            origin=self.map.origin,
+        )
+
+    def decoder(self) -> Decoder:
+        """What reads the wire. Raises ConfigError for a topic that is to feed two inputs."""
+        try:
+            return Decoder(self.inputs, ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg))
+        except ValueError as error:
+            raise ConfigError(f"[inputs]: {error}") from None
+
+    def toml(self) -> str:
+        """All keys with their values, defaults included."""
+        return strict_toml.encode(self)
+
+
+def load(path: Path | None) -> Config:
+    """The configuration of a file; None: all defaults. Raises ConfigError, one line that names the file and the key."""
+    if path is None:
+        return Config()
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is not a text file") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, name: str = "configuration") -> Config:
+    """The configuration of a TOML text; `name` is what the user calls it. Raises ConfigError."""
+    config = strict_toml.decode(Config, text, name)
+    try:
+        config.decoder()
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+    return config

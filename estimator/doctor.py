@@ -1,0 +1,121 @@
+"""Is everything as it should be? Checks of the machine, of a configuration and of a log, each with what to do about it."""
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from enum import StrEnum
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from estimator.config import Config, load
+from estimator.strict_toml import ConfigError
+from models import so3
+
+_MIN_FREE_BYTES, _GOOD_FREE_BYTES = 5e8, 5e9
+_CLOCK_WATCH_S = 0.3
+_CLOCK_LIMIT_PPM = 1000.0  # an adjusted clock is slewed by 500 ppm at most; more is a step
+
+# From a tactical-grade gyroscope on foam to a consumer MEMS beside a propeller.
+TYPICAL_NOISE = {
+    "gyro_noise": (1e-5, 5e-2),
+    "accel_noise": (1e-4, 2.0),
+    "gyro_walk": (1e-8, 1e-2),
+    "accel_walk": (1e-7, 1e-1),
+}
+
+
+class State(StrEnum):
+    """How a check came out."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+class Check(msgspec.Struct, frozen=True):
+    """One finding. advice: what to do, empty when there is nothing to do."""
+
+    name: str
+    state: State
+    found: str
+    advice: str = ""
+
+
+def judge(name: str, found: str, *, fail: bool = False, warn: bool = False, advice: str = "") -> Check:
+    """A Check whose advice is kept only when it is needed."""
+    state = State.FAIL if fail else State.WARN if warn else State.OK
+    return Check(name, state, found, "" if state is State.OK else advice)
+
+
+def failed(checks: Iterable[Check]) -> bool:
+    """Whether anything failed."""
+    return any(c.state is State.FAIL for c in checks)
+
+
+def machine() -> list[Check]:
+    """Python, numpy, numba and its cache, processors, disk, clock."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    free = shutil.disk_usage(Path.cwd()).free
+    return [
+        judge("python", platform.python_version(), fail=sys.version_info < (3, 11), advice="landfix needs Python 3.11 or newer"),
+        judge("libraries", ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba", "mcap"))),
+        _numba_cache(),
+        judge("processors", str(cpus), warn=cpus < 2, advice="vision and estimator want a core each"),
+        judge("free disk", f"{free / 1e9:.1f} GB here", fail=free < _MIN_FREE_BYTES, warn=free < _GOOD_FREE_BYTES,
+              advice="a log with images takes 1-10 GB an hour"),
+        _clock(),
+    ]  # fmt: skip
+
+
+def _numba_cache() -> Check:
+    """Compiled kernels must be kept, or every start costs the compilation again."""
+    so3.normalise(np.array([1.0, 0.0, 0.0, 0.0]))
+    folder = Path(str(so3.normalise.stats.cache_path))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        return judge("numba cache", f"{folder}: {error.strerror}", warn=True, advice="set NUMBA_CACHE_DIR to a writable folder")
+    return judge("numba cache", str(folder))
+
+
+def _clock() -> Check:
+    """The wall clock against the one that never steps."""
+    wall, steady = time.time_ns(), time.monotonic_ns()
+    time.sleep(_CLOCK_WATCH_S)
+    elapsed = time.monotonic_ns() - steady
+    ppm = abs(time.time_ns() - wall - elapsed) / elapsed * 1e6
+    found = f"wall clock within {ppm:.0f} ppm of the steady one over {_CLOCK_WATCH_S} s"
+    return judge(
+        "clock", found, warn=ppm > _CLOCK_LIMIT_PPM, advice="something sets the clock; let chrony slew it before the flight"
+    )
+
+
+def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
+    """Does the file load, and do its numbers make sense?"""
+    try:
+        config = load(path)
+    except (ConfigError, OSError) as error:
+        return [judge("config", str(error), fail=True, advice="landfix doctor --config lists all keys")], None
+    checks = [judge("config", str(path) if path else "defaults")]
+    for name, (low, high) in TYPICAL_NOISE.items():
+        value = getattr(config.imu, name)
+        found = f"{value:g} (typical {low:g} to {high:g})"
+        advice = "units are rad, m, s and sqrt(Hz); data sheets give degrees/hour or ug"
+        checks.append(judge(f"imu.{name}", found, warn=not low <= value <= high, advice=advice))
+    folder = path.parent if path else Path()
+    for key, given in (("map.landmarks", config.map.landmarks), ("rig.file", config.rig.file)):
+        if given:
+            file = folder / given
+            checks.append(
+                judge(key, str(file), fail=not file.is_file(), advice="no such file; paths count from the config's folder")
+            )
+    return checks, config
