@@ -50,8 +50,9 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if options.pose_fix_hz > 0.0:
         aids.append(_pose_fixes(reader, options, known, B))
     truth = _truth(reader, options, known, B)
-    if len(aids) == 0:
-        notes.append(f"{source.name}: neither GNSS nor pose fixes: the estimator will have nothing to start from")
+    if not any(s.topic in ("/gnss", "/pose_fix") for s in aids):
+        hint = "; --pose-fix-hz takes some from vision.csv" if reader.has("vision") else ""
+        notes.append(f"{source.name}: neither GNSS nor pose fixes, so the estimator has nothing to start from{hint}")
     settings = _settings(known, checks, aids, truth)
     return Recording((*aids, imu, *([truth] if truth else [])), settings, tuple(notes))
 
@@ -66,13 +67,20 @@ class _Reader:
 
     def table(self, *stems: str) -> Table | None:
         """The table in the first of these files that is there."""
-        paths = (self.folder / f"{stem}{ending}" for stem in stems for ending in (".csv", ".csv.gz"))
-        path = next((p for p in paths if p.is_file()), None)
+        path = self._path(*stems)
         if path is None:
             return None
         table = read_table(path, self._t0_ns)
         self.notes.extend(table.notes)
         return table
+
+    def has(self, stem: str) -> bool:
+        """Whether there is such a file."""
+        return self._path(stem) is not None
+
+    def _path(self, *stems: str) -> Path | None:
+        paths = (self.folder / f"{stem}{ending}" for stem in stems for ending in (".csv", ".csv.gz"))
+        return next((p for p in paths if p.is_file()), None)
 
 
 def _checks(folder: Path) -> dict[str, object]:
@@ -229,7 +237,7 @@ def _settings(known: DataSet, checks: dict[str, object], aids: list[Stream], tru
     origin: Vec3 | None = (float(lla[0]), float(lla[1]), float(lla[2])) if isinstance(lla, list) and len(lla) == 3 else None
     gnss = next((s for s in aids if s.topic == "/gnss"), None)
     if gnss and truth:
-        origin = sensors.origin_of_truth(gnss, truth, origin)
+        origin = sensors.origin_of_truth(gnss, truth, known.gnss_delay_s, origin)
     return Settings(
         known.noise, known.noise_reason, known.gnss_delay_s, known.antenna_b_m, origin if gnss else None, known.altitude
     )

@@ -118,6 +118,8 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
     except ValueError:
         rows, note = _whole(rows, len(names))
         notes += [f"{path.name}: {note}"] if note else []
+        if not rows:
+            raise LogError(f"{path.name}: no line with {len(names)} cells, as the header has") from None
         values = np.array([[_number(cell) for cell in row.split(",")] for row in rows]).reshape(-1, len(names))
     t_ns = _times(path.name, names, rows, _VALIDITY, t0_ns)
     if t_ns is None:
@@ -127,7 +129,7 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
         notes.append(f"{path.name}: {np.count_nonzero(~stamped)} lines without a time left out")
         rows = [row for row, keep in zip(rows, stamped.tolist(), strict=True) if keep]
     if not stamped.any():
-        raise LogError(f"{path.name}: no line with a time and {len(names)} cells in it")
+        raise LogError(f"{path.name}: no line with a time")
     arrived_ns = _times(path.name, names, rows, _ARRIVAL, t0_ns)
     return Table(path.name, names, values[stamped], t_ns[stamped], arrived_ns, tuple(notes))
 

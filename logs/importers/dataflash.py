@@ -35,6 +35,7 @@ _FIELDS = {
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
+_STAMPS = {"TimeUS": 1.0, "T": 1e3, "TimeMS": 1e3}  # us; TimeMS of a GPS row is the receiver's, its T is the log's
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 _ALIASES = {"IMU2": "IMU", "IMU3": "IMU", "GPS2": "GPS", "NKF1": "XKF1", "EKF1": "XKF1"}  # same fields under another name
 _DELAYS = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EK2_GPS_DELAY", "EKF_POS_DELAY")  # parameters, newest first; 0: not given
@@ -49,22 +50,23 @@ Tables = Mapping[str, Mapping[str, Array]]  # message -> field -> column
 def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
     """The recording in a .bin file. Raises LogError."""
     options.refuse_but("dataflash", "imu")
+    name = options.imu.upper() or "IMU"
     with contextlib.closing(_open(source)) as log, _silence():
-        tables = _tables(source, log, progress)
+        tables = _tables(source, log, name, progress)
         timebase_us = round(1e6 * getattr(log.clock, "timebase", 0.0))
         parameters: dict[str, float] = dict(log.params)
     notes: list[str] = []
     if timebase_us <= 0:
         timebase_us = EPOCH_NS // 1000
         notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
-    imu = _imu(source, tables, options.imu.upper() or "IMU", timebase_us, notes)
+    imu = _imu(source, tables, name, timebase_us, notes)
     gnss = [s for suffix in ("", "2") for s in _gnss(source, tables, suffix, timebase_us)]
     truth = _truth(tables, timebase_us, notes)
     origin, delay_s = None, 0.0
     if gnss:
         notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         delay_s = _delay_s(parameters, gnss[0])
-        origin = sensors.origin_of_truth(gnss[0], truth, _known_origin(tables)) if truth else None
+        origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
     return Recording((*gnss, *_baro(tables, timebase_us), imu, *([truth] if truth else [])), settings, tuple(notes))
 
@@ -92,33 +94,45 @@ def _silence() -> Iterator[None]:
         yield
 
 
-def _tables(source: Path, log: Any, progress: Progress | None) -> Tables:
-    """All wanted messages; instance k > 0 of a message under its name with k + 1 behind. Fields a version lacks are nan."""
-    wanted = [*_FIELDS, *_ALIASES]
-    rows: dict[str, list[list[float]]] = {}
+class _Layout:
+    """How this version of ArduPilot writes one message: where its stamp, its instance and the wanted fields are."""
+
+    def __init__(self, source: Path, message: Any) -> None:
+        there = set(message.get_fieldnames())
+        stamp = next((field for field in _STAMPS if field in there), None)
+        if stamp is None:
+            raise LogError(f"{source.name}: rows without TimeUS or TimeMS: the log is of an ArduPilot before 3.0")
+        self._stamp, self._unit_us = stamp, _STAMPS[stamp]
+        self._instance = next((field for field in ("I", "C") if field in there), None)
+        self.name = message.get_type()
+        self.fields = _FIELDS[_ALIASES.get(self.name, self.name)]
+        self._present = [field in there for field in self.fields]
+
+    def key(self, message: Any) -> str:
+        """The message's name, with k + 1 behind for its instance k > 0."""
+        instance = getattr(message, self._instance) if self._instance else 0
+        return f"{self.name}{instance + 1}" if instance else self.name
+
+    def row(self, message: Any) -> list[float]:
+        """Stamp [us since boot] and fields; nan for those that this version lacks."""
+        fields = (getattr(message, f) if there else np.nan for f, there in zip(self.fields, self._present, strict=True))
+        return [getattr(message, self._stamp) * self._unit_us, *fields]
+
+
+def _tables(source: Path, log: Any, imu: str, progress: Progress | None) -> Tables:
+    """All messages that are of use, those of other IMUs than `imu` left out."""
+    wanted = [n for n in (*_FIELDS, *_ALIASES) if not n.startswith("IMU") or n in ("IMU", imu)]
+    layouts: dict[str, _Layout] = {}
+    rows: dict[str, tuple[_Layout, list[list[float]]]] = {}
     count = 0
     while (message := log.recv_match(type=wanted)) is not None:
         name = message.get_type()
-        instance = getattr(message, "I", getattr(message, "C", 0))
-        fields = _FIELDS[_ALIASES.get(name, name)]
-        row = [_time_us(source, message), *(getattr(message, field, np.nan) for field in fields)]
-        rows.setdefault(f"{name}{instance + 1}" if instance else name, []).append(row)
+        layout = layouts.get(name) or layouts.setdefault(name, _Layout(source, message))
+        rows.setdefault(layout.key(message), (layout, []))[1].append(layout.row(message))
         count += 1
         if progress and count % 10_000 == 0:
             progress(log.percent / 100.0)
-    return {
-        name: dict(zip((_TIME, *_FIELDS[_ALIASES.get(name, name.rstrip("23456789"))]), np.array(row, float).T, strict=True))
-        for name, row in rows.items()
-    }
-
-
-def _time_us(source: Path, message: Any) -> float:
-    """Since boot. TimeMS of a GPS row is the receiver's; its T is ours."""
-    for field, unit in (("TimeUS", 1.0), ("T", 1e3), ("TimeMS", 1e3)):
-        stamp = getattr(message, field, None)
-        if stamp is not None:
-            return float(stamp) * unit
-    raise LogError(f"{source.name}: rows without TimeUS or TimeMS: the log is of an ArduPilot before 3.0")
+    return {key: dict(zip((_TIME, *lay.fields), np.array(r, float).T, strict=True)) for key, (lay, r) in rows.items()}
 
 
 def _t_ns(time_us: Array, timebase_us: int) -> Times:
@@ -132,8 +146,7 @@ def _vector(table: Mapping[str, Array], *fields: str) -> Array:
 def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[str]) -> Stream:
     table = tables.get(name)
     if table is None:
-        there = ", ".join(sorted(n for n in tables if n.startswith("IMU"))) or "none"
-        raise LogError(f"{source.name}: no IMU messages called {name} in it (there are: {there})")
+        raise LogError(f"{source.name}: no IMU messages called {name} in it{'; try --imu IMU' if name != 'IMU' else ''}")
     gyro_b, accel_b = _vector(table, "GyrX", "GyrY", "GyrZ"), _vector(table, "AccX", "AccY", "AccZ")
     t_ns = _t_ns(table[_TIME], timebase_us)
     notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)

@@ -9,6 +9,7 @@ from models.messages import Array, Vec3
 
 UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
 VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
+_TRUTH_GAP_NS = 1_500_000_000  # a truth with larger gaps is not interpolated
 _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes are right
 
 
@@ -71,35 +72,43 @@ def standard_pressure(height_m: Array) -> Array:
     return np.asarray(101325.0 * np.maximum(1.0 - 2.25577e-5 * height_m, 0.0) ** 5.25588)
 
 
-def origin_of_truth(gnss: Stream, truth: Stream, known: Vec3 | None = None) -> Vec3 | None:
+def origin_of_truth(gnss: Stream, truth: Stream, delay_s: float, known: Vec3 | None = None) -> Vec3 | None:
     """Latitude, longitude [deg], height [m] of the point that the truth is relative to: the median over the fixes of
 
-        origin = place of the fix (-) p_n at its time
+        origin = place of the fix (-) p_n, of the truth at its time, which is its stamp less delay_s
 
-    `known`, what the log itself says, is taken when it agrees to 2 m in each axis. None where fixes and truth never meet.
+    `known`, what the log itself says, is taken when it agrees to 2 m in each axis, or where fixes and truth never meet.
     """
-    lla, status, t_ns = gnss.columns[0], gnss.columns[2], truth.t_ns
-    fixes = np.flatnonzero((status >= 0) & np.isfinite(lla).all(axis=1))
-    if len(t_ns) == 0:
+    lla, status = gnss.columns[0], gnss.columns[2]
+    p_n = _position_at(gnss.t_ns - round(delay_s * 1e9), truth)
+    fixes = np.flatnonzero((status >= 0) & np.isfinite(lla).all(axis=1) & np.isfinite(p_n).all(axis=1))
+    if len(fixes) == 0:
         return known
-    nearest = np.clip(np.searchsorted(t_ns, gnss.t_ns[fixes]), 0, len(t_ns) - 1)
-    p_n = truth.columns[0][nearest]
-    good = (np.abs(t_ns[nearest] - gnss.t_ns[fixes]) < 200_000_000) & np.isfinite(p_n).all(axis=1)
-    if not good.any():
+    fixes = fixes[:: max(1, len(fixes) // 300)]  # a median needs no more
+    lla, p_n = lla[fixes], p_n[fixes]
+    if known is not None and np.abs(_offset(Origin(*known), lla, p_n)).max() < 2.0:
         return known
-    fixes, p_n = fixes[good], p_n[good]
-    every = max(1, len(fixes) // 300)  # a median needs no more
-    fixes, p_n = fixes[::every], p_n[::every]
-    if known is not None and np.abs(_offset(Origin(*known), lla[fixes], p_n)).max() < 2.0:
-        return known
-    lat, lon, alt = lla[fixes[0]].tolist()
+    lat, lon, alt = lla[0].tolist()
     origin = Origin(lat, lon, alt)
     for _ in range(3):  # n turns a little with its origin
-        offset = _offset(origin, lla[fixes], p_n)
-        origin = Origin(*origin.to_geodetic(offset))
+        origin = Origin(*origin.to_geodetic(_offset(origin, lla, p_n)))
     return origin.lat_deg, origin.lon_deg, origin.alt_m
 
 
 def _offset(origin: Origin, lla: Array, p_n: Array) -> Array:
     places = np.array([origin.to_ned(*place) for place in lla.tolist()])
     return np.asarray(np.median(places - p_n, axis=0))
+
+
+def _position_at(t_ns: Times, truth: Stream) -> Array:
+    """p_n (n, 3) of the truth at t_ns, on the line between its neighbours; nan where these are far apart, or there are none."""
+    p_n = np.full((len(t_ns), 3), np.nan)
+    if len(truth) < 2:
+        return p_n
+    after = np.clip(np.searchsorted(truth.t_ns, t_ns), 1, len(truth) - 1)
+    before = after - 1
+    span = truth.t_ns[after] - truth.t_ns[before]
+    share = (t_ns - truth.t_ns[before]) / np.maximum(span, 1)
+    between = (share >= 0.0) & (share <= 1.0) & (span < _TRUTH_GAP_NS)
+    line = truth.columns[0]
+    return np.where(between[:, np.newaxis], line[before] + share[:, np.newaxis] * (line[after] - line[before]), p_n)

@@ -37,6 +37,7 @@ _FIELDS = {
 }  # fmt: skip
 _RECEIVERS = {"GPS_RAW_INT": "/gnss", "GPS2_RAW": "/gnss2"}
 _ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA: its RAW_IMU is in mG and mrad/s
+_DELAY_S = {_ARDUPILOT: 0.2, 12: 0.11}  # what the autopilots (12: PX4) take by default for the age of a fix at its stamp
 _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
 _IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2")  # the best first
 _UNKNOWN = 65535
@@ -71,12 +72,13 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     imu = _imu(source, tables, options.imu.upper(), autopilot, notes)
     gnss = [stream for name, topic in _RECEIVERS.items() for stream in _gnss(source, tables.get(name), topic)]
     truth = _truth(tables, notes)
-    origin = None
+    origin, delay_s = None, _DELAY_S.get(autopilot, 0.0)
     if gnss:
         if not any(tables[name]["alt_ellipsoid"].any() for name in _RECEIVERS if name in tables):
             notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
-        origin = sensors.origin_of_truth(gnss[0], truth, _known_origin(tables)) if truth else None
-    settings = Settings(origin=origin, altitude="above the ellipsoid where the log knows it, else above mean sea level")
+        origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
+    altitude = "above the ellipsoid where the log knows it, else above mean sea level"
+    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
     return Recording((*gnss, *_baro(tables), imu, *([truth] if truth else [])), settings, tuple(notes))
 
 

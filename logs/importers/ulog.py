@@ -44,11 +44,11 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     imu = _imu(source, topics, clock, notes)
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock)]
     truth, origin = _truth(topics, receiver, clock, notes)
-    if truth and aids and aids[0].topic == "/gnss":
-        origin = sensors.origin_of_truth(aids[0], truth, origin)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
         delay_s = 0.0  # the receiver's driver has already said when the fix was valid
+    if truth and aids and aids[0].topic == "/gnss":
+        origin = sensors.origin_of_truth(aids[0], truth, delay_s, origin)
     altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
     return Recording((*aids, imu, *([truth] if truth else [])), settings, tuple(notes))
