@@ -88,17 +88,16 @@ def receive_gnss(
     gnss: Gnss, trajectory: Trajectory, origin: Origin, epoch_ns: int, rng: np.random.Generator
 ) -> list[GnssFix | GnssVelocity]:
     """Everything the receiver says, position and velocity of one instant side by side, in order of validity."""
-    values, delivery = rng.spawn(2)
-    t_s, t_ns = _instants(gnss.rate_hz, trajectory.duration_s, epoch_ns, values)
+    t_s, t_ns = _instants(gnss.rate_hz, trajectory.duration_s, epoch_ns, rng)
     motion = trajectory.at(t_s)
     n, lever_b = len(t_s), np.array(gnss.antenna_b_m)
-    p_n = motion.p_n + motion.R_nb @ lever_b + _slow_error(gnss, n, values) + gnss.sigma_m * values.standard_normal((n, 3))
+    p_n = motion.p_n + motion.R_nb @ lever_b + _slow_error(gnss, n, rng) + gnss.sigma_m * rng.standard_normal((n, 3))
     lever_rate_b = np.cross(motion.omega_b, lever_b)
     v_n = motion.v_n + np.einsum("kij,kj->ki", motion.R_nb, lever_rate_b)
-    v_n += gnss.velocity_sigma_m_s * values.standard_normal((n, 3))
+    v_n += gnss.velocity_sigma_m_s * rng.standard_normal((n, 3))
     position_covariance = np.diag(np.square(gnss.sigma_m) + gnss.slow_sigma_m**2)
     velocity_covariance = np.diag(np.square(gnss.velocity_sigma_m_s))
-    arrived_ns = _arrivals(t_ns, gnss.delay_s, epoch_ns, trajectory.duration_s, delivery)
+    arrived_ns = _arrivals(t_ns, gnss.delay_s, epoch_ns, trajectory.duration_s, rng)
     stamps_ns = t_ns + round(gnss.stamp_lag_s * 1e9)
     messages: list[GnssFix | GnssVelocity] = []
     for k in np.flatnonzero(_received(t_s, gnss.outages_s)):
@@ -112,19 +111,18 @@ def make_pose_fixes(
     source: PoseFixes, trajectory: Trajectory, epoch_ns: int, rng: np.random.Generator
 ) -> tuple[list[PoseFix], frozenset[int]]:
     """The fixes in order of validity, and the t_ns of those that are false (outliers and lies)."""
-    values, delivery = rng.spawn(2)
-    t_s, t_ns = _instants(source.rate_hz, trajectory.duration_s, epoch_ns, values)
+    t_s, t_ns = _instants(source.rate_hz, trajectory.duration_s, epoch_ns, rng)
     motion, n = trajectory.at(t_s), len(t_s)
-    common_p = source.common_sigma_m * values.standard_normal(3)
-    common_theta = math.radians(source.common_sigma_deg) * values.standard_normal(3)
-    p_n = motion.p_n + common_p + source.sigma_m * values.standard_normal((n, 3))
-    theta_n = common_theta + np.radians(source.sigma_deg) * values.standard_normal((n, 3))
-    false = _falsify(source, t_s, p_n, theta_n, values)
+    common_p = source.common_sigma_m * rng.standard_normal(3)
+    common_theta = math.radians(source.common_sigma_deg) * rng.standard_normal(3)
+    p_n = motion.p_n + common_p + source.sigma_m * rng.standard_normal((n, 3))
+    theta_n = common_theta + np.radians(source.sigma_deg) * rng.standard_normal((n, 3))
+    false = _falsify(source, t_s, p_n, theta_n, rng)
     covariance = _pose_covariance(source.sigma_m, source.sigma_deg)
     common = None
     if source.common_reported and (source.common_sigma_m or source.common_sigma_deg):
         common = _pose_covariance((source.common_sigma_m,) * 3, (source.common_sigma_deg,) * 3)
-    arrived_ns = _arrivals(t_ns, source.delay_s, epoch_ns, trajectory.duration_s, delivery)
+    arrived_ns = _arrivals(t_ns, source.delay_s, epoch_ns, trajectory.duration_s, rng)
     received = np.flatnonzero(_received(t_s, source.outages_s))
     fixes = []
     for k in received:

@@ -148,7 +148,7 @@ def _propagate(
     gradient: float,
     Qc: Array,
 ) -> Array:
-    """P from grid point first to last; F = exp(A dt) to third order with A of the step's middle, Q by the trapezoid rule.
+    """P from grid point first to last; F = exp(A dt) to second order with A of the step's middle, Q by the trapezoid rule.
 
     The noise is isotropic in each triad, so that turning it from b to n changes nothing.
     """
@@ -156,8 +156,7 @@ def _propagate(
         dt = dts[k]
         R_mid = 0.5 * (R_nb[k] + R_nb[k + 1])
         A = _dynamics(R_mid, 0.5 * (gyro_b[k] + gyro_b[k + 1]), 0.5 * (accel_b[k] + accel_b[k + 1]), earth_rate, gradient) * dt
-        AA = A @ A
-        F = np.eye(_SIZE) + A + 0.5 * AA + AA @ A / 6.0
+        F = np.eye(_SIZE) + A + 0.5 * A @ A
         half = 0.5 * dt * Qc
         P = F @ (P + half) @ F.T + half
         P = 0.5 * (P + P.T)

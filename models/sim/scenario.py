@@ -2,8 +2,8 @@
 
     simulate(scenario, seed) -> Simulation
 
-Equal scenario and seed give equal messages. Every sensor draws from a random stream of its own, and delivery from another, so
-that switching a delay or a second sensor on leaves all measured values as they were.
+Equal scenario and seed give equal messages. Every sensor draws from a random stream of its own, the delays last, so that
+switching a delay or a second sensor on leaves all measured values as they were.
 """
 
 from dataclasses import dataclass
