@@ -8,9 +8,9 @@ from types import TracebackType
 from typing import Final, Self
 
 from mcap.records import Schema
-from mcap.writer import CompressionType, Writer
 
-from logs.reader import LogError
+from logs.mcap_writer import McapWriter
+from logs.records import LogError
 from logs.schemas import is_known, schema_text, type_hash
 
 METADATA_NAME: Final = "landfix"
@@ -62,11 +62,11 @@ class Recorder:
             self._file = self.path.open("wb")
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        self._writer = McapWriter(self._file, CHUNK_BYTES)
         try:
             with self._one_line():
                 self._writer.start(profile="ros2", library="landfix")
-                self._writer.add_metadata(METADATA_NAME, dict(metadata or {}))
+                self._writer.add_metadata(METADATA_NAME, metadata or {})
                 self._file.flush()
         except LogError:
             with suppress(OSError):  # closing tries to write once more
@@ -86,7 +86,7 @@ class Recorder:
         start = self._chunk_start_ns
         try:
             if start is None or not -FLUSH_NS < log_time_ns - start < FLUSH_NS:
-                self._writer.flush()  # type: ignore[no-untyped-call]
+                self._writer.flush()
                 self._chunk_start_ns = log_time_ns
             channel = self._channels.get((topic, schema)) or self._channel(topic, schema)
             self._writer.add_message(channel, log_time_ns, data, log_time_ns)
@@ -102,14 +102,14 @@ class Recorder:
     def flush(self) -> None:
         """Hand all that was written to the operating system: it outlives this process, though not a power cut."""
         with self._one_line():
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()
         self._chunk_start_ns = None
 
     def close(self) -> None:
         """Write index and statistics, and close the file. Again: nothing."""
         if not self._file.closed:
             with self._one_line(), self._file:
-                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._writer.finish()
 
     def _channel(self, topic: str, schema: str) -> int:
         """Register a topic, and its type where that is new."""

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-from mcap.writer import CompressionType, Writer
 
+from logs.mcap_writer import McapWriter
 from logs.records import LogError, RecordFile
 
 _CHUNK_BYTES: Final = 1024 * 1024
@@ -77,7 +77,7 @@ def _rewrite(records: RecordFile, path: Path, progress: Callable[[float], None] 
     channels: dict[int, int] = {}
     schemas = {0: 0}  # 0: none
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
+        writer = McapWriter(file, _CHUNK_BYTES)
         writer.start(profile=records.profile, library="landfix recover")
         for channel_id, sequence, log_time, publish_time, data in records:
             if channel_id not in channels:
@@ -92,11 +92,11 @@ def _rewrite(records: RecordFile, path: Path, progress: Callable[[float], None] 
             )
         for metadata in records.metadata:
             writer.add_metadata(metadata.name, metadata.metadata)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return count
 
 
-def _register(writer: Writer, records: RecordFile, channel_id: int, schemas: dict[int, int]) -> int:
+def _register(writer: McapWriter, records: RecordFile, channel_id: int, schemas: dict[int, int]) -> int:
     """The id in the new file of a channel of the old one, its schema included."""
     channel = records.channels[channel_id]
     if channel.schema_id not in schemas:
