@@ -63,12 +63,14 @@ def _open(source: Path) -> Any:
     try:
         with source.open("rb") as file:
             magic = file.read(len(_MAGIC))
+            if magic != _MAGIC:
+                raise LogError(f"{source.name}: {'not a PX4 log (.ulg)' if magic else 'the file is empty'}")
+            file.seek(0)
+            return ULog(file, list(_WANTED))
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None
-    if magic != _MAGIC:
-        raise LogError(f"{source.name}: {'not a PX4 log (.ulg)' if magic else 'the file is empty'}")
-    try:
-        return ULog(str(source), list(_WANTED))
+    except LogError:
+        raise
     except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
         raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
 

@@ -1,0 +1,179 @@
+"""PX4 logs: every value against pyulog, on logs of v1.8, v1.14 and v1.15."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyulog", reason="the extra px4 is not installed")
+
+from pyulog import ULog
+
+from logs.importers import ulog
+from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
+from logs.reader import LogError
+from models.messages import Array, Baro, GnssFix, GnssVelocity, ImuSample
+
+LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
+
+
+class Case:
+    """A log as imported, and as pyulog has it."""
+
+    def __init__(self, path: Path) -> None:
+        self.recording: Recording = ulog.read(path)
+        self.log = ULog(str(path))
+        self.messages = list(self.recording)
+        self.version = path.name
+
+    def topic(self, name: str) -> dict[str, Array]:
+        data: dict[str, Array] = next(d for d in self.log.data_list if d.name == name).data
+        return data
+
+    def t_ns(self, name: str, field: str = "timestamp") -> Times:
+        """Stamps of a topic on the clock of the recording, which the first IMU sample tells."""
+        first = int(self.topic("sensor_combined")["timestamp"][0])
+        imu = self.recording.stream("/imu")
+        assert imu is not None
+        stamps: Times = (self.topic(name)[field].astype(np.int64) - first) * 1000 + imu.t_ns[0]
+        return stamps
+
+
+def stack(topic: dict[str, Array], *names: str) -> Array:
+    return np.stack([topic[name] for name in names], axis=1).astype(np.float64)
+
+
+@pytest.fixture(scope="module", params=LOGS)
+def case(request: pytest.FixtureRequest, landfix_data: Path) -> Case:
+    return Case(landfix_data / "native_logs" / request.param)
+
+
+def test_every_imu_sample(case: Case) -> None:
+    topic = case.topic("sensor_combined")
+    got = [m for m in case.messages if isinstance(m, ImuSample)]
+    np.testing.assert_array_equal([m.gyro_b for m in got], stack(topic, *(f"gyro_rad[{k}]" for k in range(3))))
+    np.testing.assert_array_equal([m.accel_b for m in got], stack(topic, *(f"accelerometer_m_s2[{k}]" for k in range(3))))
+    np.testing.assert_array_equal([m.t_ns for m in got], case.t_ns("sensor_combined"))
+
+
+def test_the_date_is_that_of_the_receiver(case: Case) -> None:
+    start = {
+        "px4_fmuv6c_6s.ulg": 1765331252_249561_000 - (27704335 - 27329869) * 1000,  # the first fix's UTC, less the time to it
+        "px4_sitl_groundtruth_28s.ulg": EPOCH_NS + 375484685_000,  # no date in it
+        "px4_sitl_v115_31s.ulg": 1710773350354000_000,  # its stamps count from 1970
+    }[case.version]
+    imu = case.recording.stream("/imu")
+    assert imu is not None
+    assert imu.t_ns[0] == start
+
+
+def test_every_fix(case: Case) -> None:
+    topic = case.topic("vehicle_gps_position")
+    got = [m for m in case.messages if isinstance(m, GnssFix)]
+    if "lat" in topic:
+        place = stack(topic, "lat", "lon", "alt") * [1e-7, 1e-7, 1e-3]
+        if case.version == "px4_fmuv6c_6s.ulg":
+            place[:, 2] = topic["alt_ellipsoid"] * 1e-3
+    else:
+        place = stack(topic, "latitude_deg", "longitude_deg", "altitude_ellipsoid_m")
+    np.testing.assert_allclose([(m.lat_deg, m.lon_deg, m.alt_m) for m in got], place, rtol=0, atol=1e-9)
+    assert [m.status >= 0 for m in got] == (topic["fix_type"] >= 3).tolist()
+    np.testing.assert_array_equal([m.arrived_ns for m in got], case.t_ns("vehicle_gps_position"))
+    sigma = [np.sqrt(np.diag(m.covariance_n)) for m in got if m.covariance_n is not None]
+    np.testing.assert_allclose(sigma, stack(topic, "eph", "eph", "epv"), rtol=1e-6)
+
+
+def test_every_velocity_of_a_fix_that_has_one(case: Case) -> None:
+    topic = case.topic("vehicle_gps_position")
+    good = (topic["vel_ned_valid"] != 0) & (topic["fix_type"] >= 3)
+    got = [m for m in case.messages if isinstance(m, GnssVelocity)]
+    assert [m.v_n for m in got] == list(map(tuple, stack(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")[good].tolist()))
+    assert len(got) == {"px4_fmuv6c_6s.ulg": 13, "px4_sitl_groundtruth_28s.ulg": 0, "px4_sitl_v115_31s.ulg": 423}[case.version]
+
+
+def test_every_pressure(case: Case) -> None:
+    topic = case.topic("vehicle_air_data")
+    got = [m for m in case.messages if isinstance(m, Baro)]
+    np.testing.assert_array_equal([m.pressure_pa for m in got], topic["baro_pressure_pa"].astype(np.float64))
+    np.testing.assert_array_equal([m.arrived_ns for m in got], case.t_ns("vehicle_air_data"))
+    if "timestamp_sample" in topic:
+        np.testing.assert_array_equal([m.t_ns for m in got], case.t_ns("vehicle_air_data", "timestamp_sample"))
+        assert any(m.t_ns < m.arrived_ns for m in got)
+
+
+def test_truth_is_ground_truth_where_there_is_one_else_the_estimate(case: Case) -> None:
+    suffix = "_groundtruth" if case.version == "px4_sitl_groundtruth_28s.ulg" else ""
+    topic, attitude = case.topic(f"vehicle_local_position{suffix}"), case.topic(f"vehicle_attitude{suffix}")
+    valid = (topic["xy_valid"] != 0) & (topic["z_valid"] != 0) & (topic["ref_timestamp"] == topic["ref_timestamp"][-1])
+    assert valid.sum() > 50
+    got = [m for m in case.messages if isinstance(m, Truth)]
+    np.testing.assert_array_equal([m.p_n for m in got], stack(topic, "x", "y", "z")[valid])
+    np.testing.assert_array_equal([m.v_n for m in got], stack(topic, "vx", "vy", "vz")[valid])
+    q = np.array([m.q_nb_wxyz for m in got])
+    stamps = case.t_ns(f"vehicle_attitude{suffix}")
+    nearest = np.clip(np.searchsorted(stamps, [m.t_ns for m in got]), 0, len(stamps) - 1)
+    near = stack(attitude, "q[0]", "q[1]", "q[2]", "q[3]")[nearest]
+    given = np.isfinite(q).all(axis=1)
+    assert given.mean() > 0.95
+    assert np.abs(np.sum(q * near, axis=1))[given].min() > np.cos(np.deg2rad(3.0))  # half angle: within 6 degrees of a neighbour
+    assert any("autopilot's own estimate" in note for note in case.recording.notes) == (not suffix)
+
+
+def test_the_origin_is_above_the_same_surface_as_the_fixes(case: Case) -> None:
+    origin = case.recording.settings.origin
+    assert origin is not None
+    expected = {
+        "px4_fmuv6c_6s.ulg": (36.3691643, 127.3683646, 51.5585 + 19.992),  # sea level + what ellipsoid and sea level differ by
+        "px4_sitl_groundtruth_28s.ulg": (40.7423005, -74.1793004, 28.5),  # the log's own height, 0, contradicts its fixes
+        "px4_sitl_v115_31s.ulg": (47.3977418, 8.5455939, 487.957),
+    }[case.version]
+    np.testing.assert_allclose(origin, expected, atol=2e-2)
+    np.testing.assert_allclose(origin[:2], expected[:2], atol=1e-7)
+
+
+def test_the_delay_of_gnss_is_the_autopilots(case: Case) -> None:
+    assert case.recording.settings.gnss_delay_s == pytest.approx(0.11)
+
+
+def test_a_torn_log_is_read_as_far_as_it_goes(landfix_data: Path, tmp_path: Path) -> None:
+    whole = landfix_data / "native_logs/px4_sitl_v115_31s.ulg"
+    torn = tmp_path / "torn.ulg"
+    data = whole.read_bytes()
+    torn.write_bytes(data[: len(data) // 2 + 7])
+    part, all_of_it = ulog.read(torn).stream("/imu"), ulog.read(whole).stream("/imu")
+    assert part is not None
+    assert all_of_it is not None
+    assert 2000 < len(part) < len(all_of_it)
+    for mine, theirs in zip(part.columns, all_of_it.columns, strict=True):
+        np.testing.assert_array_equal(mine, theirs[: len(part)])
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", "the file is empty"),
+        (b"\xa3\x95\x80", "not a PX4 log"),
+        (b"ULog\x01\x12\x35\x01" + bytes(8), "no IMU in it"),
+        (b"ULog\x01\x12\x35", "cannot be read"),
+    ],
+)
+def test_what_is_no_px4_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+    path = tmp_path / "log.ulg"
+    path.write_bytes(content)
+    with pytest.raises(LogError) as told:
+        ulog.read(path)
+    assert str(told.value).startswith("log.ulg: ")
+    assert line in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_options_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="--axes means nothing for ulog logs"):
+        ulog.read(tmp_path, ImportOptions(axes="flu"))
+
+
+def test_without_pyulog_the_user_learns_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(LogError, match=r"pip install 'landfix\[px4\]'"):
+        ulog.read(tmp_path / "log.ulg")
