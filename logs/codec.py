@@ -6,7 +6,7 @@ unit length) pass through as they came, for the estimator to judge.
 """
 
 from logs.axes import ImuMounting
-from logs.decoding import Decoder, Odometry, Topics, decode_aid_status, decode_odometry
+from logs.decoding import Decoder, Odometry, Topics, decode_aid_status, decode_odometry, is_own_transform
 from logs.encoding import Encoded, encode, encode_input, encode_slow, encode_truth
 from logs.schemas import SCHEMAS, type_hash
 
@@ -23,5 +23,6 @@ __all__ = [
     "encode_input",
     "encode_slow",
     "encode_truth",
+    "is_own_transform",
     "type_hash",
 ]

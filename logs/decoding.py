@@ -156,6 +156,15 @@ def decode_aid_status(data: bytes) -> AidStatus:
     )
 
 
+def is_own_transform(data: bytes) -> bool:
+    """Whether a /tf message is one of our own outputs, map -> base_link alone, which a replay must not take for an input."""
+    try:
+        (transform,) = _deserialize(data, schemas.TF).transforms
+    except ValueError:  # no TFMessage, or not of one transform
+        return False
+    return (transform.header.frame_id, transform.child_frame_id) == ("map", "base_link")
+
+
 def _deserialize(data: bytes, schema: str) -> Any:
     try:
         return STORE.deserialize_cdr(data, schema)

@@ -12,7 +12,7 @@ from logs.records import LogError, RecordFile
 __all__ = ["Attachment", "LogError", "LogReader", "Record"]
 
 
-class Record(msgspec.Struct, frozen=True, eq=False):
+class Record(msgspec.Struct, frozen=True, eq=False, gc=False):
     """One logged message: schema is its type's name, log_time_ns the time it arrived."""
 
     topic: str

@@ -23,6 +23,7 @@ from logs.codec import (
     encode_input,
     encode_slow,
     encode_truth,
+    is_own_transform,
     type_hash,
 )
 from logs.schemas import STORE
@@ -111,11 +112,6 @@ def same(a: Any, b: Any) -> None:
 def ros(encoded: tuple[str, str, bytes]) -> Any:
     """The message as rosbags reads it."""
     return STORE.deserialize_cdr(encoded[2], encoded[1])
-
-
-def new(name: str, **fields: Any) -> Any:
-    make: Any = STORE.types[name]
-    return make(**fields)
 
 
 def stamp_ns(header: Any) -> int:
@@ -405,6 +401,19 @@ def test_viewers_get_the_pose_of_the_odometry_and_the_place_on_earth() -> None:
     back = Origin(47.0, 8.0, 400.0).to_ned(place.latitude, place.longitude, place.altitude)
     np.testing.assert_allclose(back, output.nav[X.P], atol=1e-6)
     exact(place.position_covariance.reshape(3, 3), odometry.covariance.reshape(6, 6)[:3, :3])
+
+
+def test_our_own_transform_is_told_from_others() -> None:
+    tf = encode_slow(estimate())[1]
+    assert is_own_transform(tf.data)
+    message = ros(tf)
+    (transform,) = message.transforms
+    message.transforms = [transform, transform]
+    assert not is_own_transform(bytes(STORE.serialize_cdr(message, schemas.TF)))
+    transform.header.frame_id = "odom"
+    message.transforms = [transform]
+    assert not is_own_transform(bytes(STORE.serialize_cdr(message, schemas.TF)))
+    assert not is_own_transform(tf.data[:50])
 
 
 def test_hashes_and_schemas() -> None:
