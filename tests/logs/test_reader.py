@@ -251,6 +251,22 @@ def test_a_damaged_length_costs_at_most_the_chunk_beside_it(tmp_path: Path, opco
         assert reader.skipped_chunks == 1
 
 
+@pytest.mark.parametrize("opcode", [0, 1, 2, 3, 4, 5, 7, 9, 11, 12, 14, 15, 0x86])
+def test_a_chunk_that_says_it_is_something_else_costs_itself_only(tmp_path: Path, opcode: int) -> None:
+    path = tmp_path / "a.mcap"
+    written = record(path, 100)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    per_chunk = [n for _, n in chunk_ends(path)]
+    damaged = bytearray(path.read_bytes())
+    damaged[summary.chunk_indexes[5].chunk_start_offset] = opcode
+    path.write_bytes(damaged)
+    got, reader = read(path)
+    assert got == written[: per_chunk[4]] + written[per_chunk[5] :]
+    assert not reader.torn
+
+
 @given(data=st.binary(max_size=300), cut=st.integers(0, 400))
 def test_anything_behind_the_magic_is_survived(tmp_path_factory: pytest.TempPathFactory, data: bytes, cut: int) -> None:
     folder = tmp_path_factory.getbasetemp()

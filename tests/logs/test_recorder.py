@@ -13,12 +13,13 @@ from rosbags.highlevel import AnyReader
 from logs import schemas
 from logs.codec import encode_input, encode_truth
 from logs.reader import LogError, LogReader
-from logs.recorder import FLUSH_NS, Recorder
+from logs.recorder import Recorder
 from logs.schemas import STORE, schema_text
 from models.messages import ImuSample, Tick
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
+FLUSH_NS = 100_000_000  # promised
 
 
 def write(path: Path, count: int = 100) -> list[tuple[str, str, bytes, int]]:

@@ -11,12 +11,13 @@ from rosbags.highlevel import AnyReader
 
 from logs.codec import encode_input
 from logs.reader import LogError, LogReader
-from logs.recorder import FLUSH_NS, Recorder
+from logs.recorder import Recorder
 from logs.recover import RecoverSummary, recover
 from models.messages import ImuSample
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
+FLUSH_NS = 100_000_000  # promised
 
 
 def record(path: Path, count: int) -> None:
