@@ -79,6 +79,8 @@ def convert(
         config.write_text(recording.settings.toml(kind, source, tuple(counts)))
     except OSError as error:
         raise LogError(f"{config}: cannot be written ({error.strerror})") from None
+    if progress:
+        progress(1.0)
     return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, recording.notes)
 
 

@@ -10,7 +10,7 @@ on the log's clock, set so that the fastest fix took no time, and what all fixes
 """
 
 import contextlib
-import io
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     """The recording in a .bin file. Raises LogError."""
     options.refuse_but("dataflash", "imu")
     name = options.imu.upper() or "IMU"
-    with contextlib.closing(_open(source)) as log, _silence():
+    with contextlib.closing(_open(source)) as log:
         tables = _tables(source, log, name, progress)
         timebase_us = round(1e6 * getattr(log.clock, "timebase", 0.0))
         parameters: dict[str, float] = dict(log.params)
@@ -89,9 +89,16 @@ def _open(source: Path) -> Any:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """pymavlink prints a line for each damaged place."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        yield
+    """pymavlink prints a line for each damaged byte, from Python and from compiled code."""
+    kept = os.dup(2)
+    try:
+        with Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+                yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 class _Layout:

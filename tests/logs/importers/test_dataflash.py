@@ -1,0 +1,260 @@
+"""ArduPilot's on-board logs: every value against pymavlink and the CSV copy of the same flight; newer forms written here."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink import DFReader
+
+from logs.importers import csv_folder, dataflash
+from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
+from logs.reader import LogError
+from models import so3
+from models.frames import Origin
+from models.messages import Baro, GnssFix, GnssVelocity, ImuSample
+
+
+@pytest.fixture(scope="module")
+def flown(landfix_data: Path) -> Path:
+    return landfix_data / "native_logs/ardupilot_log171.bin"
+
+
+@pytest.fixture(scope="module")
+def recording(flown: Path) -> Recording:
+    return dataflash.read(flown)
+
+
+@pytest.fixture(scope="module")
+def rows(flown: Path) -> dict[str, list[DFReader.DFMessage]]:
+    """All messages, by pymavlink alone."""
+    found: dict[str, list[DFReader.DFMessage]] = {}
+    with DFReader.DFReader_binary(str(flown)) as log:
+        while (message := log.recv_msg()) is not None:
+            found.setdefault(message.get_type(), []).append(message)
+    return found
+
+
+def test_every_imu_sample(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
+    got = [m for m in recording if isinstance(m, ImuSample)]
+    assert len(got) == 11916
+    assert [m.gyro_b for m in got] == [(r.GyrX, r.GyrY, r.GyrZ) for r in rows["IMU"]]
+    assert [m.accel_b for m in got] == [(r.AccX, r.AccY, r.AccZ) for r in rows["IMU"]]
+    np.testing.assert_allclose([m.t_ns * 1e-9 for m in got], [r._timestamp for r in rows["IMU"]], rtol=0, atol=2e-6)
+    steps = [m.t_ns - got[0].t_ns for m in got]
+    assert steps == [(r.TimeMS - rows["IMU"][0].TimeMS) * 1_000_000 for r in rows["IMU"]]
+
+
+def test_every_fix(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
+    got = [m for m in recording if isinstance(m, GnssFix)]
+    assert [(m.lat_deg, m.lon_deg, m.alt_m) for m in got] == [(r.Lat, r.Lng, r.Alt) for r in rows["GPS"]]
+    assert [m.status >= 0 for m in got] == [r.Status >= 3 for r in rows["GPS"]]
+    assert sum(m.status < 0 for m in got) == 161
+    np.testing.assert_allclose([m.arrived_ns * 1e-9 for m in got], [r._timestamp for r in rows["GPS"]], rtol=0, atol=2e-6)
+    last = got[-1].covariance_n
+    assert last is not None
+    np.testing.assert_allclose(np.diag(last), np.array([0.5, 0.5, 2.25]) * (3.0 * rows["GPS"][-1].HDop) ** 2)
+    velocities = [m for m in recording if isinstance(m, GnssVelocity)]
+    good = [r for r in rows["GPS"] if r.Status >= 3]
+    course = np.deg2rad([r.GCrs for r in good])
+    speed = np.array([r.Spd for r in good])
+    v_n = np.stack([speed * np.cos(course), speed * np.sin(course), [r.VZ for r in good]], axis=1)
+    np.testing.assert_allclose([m.v_n for m in velocities], v_n, atol=1e-12)
+
+
+def test_fixes_are_as_regular_as_the_receiver_made_them(recording: Recording) -> None:
+    """GIVEN arrivals that jitter by 10 ms and more WHEN stamped by the receiver's clock THEN stamps are 200 ms apart."""
+    got = [m for m in recording if isinstance(m, GnssFix) and m.status >= 0]
+    arrivals, stamps = np.diff([m.arrived_ns for m in got]) * 1e-6, np.diff([m.t_ns for m in got]) * 1e-6
+    usual = stamps[(stamps > 150) & (stamps < 250)]
+    assert len(usual) > 1000
+    assert usual.std() < 3.0
+    assert arrivals[(arrivals > 150) & (arrivals < 250)].std() > 8.0
+    latency = np.array([m.arrived_ns - m.t_ns for m in got])
+    assert latency.min() >= 0
+    assert recording.settings.gnss_delay_s == pytest.approx(
+        0.2 - 1e-9 * np.median([m.arrived_ns - m.t_ns for m in recording if isinstance(m, GnssFix)])
+    )
+
+
+def test_pressure_and_reference(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
+    assert [m.pressure_pa for m in recording if isinstance(m, Baro)] == [r.Press for r in rows["BARO"]]
+    truths = [m for m in recording if isinstance(m, Truth)]
+    assert [m.p_n for m in truths] == [(r.PN, r.PE, r.PD) for r in rows["EKF1"]]
+    assert [m.v_n for m in truths] == [(r.VN, r.VE, r.VD) for r in rows["EKF1"]]
+    r = rows["EKF1"][1500]
+    np.testing.assert_allclose(
+        np.rad2deg(so3.to_euler(np.array(truths[1500].q_nb_wxyz))), [r.Roll, r.Pitch, r.Yaw - 360 * (r.Yaw > 180)], atol=1e-9
+    )
+
+
+def test_the_same_flight_as_its_csv_copy(recording: Recording, landfix_data: Path) -> None:
+    copy = csv_folder.read(landfix_data / "flights/ardupilot_logs/log171")
+    for topic, tolerance in (("/imu", 1e-6), ("/gnss", 1e-6), ("/gnss/velocity", 1e-3), ("/truth", 1e-3)):
+        mine, theirs = recording.stream(topic), copy.stream(topic)
+        assert mine is not None
+        assert theirs is not None
+        assert len(mine) == len(theirs)
+        np.testing.assert_array_equal(np.diff(mine.arrived_ns), np.diff(theirs.arrived_ns))
+        np.testing.assert_allclose(mine.columns[0], theirs.columns[0], rtol=tolerance, atol=tolerance)
+    mine_at, theirs_at = recording.settings.origin, copy.settings.origin
+    assert mine_at is not None
+    assert theirs_at is not None
+    assert np.abs(Origin(*theirs_at).to_ned(*mine_at)).max() < 0.3
+
+
+def test_another_imu_on_request(flown: Path, rows: dict[str, list[DFReader.DFMessage]]) -> None:
+    stream = dataflash.read(flown, ImportOptions(imu="imu3")).stream("/imu")
+    assert stream is not None
+    assert stream.columns[0].tolist() == [[r.GyrX, r.GyrY, r.GyrZ] for r in rows["IMU3"]]
+
+
+def test_a_torn_and_a_damaged_log_are_read_as_far_as_possible(
+    flown: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(flown.read_bytes()[:1_000_003])
+    data[500_000:500_400] = bytes(400)
+    path = tmp_path / "torn.bin"
+    path.write_bytes(data)
+    stream = dataflash.read(path).stream("/imu")
+    assert stream is not None
+    assert 3000 < len(stream) < 5000
+    assert capfd.readouterr() == ("", "")
+
+
+# --- logs as newer versions write them ---------------------------------------------------------------------------------------
+
+FORMATS = {  # name: type, format, columns
+    "IMU": (129, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "GPS": (130, "QBBIHBcLLeffff", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw"),
+    "GPA": (131, "QBCCCC", "TimeUS,I,VDop,HAcc,VAcc,SAcc"),
+    "XKF1": (132, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH"),
+    "ORGN": (133, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
+    "PARM": (134, "QNff", "TimeUS,Name,Value,Default"),
+}
+STRUCT = {"Q": "Q", "B": "B", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
+
+
+def row(name: str, *values: float | bytes) -> bytes:
+    kind, form, _ = FORMATS[name]
+    return struct.pack("<BBB" + "".join(STRUCT[c] for c in form), 0xA3, 0x95, kind, *values)
+
+
+def header() -> bytes:
+    fmt = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    for name, (kind, form, fields) in FORMATS.items():
+        length = 3 + struct.calcsize("<" + "".join(STRUCT[c] for c in form))
+        fmt += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, name.encode(), form.encode(), fields.encode())
+    return fmt
+
+
+def imu_rows(n: int) -> bytes:
+    return b"".join(
+        row("IMU", 1_000_000 + 2500 * k, instance, 0.1 * instance, 0.2, 0.3, 0.0, 0.0, -9.75)
+        for k in range(n)
+        for instance in (0, 1)
+    )
+
+
+def gps_row(t_us: int, instance: int, gms: int, lat: int) -> bytes:
+    return row("GPS", t_us, instance, 3, gms, 2200, 12, 150, lat, 85455940, 48800, 5.0, 90.0, -0.5, 0.0)
+
+
+@pytest.fixture
+def newer(tmp_path: Path) -> Path:
+    path = tmp_path / "newer.BIN"
+    log = header() + row("PARM", 900_000, b"GPS_DELAY_MS", 150.0, 0.0) + row("ORGN", 950_000, 0, 473977400, 85455900, 48700)
+    log += imu_rows(400)
+    for k, late_us in enumerate([30_000, 0, 45_000, 10_000]):
+        t_us = 1_100_000 + 200_000 * k + late_us
+        log += gps_row(t_us, 0, 400_000_000 + 200 * k, 473977420 + k) + row("GPA", t_us, 0, 80, 120, 200, 30)
+        log += gps_row(t_us + 100, 1, 400_000_000 + 200 * k, 473977000)
+        log += row("XKF1", t_us, 0, 100, -200, 9000, 1.0, 2.0, 3.0, 0.0, 4.0, 5.0, -6.0, 0, 0, 0, 0)
+        log += row("XKF1", t_us, 1, 0, 0, 0, *([0.0] * 7), 0, 0, 0, 0)
+    path.write_bytes(log)
+    return path
+
+
+def test_instances_are_told_apart(newer: Path) -> None:
+    first, second = dataflash.read(newer), dataflash.read(newer, ImportOptions(imu="IMU2"))
+    a, b = first.stream("/imu"), second.stream("/imu")
+    assert a is not None
+    assert b is not None
+    assert (len(a), len(b)) == (400, 400)
+    np.testing.assert_allclose(a.columns[0][:, 0], 0.0)
+    np.testing.assert_allclose(b.columns[0][:, 0], 0.1, rtol=1e-6)
+    assert np.diff(a.t_ns).tolist() == [2_500_000] * 399
+    topics = [s.topic for s in first.streams]
+    assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/truth"]
+    assert len(first.stream("/truth") or ()) == 4  # of the first core only
+
+
+def test_the_receivers_own_accuracy_goes_before_dop(newer: Path) -> None:
+    fixes = [m for m in dataflash.read(newer) if isinstance(m, GnssFix)]
+    first, second = (next(m for m in fixes if m.topic == topic) for topic in ("/gnss", "/gnss2"))
+    assert first.covariance_n is not None
+    assert second.covariance_n is not None
+    np.testing.assert_allclose(np.diag(first.covariance_n), [1.44, 1.44, 4.0])
+    np.testing.assert_allclose(np.diag(second.covariance_n), np.array([0.5, 0.5, 2.25]) * 4.5**2)
+    velocity = next(m for m in dataflash.read(newer) if isinstance(m, GnssVelocity))
+    np.testing.assert_allclose(velocity.v_n, [0.0, 5.0, -0.5], atol=1e-12)
+    assert velocity.covariance_n is not None
+    np.testing.assert_allclose(velocity.covariance_n, 0.09 * np.eye(3))
+
+
+def test_stamps_are_the_receivers_and_the_rest_of_the_delay_is_in_the_settings(newer: Path) -> None:
+    """GIVEN arrivals 30, 0, 45 and 10 ms late THEN the stamps are regular, the fastest fix took no time, the median 20 ms."""
+    recording = dataflash.read(newer)
+    stream = recording.stream("/gnss")
+    assert stream is not None
+    assert np.diff(stream.t_ns).tolist() == [200_000_000] * 3
+    assert ((stream.arrived_ns - stream.t_ns) // 1_000_000).tolist() == [30, 0, 45, 10]
+    assert recording.settings.gnss_delay_s == pytest.approx(0.150 - 0.020)
+    unix_s = 315964800 + 2200 * 604800 + 400_000.2 - 18
+    assert stream.t_ns[1] == pytest.approx(unix_s * 1e9, abs=50e6)
+
+
+def test_the_origin_is_the_logs_own(newer: Path) -> None:
+    """The reference is 4 m north and 5 m east of it, and the fixes are not: so only what the fixes say can be right."""
+    recording = dataflash.read(newer)
+    assert recording.settings.origin is not None
+    stream, truth = recording.stream("/gnss"), recording.stream("/truth")
+    assert stream is not None
+    assert truth is not None
+    place = Origin(*recording.settings.origin).to_ned(*stream.columns[0][1].tolist())
+    np.testing.assert_allclose(place, [4.0, 5.0, -6.0], atol=0.3)
+
+
+def test_a_log_without_gnss_has_no_date(tmp_path: Path) -> None:
+    path = tmp_path / "indoors.bin"
+    path.write_bytes(header() + imu_rows(100))
+    recording = dataflash.read(path)
+    assert next(iter(recording)).t_ns == EPOCH_NS + 1_000_000_000
+    assert any("does not know the date" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", "the file is empty"),
+        (b"ULog\x01\x12\x35", "not an ArduPilot dataflash log"),
+        (b"\xa3\x95", "no IMU messages called IMU in it"),
+        (header(), "no IMU messages called IMU in it"),
+        (header() + imu_rows(3).replace(struct.pack("<f", -9.75), struct.pack("<f", -0.99)), "that is g"),
+    ],
+)
+def test_what_is_no_dataflash_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(content)
+    with pytest.raises(LogError) as told:
+        dataflash.read(path)
+    assert str(told.value).startswith("log.bin: ")
+    assert line in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_options_that_mean_nothing_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="--world means nothing for dataflash logs"):
+        dataflash.read(tmp_path, ImportOptions(world="enu"))
+    with pytest.raises(LogError, match=r"gone\.bin: No such file"):
+        dataflash.read(tmp_path / "gone.bin")

@@ -1,0 +1,222 @@
+"""MAVLink telemetry logs: every value against pymavlink on a flight full of radio errors; MAVLink 2 written here."""
+
+import struct
+from contextlib import closing
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink2
+
+from logs.importers import tlog
+from logs.importers.recording import ImportOptions, Recording, Truth
+from logs.reader import LogError
+from models import so3
+from models.messages import Baro, GnssFix, GnssVelocity, ImuSample
+
+
+@pytest.fixture(scope="module")
+def flown(landfix_data: Path) -> Path:
+    return landfix_data / "native_logs/ardupilot_flight.tlog"
+
+
+@pytest.fixture(scope="module")
+def recording(flown: Path) -> Recording:
+    return tlog.read(flown)
+
+
+@pytest.fixture(scope="module")
+def rows(flown: Path) -> dict[str, list[Any]]:
+    """All messages, by pymavlink alone."""
+    found: dict[str, list[Any]] = {}
+    with closing(mavutil.mavlogfile(str(flown))) as log:
+        while (message := log.recv_msg()) is not None:
+            found.setdefault(message.get_type(), []).append(message)
+    return found
+
+
+def test_every_imu_sample(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    got = [m for m in recording if isinstance(m, ImuSample)]
+    assert len(got) == 2856
+    raw = rows["RAW_IMU"]
+    np.testing.assert_allclose([m.gyro_b for m in got], [(r.xgyro * 1e-3, r.ygyro * 1e-3, r.zgyro * 1e-3) for r in raw])
+    g = 9.80665e-3
+    np.testing.assert_allclose([m.accel_b for m in got], [(r.xacc * g, r.yacc * g, r.zacc * g) for r in raw])
+    np.testing.assert_allclose([m.arrived_ns * 1e-9 for m in got], [r._timestamp for r in raw], rtol=0, atol=1e-6)
+    boots = np.flatnonzero(np.diff([r.time_usec for r in raw]) < 0) + 1
+    assert len(boots) == 1  # the vehicle was switched off and on again
+    for part in (slice(0, boots[0]), slice(boots[0], None)):
+        np.testing.assert_array_equal(np.diff([m.t_ns for m in got[part]]), np.diff([r.time_usec * 1000 for r in raw[part]]))
+
+
+def test_damage_does_not_disturb_and_is_told(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    assert len(rows["BAD_DATA"]) == 1314
+    assert "ardupilot_flight.tlog: 1314 damaged messages passed over" in recording.notes
+    assert any("IMU from RAW_IMU" in note for note in recording.notes)
+    assert any("too few to navigate by" in note for note in recording.notes)
+
+
+def test_nothing_arrives_before_it_was(recording: Recording) -> None:
+    latency = np.concatenate([s.arrived_ns - s.t_ns for s in recording.streams if s.topic != "/truth"]) * 1e-9
+    assert latency.min() >= -0.002  # a stamp may be rounded to 1 ms
+    assert np.median(latency) < 1.5
+
+
+def test_every_fix(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    got, raw = [m for m in recording if isinstance(m, GnssFix)], rows["GPS_RAW_INT"]
+    assert len(got) == len(raw) == 2858
+    by_place = {(round(m.lat_deg * 1e7), round(m.lon_deg * 1e7), round(m.alt_m * 1e3), m.status >= 0) for m in got}
+    assert by_place == {(r.lat, r.lon, r.alt, r.fix_type >= 3) for r in raw}
+    assert sum(m.status >= 0 for m in got) == sum(r.fix_type >= 3 for r in raw)
+    hdop = raw[-1].eph * 1e-2
+    assert got[-1].covariance_n is not None
+    np.testing.assert_allclose(np.diag(got[-1].covariance_n), np.array([0.5, 0.5, 2.25]) * (3.0 * hdop) ** 2)
+    first = next(m for m, r in zip(got, raw, strict=True) if r.time_usec == 0)
+    assert first.t_ns == first.arrived_ns  # not stamped by the vehicle
+
+
+def test_velocity_of_fixes_says_nothing_about_the_vertical(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    got = [m for m in recording if isinstance(m, GnssVelocity)]
+    raw = [r for r in rows["GPS_RAW_INT"] if r.fix_type >= 3 and r.vel != 65535 and r.cog != 65535]
+    speed, course = np.array([r.vel * 1e-2 for r in raw]), np.deg2rad([r.cog * 1e-2 for r in raw])
+    np.testing.assert_allclose(
+        [m.v_n[:2] for m in got], np.stack([speed * np.cos(course), speed * np.sin(course)], axis=1), atol=1e-9
+    )
+    assert got[0].covariance_n is not None
+    np.testing.assert_allclose(np.diag(got[0].covariance_n), [0.25, 0.25, 1e4])
+
+
+def test_pressure_and_reference(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    assert [m.pressure_pa for m in recording if isinstance(m, Baro)] == [r.press_abs * 100.0 for r in rows["SCALED_PRESSURE"]]
+    truths = [m for m in recording if isinstance(m, Truth)]
+    assert [m.p_n for m in truths] == [(r.x, r.y, r.z) for r in rows["LOCAL_POSITION_NED"]]
+    assert [m.v_n for m in truths] == [(r.vx, r.vy, r.vz) for r in rows["LOCAL_POSITION_NED"]]
+    position, attitude = rows["LOCAL_POSITION_NED"][700], rows["ATTITUDE"]
+    near = min(attitude, key=lambda r: abs(r.time_boot_ms - position.time_boot_ms))
+    np.testing.assert_allclose(so3.to_euler(np.array(truths[700].q_nb_wxyz)), [near.roll, near.pitch, near.yaw], atol=0.15)
+
+
+def test_a_torn_log_is_read_as_far_as_it_goes(flown: Path, tmp_path: Path) -> None:
+    path = tmp_path / "torn.tlog"
+    path.write_bytes(flown.read_bytes()[:1_000_003])
+    stream = tlog.read(path).stream("/imu")
+    assert stream is not None
+    assert 500 < len(stream) < 2000
+
+
+# --- written here ------------------------------------------------------------------------------------------------------------
+
+START_US = 1_700_000_000_000_000
+
+
+class Ground:
+    """A ground station that logs what it hears."""
+
+    def __init__(self, autopilot: int = 12, system: int = 7) -> None:
+        self.vehicle = mavlink2.MAVLink(BytesIO(), srcSystem=system, srcComponent=1)
+        self.data = b""
+        self.hear(0, mavlink2.MAVLink_heartbeat_message(2, autopilot, 0, 0, 4, 3))
+
+    def hear(self, after_us: int, message: Any) -> None:
+        self.data += struct.pack(">Q", START_US + after_us) + message.pack(self.vehicle)
+
+    def imu(self, after_us: int, boot_us: int, z: float = -9.8) -> None:
+        message = mavlink2.MAVLink_highres_imu_message(boot_us, 0.1, 0.2, z, 0.01, 0.02, 0.03, 0, 0, 0, 950.0, 0, 0, 20.0, 63)
+        self.hear(after_us, message)
+
+    def write(self, folder: Path) -> Path:
+        path = folder / "log.tlog"
+        path.write_bytes(self.data)
+        return path
+
+
+def fix(boot_us: int, *, h_acc: int = 0, vel: int = 300, cog: int = 9000, ellipsoid: int = 0) -> Any:
+    return mavlink2.MAVLink_gps_raw_int_message(
+        boot_us, 3, 473977420, 85455940, 488000, 150, 200, vel, cog, 12, ellipsoid, h_acc, 2 * h_acc, 400 if h_acc else 0
+    )
+
+
+def test_highres_imu_of_mavlink_2(tmp_path: Path) -> None:
+    ground = Ground()
+    for k, latency in enumerate([30_000, 20_000, 90_000, 20_000]):
+        ground.imu(k * 10_000 + latency, 5_000_000 + k * 10_000)
+    recording = tlog.read(ground.write(tmp_path))
+    got = [m for m in recording if isinstance(m, ImuSample)]
+    np.testing.assert_allclose([m.accel_b for m in got], [[0.1, 0.2, -9.8]] * 4, rtol=1e-6)
+    np.testing.assert_allclose([m.gyro_b for m in got], [[0.01, 0.02, 0.03]] * 4, rtol=1e-6)
+    assert sorted(m.t_ns - got[0].t_ns for m in got) == [0, 10_000_000, 20_000_000, 30_000_000]
+    assert sorted((m.arrived_ns - m.t_ns) // 1000 for m in got) == [0, 0, 10_000, 70_000]
+    assert not any("coarse" in note or "IMU from" in note for note in recording.notes)
+
+
+def test_accuracies_and_ellipsoid_height_of_mavlink_2(tmp_path: Path) -> None:
+    ground = Ground()
+    for k in range(3):
+        ground.imu(k * 10_000, 5_000_000 + k * 10_000)
+    ground.hear(35_000, fix(5_030_000, h_acc=1500, ellipsoid=535_000))
+    ground.hear(45_000, fix(5_040_000, vel=65535))
+    first, second = (m for m in tlog.read(ground.write(tmp_path)) if isinstance(m, GnssFix))
+    assert (first.lat_deg, first.lon_deg, first.alt_m) == pytest.approx((47.397742, 8.545594, 535.0))
+    assert first.covariance_n is not None
+    assert second.covariance_n is not None
+    np.testing.assert_allclose(np.diag(first.covariance_n), [2.25, 2.25, 9.0])
+    np.testing.assert_allclose(np.diag(second.covariance_n), [0.5 * 4.5**2, 0.5 * 4.5**2, 36.0])
+    (velocity,) = (m for m in tlog.read(tmp_path / "log.tlog") if isinstance(m, GnssVelocity))
+    np.testing.assert_allclose(velocity.v_n, [0.0, 3.0, 0.0], atol=1e-12)
+    assert velocity.covariance_n is not None
+    np.testing.assert_allclose(np.diag(velocity.covariance_n), [0.16, 0.16, 1e4])
+
+
+def test_a_reboot_in_flight_starts_a_new_clock(tmp_path: Path) -> None:
+    ground = Ground()
+    for k in range(10):
+        ground.imu(k * 10_000, 60_000_000 + k * 10_000)
+    for k in range(10):
+        ground.imu(20_000_000 + k * 10_000, 1_000_000 + k * 10_000)
+    stamps = [m.t_ns for m in tlog.read(ground.write(tmp_path))]
+    assert stamps == [(START_US + after * 10_000) * 1000 for after in (*range(10), *range(2000, 2010))]
+
+
+def test_raw_counts_of_other_autopilots_are_no_imu(tmp_path: Path) -> None:
+    ground = Ground(autopilot=12)
+    ground.hear(0, mavlink2.MAVLink_raw_imu_message(1000, 0, 0, -1000, 1, 2, 3, 0, 0, 0))
+    with pytest.raises(LogError, match=r"log\.tlog: no IMU messages .* \(there are: none in physical units\)"):
+        tlog.read(ground.write(tmp_path))
+    ground = Ground(autopilot=3)
+    ground.hear(0, mavlink2.MAVLink_raw_imu_message(1000, 0, 0, -1000, 1, 2, 3, 0, 0, 0))
+    (sample,) = tlog.read(ground.write(tmp_path))
+    assert isinstance(sample, ImuSample)
+    assert sample.accel_b == pytest.approx((0.0, 0.0, -9.80665))
+
+
+def test_another_imu_on_request(flown: Path, rows: dict[str, list[Any]]) -> None:
+    stream = tlog.read(flown, ImportOptions(imu="scaled_imu2")).stream("/imu")
+    assert stream is not None
+    np.testing.assert_allclose(stream.columns[0][:, 0], [r.xgyro * 1e-3 for r in rows["SCALED_IMU2"]])
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", "the file is empty"),
+        (b"ULog\x01\x12\x35" + bytes(500), "not a MAVLink telemetry log"),
+        (bytes(range(256)) * 20, "not a MAVLink telemetry log"),
+        (Ground().data, "not a MAVLink telemetry log (.tlog), or one without IMU, GPS and attitude"),
+    ],
+)
+def test_what_is_no_telemetry_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+    path = tmp_path / "log.tlog"
+    path.write_bytes(content)
+    with pytest.raises(LogError) as told:
+        tlog.read(path)
+    assert str(told.value).startswith("log.tlog: ")
+    assert line in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"gone\.tlog: No such file"):
+        tlog.read(tmp_path / "gone.tlog")
