@@ -104,8 +104,12 @@ def find_outages(
 
     A span runs from the validity of the newest absolute measurement fused to the arrival of a newer one. It is an outage where
     it is longer than 3 x the median interval between measurements, and than 2 s; or than longer_than_s. Without AidStatus the
-    Health's age of the last absolute fix is used. The start of the estimate counts as information: it was aligned by some.
+    Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate counts as
+    information: it was aligned by some.
     """
+    aids, health = tuple(aids), tuple(health)
+    if not aids and not health:
+        return {_ALL_SOURCES: []}
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     points: dict[str, list[tuple[int, int]]] = {_ALL_SOURCES: []}
     for aid in aids:
@@ -150,7 +154,7 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     comparison = compare(estimate, truth)
     comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
-    aided = ~metrics.within(comparison.t_ns, outages[_ALL_SOURCES])
+    aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[_ALL_SOURCES], estimate))
     compared = len(comparison) > 0
     path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
     without = sum(b - a for a, b in outages[_ALL_SOURCES]) * 1e-9
@@ -180,6 +184,12 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
     )
 
 
+def _with_jumps(outages: list[tuple[int, int]], estimate: Trajectory) -> list[tuple[int, int]]:
+    """Outages and the two estimates behind each: what is interpolated over the jump at its end is not aided yet."""
+    step = int(np.median(np.diff(estimate.t_ns))) if len(estimate) > 1 else 0
+    return [(start, end + 2 * step) for start, end in outages]
+
+
 def _norm(v: Iterable[float]) -> float:
     return float(np.linalg.norm(list(v)))
 
@@ -196,7 +206,7 @@ def _count_far(truth: Trajectory, estimate: Trajectory) -> int:
 def _mode_shares(health: tuple[HealthPoint, ...], end_ns: int) -> dict[str, float]:
     """Share of time in each mode, from one Health to the next."""
     total: Counter[str] = Counter()
-    for here, until in zip(health, [*(h.t_ns for h in health[1:]), end_ns], strict=True):
+    for here, until in zip(health, [*(h.t_ns for h in health), end_ns][1:], strict=True):
         total[here.mode] += max(0, until - here.t_ns)
     return {mode: ns / total.total() for mode, ns in total.items()} if total.total() else {}
 
@@ -326,6 +336,7 @@ def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
         "no truth: nothing can be said about errors": not len(evidence.truth),
         "the truth and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
         "the truth has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
-        "no /landfix/aid_status: outages are found from the health alone": not evidence.aids,
+        "no /landfix/aid_status: outages are found from the health alone": bool(evidence.health) and not evidence.aids,
+        "neither /landfix/aid_status nor /landfix/health: outages are not known": not evidence.health and not evidence.aids,
     }
     return tuple(text for text, holds in notes.items() if holds)

@@ -51,7 +51,8 @@ def _summary(e: Evaluation) -> Text:
         e.log,
         f"{e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
         f"compared with truth at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
-        f"modes: {modes or 'not told'}; without absolute information {e.without_absolute_s:.1f} s",
+        f"modes: {modes or 'not told'}",
+        f"without absolute information: {e.without_absolute_s:.1f} s in outages",
         f"latency, median / 99 %: {latency}",
     ]
     return Text("\n".join(lines))

@@ -48,11 +48,11 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class Fixes:
-    """Positions that one topic measured, (n, 3) m in map, and which of them were fused."""
+    """Positions that one topic measured, (n, 3) m in map, and which of them were used: fused, or for the alignment."""
 
     t_ns: Times
     p: Array
-    fused: Mask
+    used: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,17 +206,17 @@ def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin
 
     Found by arrival: the validity of a fix is its stamp less the delay that the estimator was told of.
     """
-    fused: dict[str, set[int]] = {}
+    used: dict[str, set[int]] = {}
     for status in aids:
-        arrivals = fused.setdefault(status.topic, set())
-        if status.reason is Reason.FUSED:
+        arrivals = used.setdefault(status.topic, set())
+        if status.reason in {Reason.FUSED, Reason.ALIGNING}:
             arrivals.add(status.arrived_ns)
     fixes = {}
     for topic, sheaf in sheaves.items():
-        positions = _positions(sheaf, origin) if topic in fused else None
+        positions = _positions(sheaf, origin) if topic in used else None
         if positions is not None:
-            was_fused = np.array([t in fused[topic] for t in positions.arrived_ns.tolist()], bool)
-            fixes[topic] = Fixes(positions.t_ns, positions.p, was_fused)
+            was_used = np.array([t in used[topic] for t in positions.arrived_ns.tolist()], bool)
+            fixes[topic] = Fixes(positions.t_ns, positions.p, was_used)
     return fixes
 
 

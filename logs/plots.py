@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from logs import metrics
 from logs.evaluate import Comparison, compare
@@ -83,17 +84,20 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
     p = np.where(within(estimate.t_ns, outages)[:, None], np.nan, estimate.p)
     blind = np.where(within(estimate.t_ns, outages)[:, None], estimate.p, np.nan)
     few, few_true = _thinned(len(estimate)), _thinned(len(truth))
+    half_view = _set_limits(axes, np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
     for row in _ellipse_rows(estimate.t_ns, outages):
-        axes.add_patch(_ellipse(estimate.p[row, :2], estimate.covariance[row, :2, :2]))
+        ellipse = _ellipse(estimate.p[row, :2], estimate.covariance[row, :2, :2])
+        if ellipse.get_height() < 2.0 * half_view:  # a larger one would be a line across the picture
+            axes.add_patch(ellipse)
     if len(truth):
         _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, "truth", linewidth=0.8, zorder=5)
-    _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided", linewidth=2.2, zorder=4)
+    if np.isfinite(p).any():
+        _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided", linewidth=2.2, zorder=4)
     if outages:
         _line(axes, blind[few, 0], blind[few, 1], ORANGE, "estimate in an outage", linewidth=2.2, zorder=4)
     _draw_fixes_from_above(axes, evidence)
     axes.plot(*estimate.p[:1, :2].T, "o", markersize=9, markerfacecolor="white", markeredgecolor=BLACK, label="start", zorder=7)
-    axes.add_patch(Ellipse((np.nan, np.nan), 0, 0, facecolor=SKY, alpha=0.35, edgecolor=BLUE, label="95 % ellipse"))
-    _set_limits(axes, np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
+    axes.plot([], [], color=SKY, linewidth=0.8, label="95 % ellipse")
     axes.set_aspect("equal")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
@@ -115,10 +119,14 @@ def draw_horizontal_error(axes: Axes, evidence: Evidence, outages: Spans) -> Non
         lowest = min(lowest, float(np.percentile(error, 2)))
         _line(axes, *_broken_at_holes(t[few], error[few]), BLACK, "horizontal error", linewidth=0.9)
         beyond = few[error[few] > radius[few]]
-        axes.plot(t[beyond], error[beyond], ".", color=VERMILLION, markersize=3, label="error beyond the radius")
+        if len(beyond):
+            axes.plot(t[beyond], error[beyond], ".", color=VERMILLION, markersize=3, label="error beyond the radius")
         axes.set_title(f"inside the 95 % radius {100.0 * np.mean(error <= radius):.1f} % of the time", fontsize=10)
     _draw_events(axes, evidence, outages)
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0.7 * lowest, None)
     axes.set_xlim(0.0, _seconds(evidence.estimate.t_ns[-1:], start)[0])
     axes.set_xlabel("time [s]")
@@ -135,8 +143,19 @@ def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, evidence:
     _line(axes, *_broken_at_holes(t, error[few]), BLUE, "error, true minus estimated", linewidth=0.9)
     axes.axhline(0.0, color=BLACK, linewidth=0.5)
     _draw_events(axes, evidence, outages)
+    _compress_outages(axes, sigma, sigma[~within(c.t_ns, outages)])
     axes.set_xlim(0.0, _seconds(evidence.estimate.t_ns[-1:], start)[0])
     axes.grid(alpha=0.25)
+
+
+def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
+    """Beyond the usual band the axis is logarithmic, where outages are so much larger that they would hide the rest."""
+    usual = float(np.median(aided)) if len(aided) else np.inf
+    if np.nanmax(sigma, initial=0.0) > 12.0 * usual > 0.0:
+        linear = 10.0 ** np.ceil(np.log10(_SIGMAS_95 * usual))
+        axes.set_yscale("symlog", linthresh=linear)
+        axes.set_title(f"logarithmic beyond ±{linear:g}", fontsize=8, loc="right")
+        axes.yaxis.set_major_formatter("{x:g}")
 
 
 def _draw_events(axes: Axes, evidence: Evidence, outages: Spans) -> None:
@@ -147,21 +166,21 @@ def _draw_events(axes: Axes, evidence: Evidence, outages: Spans) -> None:
         axes.axvspan(*_seconds(np.array(span), start), color=ORANGE, alpha=0.18, linewidth=0, zorder=0, label=label)
     if evidence.fixes:
         t = np.concatenate([_seconds(f.t_ns, start) for f in evidence.fixes.values()])
-        fused = np.concatenate([f.fused for f in evidence.fixes.values()])
-        low, high = np.full(int(fused.sum()), 0.015), np.full(int((~fused).sum()), 0.975)
-        axes.plot(t[fused], low, "|", color=GREEN, markersize=6, label="fix used", transform=edge)
+        used = np.concatenate([f.used for f in evidence.fixes.values()])
+        low, high = np.full(int(used.sum()), 0.015), np.full(int((~used).sum()), 0.975)
+        axes.plot(t[used], low, "|", color=GREEN, markersize=6, label="fix used", transform=edge)
         if len(high):
-            axes.plot(t[~fused], high, "x", color=VERMILLION, markersize=4, label="fix not used", transform=edge)
+            axes.plot(t[~used], high, "x", color=VERMILLION, markersize=4, label="fix not used", transform=edge)
 
 
 def _draw_fixes_from_above(axes: Axes, evidence: Evidence) -> None:
     if not evidence.fixes:
         return
     p = np.vstack([f.p for f in evidence.fixes.values()])
-    fused = np.concatenate([f.fused for f in evidence.fixes.values()])
-    axes.plot(*p[fused, :2].T, "o", color=GREEN, markersize=4, markeredgewidth=0, label="fix used", zorder=6)
-    if not fused.all():
-        axes.plot(*p[~fused, :2].T, "x", color=VERMILLION, markersize=5, label="fix not used", zorder=6)
+    used = np.concatenate([f.used for f in evidence.fixes.values()])
+    axes.plot(*p[used, :2].T, "o", color=GREEN, markersize=4, markeredgewidth=0, label="fix used", zorder=6)
+    if not used.all():
+        axes.plot(*p[~used, :2].T, "x", color=VERMILLION, markersize=5, label="fix not used", zorder=6)
 
 
 def _ellipse_rows(t_ns: Times, outages: Spans) -> list[int]:
@@ -176,7 +195,7 @@ def _ellipse(centre: Array, covariance: Array) -> Ellipse:
     values, vectors = np.linalg.eigh(np.where(np.isfinite(covariance), covariance, 0.0))
     width, height = 2.0 * _SIGMAS_95_PLANE * np.sqrt(np.clip(values, 0.0, None))
     angle = float(np.rad2deg(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return Ellipse((float(centre[0]), float(centre[1])), width, height, angle=angle, facecolor=SKY, alpha=0.25, edgecolor=BLUE)
+    return Ellipse((float(centre[0]), float(centre[1])), width, height, angle=angle, fill=False, edgecolor=SKY, linewidth=0.8)
 
 
 def _line(axes: Axes, x: Array, y: Array, color: str, label: str, **style: Any) -> None:
@@ -201,13 +220,14 @@ def _thinned(n: int) -> Indices:
     return np.arange(0, n, max(1, -(-n // _MOST_POINTS)))
 
 
-def _set_limits(axes: Axes, p: Array) -> None:
-    """A square around finite points and a margin: far false fixes and huge ellipses do not shrink the flight."""
+def _set_limits(axes: Axes, p: Array) -> float:
+    """A square around finite points and a margin: far false fixes and huge ellipses do not shrink the flight. Half its side."""
     p = p[np.isfinite(p).all(axis=1)]
     low, high = p.min(axis=0), p.max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * float((high - low).max()) + 0.5
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
+    return half
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -1,10 +1,13 @@
 """A log whose errors are known: truth on a circle, and an estimate whose errors are drawn from its own covariance."""
 
+import gzip
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from logs import cdr_fast, schemas
 from logs.codec import encode, encode_input, encode_slow, encode_truth
 from logs.recorder import Recorder
 from models import so3
@@ -88,6 +91,31 @@ def write(path: Path, flight: Flight) -> None:
             encode(Reset(EPOCH_NS + 10**9, EPOCH_NS + 10**9, 1, (3.0, 4.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, np.pi / 180)))[0],
             t_ns,
         )
+
+
+def write_vision(path: Path, sequence: Path) -> None:
+    """A recorded flight of EuRoC: its visual poses as the estimate (0.1 m, 1 degree an axis), its truth as the truth."""
+    with Recorder(path) as recorder:
+        for name, topic, columns in (("truth.csv", "/truth", (1, 4, 7)), ("vision.csv", "/landfix/odometry", (1, None, 4))):
+            for row in csv(sequence / name):
+                t_ns = EPOCH_NS + round(row[0] * 1e9)
+                recorder.write(topic, schemas.ODOMETRY, _odometry(t_ns, row, *columns), t_ns)
+
+
+def csv(path: Path) -> Array:
+    """Numbers of a CSV file, gzipped or not, below one header line."""
+    gz = path.with_name(path.name + ".gz")
+    with gzip.open(gz, "rt") if gz.exists() else path.open() as f:
+        return np.loadtxt(f, delimiter=",", skiprows=1)
+
+
+def _odometry(t_ns: int, row: Array, p: int, v: int | None, q: int) -> bytes:
+    """A row of a recorded flight, whose world has z up and whose body is as it is, as an Odometry."""
+    values = np.zeros(85)
+    values[0:3], values[3:7] = row[p : p + 3], np.roll(row[q : q + 4], -1)
+    values[43:46] = np.nan if v is None else Rotation.from_quat(values[3:7]).apply(row[v : v + 3], inverse=True)
+    values[7:43] = np.diag(np.repeat([0.1**2, np.deg2rad(1.0) ** 2], 3)).ravel() if v is None else 0.0
+    return cdr_fast.odometry(t_ns, values)
 
 
 def _status(fix: PoseFix, false: bool, innovation: Array, sigma: Array, revision: int) -> AidStatus:

@@ -214,7 +214,7 @@ def test_fixes_are_told_from_each_other(log: Path) -> None:
     truth = np.array([truth_at((t - EPOCH_NS) * 1e-9)[0] for t in fixes.t_ns.tolist()])[:, [1, 0, 2]] * [1, 1, -1]
     wrong = np.linalg.norm(fixes.p - truth, axis=1) > 5
     assert wrong.sum() == 8
-    np.testing.assert_array_equal(fixes.fused, ~wrong)
+    np.testing.assert_array_equal(fixes.used, ~wrong)
 
 
 def aid(t_s: float, topic: str = "/a", kind: str = "pose", reason: Reason = Reason.FUSED, late_s: float = 0.0) -> AidStatus:
@@ -238,7 +238,8 @@ def test_outages_are_told_by_source_and_of_all() -> None:
     assert seconds(find_outages(a + b, [], estimate, longer_than_s=6.0)["all"]) == []
     late = [aid(t, late_s=1.5) for t in range(41) if not 10 < t < 20]
     assert seconds(find_outages(late, [], estimate)["all"]) == [(10.0, 21.5)]
-    assert seconds(find_outages([], [], estimate)["all"]) == [(0.0, 40.0)]
+    assert seconds(find_outages(gated, [], estimate)["all"]) == [(0.0, 40.0)]
+    assert seconds(find_outages([], [], estimate)["all"]) == []  # nothing tells
     health = [HealthPoint(EPOCH_NS + t * S, "aided", max(0.0, t - 30.0)) for t in range(41)]
     assert seconds(find_outages([], health, estimate)["all"]) == [(30.0, 40.0)]
 
@@ -308,3 +309,19 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
     out = io.StringIO()
     print_table(evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",))), Console(file=out, width=80))
     assert "note: no truth" in out.getvalue()
+
+
+@pytest.mark.parametrize(("sequence", "rmse_m", "median_deg"), [("V1_02_medium", 0.06, 1.8), ("MH_04_difficult", 0.17, 0.8)])
+def test_a_real_flight_with_nothing_but_poses(
+    landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
+) -> None:
+    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README tells."""
+    flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
+    e = evaluate(tmp_path / "vision.mcap")
+    assert e.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(rmse_m, abs=0.006)
+    assert e.accuracy.attitude_deg.median == pytest.approx(median_deg, abs=0.1)
+    assert e.accuracy.se3_aligned_m.rmse <= e.accuracy.position_m.rmse
+    assert (e.modes, e.aids, e.resets, e.outages) == ({}, (), (), ())
+    assert e.notes == ("neither /landfix/aid_status nor /landfix/health: outages are not known",)
+    assert e.compared > 0.9 * e.duration_s * 200

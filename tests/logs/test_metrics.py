@@ -1,4 +1,3 @@
-import gzip
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from logs import metrics as m
 from models.messages import Array
+from tests.logs.flight_log import csv
 
 SQUARE = np.array([[0.0, 0, 0], [4, 0, 0], [4, 3, 0], [0, 3, 1]])
 SHIFT = np.array([1.0, 2.0, 3.0])
@@ -305,13 +305,6 @@ def assert_as_evo(p_est: Array, q_est: Array, p: Array, q: Array, step: int) -> 
 def test_ate_and_rpe_are_evos_on_random_trajectories(seed: int) -> None:
     p, q = random_walk(seed)
     assert_as_evo(*disturbed(seed + 100, p, q), p, q, step=7)
-
-
-def csv(path: Path) -> Array:
-    """Numbers of a CSV file, gzipped or not, below one header line."""
-    gz = path.with_name(path.name + ".gz")
-    with gzip.open(gz, "rt") if gz.exists() else path.open() as f:
-        return np.loadtxt(f, delimiter=",", skiprows=1)
 
 
 @pytest.mark.parametrize("sequence", ["MH_04_difficult", "V1_02_medium"])
