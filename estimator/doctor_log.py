@@ -73,7 +73,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
         if topic.stamps or topic.bad:
             checks += _stream(name, topic)
     for name, rows in sorted(imu.items()):
-        checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9)
+        checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9, config.imu.axes)
     return checks
 
 
@@ -84,7 +84,7 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
         wanted: tuple[str, ...] = getattr(config.inputs, name)
         present = [t for t in wanted if t in topics]
         others = sorted(t for t, v in topics.items() if v.schema == schema and t not in wanted and not t.startswith("/landfix/"))
-        found = ", ".join(present) if present else f"none of {', '.join(wanted)}" if wanted else "off"
+        found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
         advice = (
             f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"
         )
@@ -122,7 +122,7 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
     return checks
 
 
-def _imu(name: str, samples: Array, t_s: Array) -> list[Check]:
+def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     """Rate, gaps, units by the length of gravity and the fastest turn, axes by the direction of gravity."""
     finite = np.isfinite(samples).all(axis=1)
     bad = int(np.count_nonzero(~finite))
@@ -144,7 +144,7 @@ def _imu(name: str, samples: Array, t_s: Array) -> list[Check]:
     fastest = float(np.linalg.norm(samples[:, :3], axis=1).max())
     advice = "looks like deg/s: landfix wants rad/s"
     checks.append(judge(f"{name} turn rate", f"up to {fastest:.1f} rad/s", fail=fastest > _FASTEST_RAD_S, advice=advice))
-    checks.append(_axes(name, still[3:]))
+    checks.append(_axes(name, still[3:], axes))
     return checks
 
 
@@ -169,11 +169,11 @@ def _gravity(name: str, length: float) -> Check:
     return judge(f"{name} gravity", found, fail=not 0.5 * low < length < 2 * high, warn=not low < length < high, advice=advice)
 
 
-def _axes(name: str, f_b: Array) -> Check:
+def _axes(name: str, f_b: Array, axes: str) -> Check:
     """At rest and level f_b = (0, 0, -g) in FRD; another direction means other axes or a mounting rotation."""
     tilt_deg = float(np.degrees(np.arccos(np.clip(-f_b[2] / max(np.linalg.norm(f_b), 1e-9), -1.0, 1.0))))
     if tilt_deg > 135.0:
-        advice = 'the other convention fits: [imu] axes = "flu" instead of "frd", or the other way round'
+        advice = f'the other convention fits: set [imu] axes = "{"frd" if axes == "flu" else "flu"}"'
     else:
         advice = "set [imu] mounting_rpy_deg, unless the vehicle really stood or flew that way"
     found = f"gravity {tilt_deg:.0f} degrees from body down, as configured"

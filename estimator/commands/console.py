@@ -1,5 +1,5 @@
 """How commands speak: results on stdout, progress and remarks on stderr, JSON on request."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

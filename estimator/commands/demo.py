@@ -2,12 +2,15 @@
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import Json, print_json, progress
+from estimator.commands.console import Json, print_json, print_table, progress
 from estimator.commands.replay import print_summary
+
+if TYPE_CHECKING:
+    from logs.evaluation import Evaluation
 
 
 def command(
@@ -32,8 +35,20 @@ def command(
     if json:
         print_json(result)
         return
-    from logs.evaluation_table import print_table
-
     print_summary(result.replay, Path(result.estimate))
-    print_table(result.evaluation)
-    typer.echo(f"\n{result.picture}\n{result.estimate}")
+    _print_verdict(result.evaluation)
+    typer.echo(f"\npicture: {result.picture}\nmore: landfix evaluate {result.estimate} --outage 5")
+
+
+def _print_verdict(evaluation: "Evaluation") -> None:
+    """The few figures that say whether it worked."""
+    rows = []
+    if evaluation.accuracy:
+        rows.append(("error with fixes, RMSE", f"{evaluation.accuracy.aided_position_m.rmse:.2f} m"))
+    for outage in evaluation.outages:
+        if outage.source == "all" and outage.drift:
+            promised = f", promised 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
+            rows.append((f"after {outage.duration_s:.0f} s of blackout", f"{outage.drift.end_m:.2f} m{promised}"))
+    if evaluation.honesty:
+        rows.append(("inside the 95 % radius", f"{evaluation.honesty.radius95_covered:.0%} of the time"))
+    print_table("Against the truth", rows)

@@ -15,6 +15,9 @@ def command(
         str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
     ] = "/truth",
     burn_in_s: Annotated[float, typer.Option("--burn-in", metavar="SECONDS", min=0, help="Leave out the beginning.")] = 0.0,
+    outage_s: Annotated[
+        float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Say how good an estimate was.
@@ -30,7 +33,7 @@ def command(
     from logs.evaluate import evaluate
 
     with progress(f"read {log.name}") as report:
-        evaluation = evaluate(log, truth, burn_in_s=burn_in_s, progress=report)
+        evaluation = evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, progress=report)
     if json:
         print_json(evaluation)
         return

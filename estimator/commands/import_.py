@@ -22,27 +22,35 @@ class Kind(StrEnum):
 
 def command(
     kind: Annotated[Kind, typer.Argument(help="Layout of the recording.")],
-    source: Annotated[
-        Path, typer.Argument(help="csv, euroc: a directory; ulog (PX4), dataflash (ArduPilot .bin), tlog (MAVLink): a file.")
-    ],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="csv, euroc: a folder; ulog, dataflash, tlog: a file.")],
     out: Out,
+    axes: Annotated[str, typer.Option(metavar="XYZ", help="csv, euroc: where the IMU's axes point, as in frd or urf.")] = "",
+    world: Annotated[str, typer.Option(metavar="XYZ", help="csv: where the positions' axes point, as in ned or enu.")] = "",
+    imu: Annotated[str, typer.Option(metavar="NAME", help="Which of several IMUs: imu2, IMU3.")] = "",
+    pose_fix_hz: Annotated[
+        float, typer.Option(min=0, help="csv: at most so many poses of vision.csv a second as pose fixes.")
+    ] = 0.0,
     json: Json = False,
 ) -> None:
     """Turn another program's recording into a log.
 
+    OUT.toml, written beside it, is the configuration that fits: topics, axes, the sensors' noise.
+
     \b
     Examples:
       landfix import csv flight_dir -o flight.mcap       imu.csv, truth.csv, gps.csv (also .csv.gz)
-      landfix import euroc MH_03_medium -o flight.mcap   the EuRoC data set's own layout (mav0/...)
-      landfix import ulog flight.ulg -o flight.mcap
-      landfix import dataflash 00000171.BIN -o flight.mcap
-      landfix import tlog flight.tlog -o flight.mcap
+      landfix import csv flight_dir -o flight.mcap --pose-fix-hz 2
+      landfix import euroc MH_03_medium -o flight.mcap   the data set's own layout (mav0/...)
+      landfix import ulog flight.ulg -o flight.mcap      PX4
+      landfix import dataflash 171.BIN -o flight.mcap    ArduPilot, on board
+      landfix import tlog flight.tlog -o flight.mcap     MAVLink, on the ground
     """
-    from logs.importers import convert
+    from logs.importers import ImportOptions, convert
 
+    options = ImportOptions(axes=axes, world=world, imu=imu, pose_fix_hz=pose_fix_hz)
     with progress(f"import {source.name}") as report:
-        counts = convert(kind.value, source, out, report)
+        summary = convert(kind.value, source, out, report, options)
     if json:
-        print_json({"out": str(out), "messages": counts})
+        print_json(summary)
     else:
-        typer.echo(f"{out}: {counts}")
+        typer.echo(f"{out}: {summary}")
