@@ -10,7 +10,6 @@ part in S and in the correlations, and are never corrected (Schmidt 1966). With 
 full update whose considered block and mean are put back (Bierman 1977, sec. VIII.3).
 """
 
-import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -22,7 +21,7 @@ from estimator.samples import ImuBuffer
 from models import imu, so3
 from models.measurements import Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
-from models.state import E, X
+from models.state import E, X, sound
 
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 
@@ -71,11 +70,12 @@ class Innovation:
 class Eskf:
     """State, covariance and time of one filter."""
 
-    __slots__ = ("considered", "constants", "cov", "t_ns", "x")
+    __slots__ = ("considered", "constants", "cov", "sound", "t_ns", "x")
 
     def __init__(self, t_ns: int, x: Array, cov: Array, constants: Array, considered: Considered = NOTHING_CONSIDERED) -> None:
         self.t_ns, self.x, self.cov = t_ns, x, cov
         self.constants, self.considered = constants, considered
+        self.sound = True  # state.sound of the present state
 
     def copy(self) -> "Eskf":
         """An independent filter in the same state."""
@@ -84,7 +84,7 @@ class Eskf:
     def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
         c = self.considered
-        imu.propagate(
+        self.sound = imu.propagate(
             self.x, self.cov, samples.t_ns, samples.u, samples.count, index, self.t_ns, to_ns, self.constants, c.tau_s, c.sigma2
         )  # fmt: skip
         self.t_ns = to_ns
@@ -123,7 +123,7 @@ class Eskf:
         if len(cov) > E.SIZE:
             cov[E.SIZE :, E.SIZE :] = self.cov[E.SIZE :, E.SIZE :]
         self.cov = cov
-        inject(self.x, self.cov, dx[: E.SIZE])
+        self.sound = inject(self.x, self.cov, dx[: E.SIZE])
 
 
 _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
@@ -131,8 +131,8 @@ _P, _V, _T, _G, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.SIZE
 
 
 @njit(cache=True)
-def inject(x: Array, cov: Array, dx: Array) -> None:
-    """x <- x (+) dx and P <- G P G^T, in place; dx (15,)."""
+def inject(x: Array, cov: Array, dx: Array) -> bool:
+    """x <- x (+) dx and P <- G P G^T, in place; dx (15,). False where the result is not sound."""
     for i in range(_XQ - _XP):
         x[_XP + i] += dx[_P + i]
     for i in range(_N - _G):
@@ -157,18 +157,4 @@ def inject(x: Array, cov: Array, dx: Array) -> None:
             mean = 0.5 * (cov[i, j] + cov[j, i])
             cov[i, j] = mean
             cov[j, i] = mean
-
-
-@njit(cache=True)
-def sound(x: Array, cov: Array) -> bool:
-    """Whether every number is finite and every variance positive."""
-    for i in range(x.shape[0]):
-        if not math.isfinite(x[i]):
-            return False
-    for i in range(cov.shape[0]):
-        if not cov[i, i] > 0.0:
-            return False
-        for j in range(i):
-            if not math.isfinite(cov[i, j]):
-                return False
-    return True
+    return sound(x, cov)

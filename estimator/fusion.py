@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from estimator.eskf import Eskf, sound
+from estimator.eskf import Eskf
 from estimator.history import Entry, History
 from estimator.initialise import InitialiseConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
@@ -175,7 +175,7 @@ class Fusion:
         last = self._published
         if tracker.is_aligned and tracker.hypotheses is not None and (last is None or t_ns > last.t_ns):
             lead = tracker.hypotheses.lead
-            if not sound(lead.x, lead.cov):
+            if not lead.sound:
                 return [self._restart(t_ns, arrived_ns)]
             if last is not None and changed and (jump := self._jump(last, lead, t_ns)) is not None:
                 self._reset_counter += 1

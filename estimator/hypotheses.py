@@ -12,8 +12,8 @@ it later: it keeps the lie and locks the truth out. So the decision stays open w
 
 e is the share of false readings, u their uniform density, tau how long a fault that repeats itself lasts. The leading
 hypothesis is the estimate; another takes over when its weight is larger by a margin. A believer starts with at least the
-weight of "the filter itself is wrong", e^-b, whatever its distance: consistent fixes are believed after b tau = believe_after_s,
-never locked out, and a cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking with
+weight of "the filter itself is wrong", e^-b, whatever its distance: consistent fixes are believed after believe_after_s (sooner when
+the filter has long been unaided), never locked out, and a cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking with
 fault modes; Blackman and Popoli 1999, ch. 16.)
 """
 
@@ -29,7 +29,8 @@ from models.messages import Array
 _MOST = 3  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
-_LEAST_DOUBT = 2.0  # ln: a sceptic starts at least this far behind
+_LEAST_DOUBT = 1.0  # ln: a new hypothesis starts at least this far behind
+_TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
 
@@ -44,17 +45,19 @@ class Doubt:
 
 @dataclass(slots=True, eq=False)
 class Hypothesis:
-    """One filter, the logarithm of its weight, when it last differed from the leading one, and what it disbelieves (by topic)."""
+    """One filter, the logarithm of its weight, when it last fused a position, when it last differed from the leading one,
+    and what it disbelieves (by topic)."""
 
     filter: Eskf
     weight: float = 0.0
+    fused_ns: int = 0
     parted_ns: int = 0
     doubts: dict[str, Doubt] = field(default_factory=dict)
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
-        return Hypothesis(self.filter.copy(), self.weight, self.parted_ns, doubts)
+        return Hypothesis(self.filter.copy(), self.weight, self.fused_ns, self.parted_ns, doubts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +101,7 @@ class Hypotheses:
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
         self.members += born
-        if len(self.members) > 1:
-            self._rank(aid.t_ns)
+        self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0])
 
     def _answer(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> bool:
@@ -119,6 +121,8 @@ class Hypotheses:
             member.weight += math.log1p(-aid.rules.false_share) + seen[k].log_likelihood
             member.doubts.pop(aid.topic, None)
             member.filter.update(seen[k])
+            if aid.absolute:
+                member.fused_ns = aid.t_ns
             return True
         member.weight += aid.log_false
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
@@ -146,8 +150,11 @@ class Hypotheses:
             math.log(_OVERCONFIDENT_SHARE) + first.log_likelihood
             + 0.5 * first.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
-        broken = aid.log_false - aid.rules.believe_after_s / aid.rules.lie_s
-        believer.weight += max(overconfident, broken)
+        unaided_s = (aid.t_ns - lead.fused_ns) * 1e-9
+        patience_s = aid.rules.believe_after_s / (1.0 + unaided_s / _TRUST_FADES_S)
+        broken = aid.log_false + _TAKE_OVER - patience_s / aid.rules.lie_s
+        believer.weight += min(max(overconfident, broken), aid.log_false - _LEAST_DOUBT)
+        believer.fused_ns = aid.t_ns
         believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)
         believer.filter.widen(math.sqrt(first.distance2 / dof))
@@ -157,7 +164,7 @@ class Hypotheses:
     def _rank(self, t_ns: int) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""
         lead, *others = self.members
-        best = max(others, key=lambda m: m.weight)
+        best = max(others, key=lambda m: m.weight, default=lead)
         if best.weight > lead.weight + _TAKE_OVER:
             others = [lead, *(m for m in others if m is not best)]
             lead = best

@@ -160,20 +160,22 @@ class Tracker:
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
         if whole or self.hypotheses is None:
             stretch = self._stretch(samples)
-            if stretch is None:
-                return Decision(Reason.ALIGNING, detail="waiting for the IMU")
-            self.plausibility = stream_plausibility(stretch)
-            if self.plausibility.phase is not Phase.ACTIVE:
-                return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
-            at = initialise.level(self.t_ns, stretch, config)
+            at = None
+            if stretch is not None:
+                self.plausibility = stream_plausibility(stretch)
+                if self.plausibility.phase is not Phase.ACTIVE:
+                    return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
+                at = initialise.level(self.t_ns, stretch, config)
             if whole and isinstance(z, Pose):
                 if self.hypotheses is None or len(self.hypotheses.members) > 1:
                     self.hypotheses = initialise.start_from_pose(self.t_ns, z, at, self.constants, config)
                     return Decision(Reason.ALIGNING)
-            elif aid.absolute and isinstance(z, Pose | Position):
-                return self._find_heading(aid, z, at, samples, gyro_b)
-            else:
+            elif not aid.absolute or not isinstance(z, Pose | Position):
                 return Decision(Reason.ALIGNING, detail="waiting for a position")
+            elif at is None:
+                return Decision(Reason.ALIGNING, detail="waiting for the IMU")
+            else:
+                return self._find_heading(aid, z, at, samples, gyro_b)
         assert self.hypotheses is not None
         initialise.weigh(self.hypotheses, aid, z, gyro_b)
         if initialise.aligned(self.hypotheses, config):

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.frames import GRAVITY, Origin
 from models.messages import Array
-from models.state import E, X
+from models.state import E, X, sound
 
 # Compiled code reads plain integers: where the parts of the error state and of the packed nominal state begin.
 _P, _V, _T, _G, _A, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.BA.start, E.SIZE
@@ -322,8 +322,8 @@ def _step(
 def propagate(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int,
     c: Array, tau: Array, sigma2: Array,
-) -> int:  # fmt: skip
-    """Take state and covariance from `from_ns` to `to_ns`, in place; the index of the first sample after `to_ns` is returned.
+) -> bool:  # fmt: skip
+    """Take state and covariance from `from_ns` to `to_ns`, in place; False where the result is not sound (state.sound).
 
     x: (16,) nominal; cov: (n, n), n = 15 + considered states; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
     accel; i: first sample with t_ns[i] > from_ns; c: constants(); tau, sigma2: (n - 15,) of the considered states.
@@ -347,7 +347,7 @@ def propagate(
         from_ns = end
         if i < count and end == t_ns[i]:
             i += 1
-    return i
+    return sound(x, cov)
 
 
 @njit(cache=True)

@@ -7,10 +7,12 @@
 No other file writes an index of the state.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numba import njit
 
 from models import so3
 from models.messages import Array
@@ -82,3 +84,19 @@ def local(x: Array, y: Array) -> Array:
     dx[E.THETA] = so3.quat_log(so3.multiply(so3.conjugate(x[X.Q]), y[X.Q]))
     dx[E.BG], dx[E.BA] = y[X.BG] - x[X.BG], y[X.BA] - x[X.BA]
     return dx
+
+
+@njit(cache=True)
+def sound(x: Array, cov: Array) -> bool:
+    """Whether state and covariance may be published: every number finite, every variance positive.
+
+    A covariance that is not finite off its diagonal makes the next state so; the diagonal is what costs nothing to watch.
+    """
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += x[i]
+    for i in range(cov.shape[0]):
+        if not cov[i, i] > 0.0:
+            return False
+        total += cov[i, i]
+    return math.isfinite(total)

@@ -28,15 +28,13 @@ class Plausibility(NamedTuple):
 
 def sample_refusal(sample: ImuSample) -> Refusal | None:
     """Why one sample cannot be used."""
-    g, a = sample.gyro_b, sample.accel_b
-    total = g[0] + g[1] + g[2] + a[0] + a[1] + a[2]
-    if not math.isfinite(total):
+    (p, q, r), (x, y, z) = sample.gyro_b, sample.accel_b
+    w, f = _FASTEST_RAD_S, _STRONGEST_M_S2
+    if -w < p < w and -w < q < w and -w < r < w and -f < x < f and -f < y < f and -f < z < f:
+        return None
+    if not all(map(math.isfinite, sample.gyro_b + sample.accel_b)):
         return Refusal(Reason.NOT_FINITE)
-    if not (-_FASTEST_RAD_S < min(g) and max(g) < _FASTEST_RAD_S):
-        return Refusal(Reason.IMPLAUSIBLE, "angular rate beyond any gyroscope: rad/s are expected")
-    if not (-_STRONGEST_M_S2 < min(a) and max(a) < _STRONGEST_M_S2):
-        return Refusal(Reason.IMPLAUSIBLE, "specific force beyond any accelerometer: m/s^2 are expected")
-    return None
+    return Refusal(Reason.IMPLAUSIBLE, "beyond any sensor of this kind: rad/s and m/s^2 are expected")
 
 
 def stream_plausibility(u: Array) -> Plausibility:

@@ -32,7 +32,7 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.9999
     timeout_s: Annotated[float, Meta(gt=0, description="s: silent for longer, the source has stopped")] = 5.0
     false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.05
-    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 3.0
+    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 1.5
     believe_after_s: Annotated[
         float, Meta(gt=0, description="s: after so long of consistent contradiction the source is believed, not the filter")
     ] = 20.0
