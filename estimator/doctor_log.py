@@ -24,6 +24,7 @@ _LATEST_S = 6.0  # measurements later than this are too old for the default hist
 _STILL_WINDOW_S = 1.0
 _GRAVITY_BAND = (9.3, 10.3)  # m/s^2, mean over the stillest second
 _FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
+_SWIFT_RAD_S = 3.0
 
 
 class _Topic:
@@ -141,9 +142,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     checks = [judge(f"{name} samples", found, warn=trouble, advice="landfix wants 100 Hz or more without gaps")]
     still = _stillest(samples, max(2, round(rate * _STILL_WINDOW_S)))
     checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
-    fastest = float(np.linalg.norm(samples[:, :3], axis=1).max())
-    advice = "looks like deg/s: landfix wants rad/s"
-    checks.append(judge(f"{name} turn rate", f"up to {fastest:.1f} rad/s", fail=fastest > _FASTEST_RAD_S, advice=advice))
+    checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
     checks.append(_axes(name, still[3:], axes))
     return checks
 
@@ -167,6 +166,14 @@ def _gravity(name: str, length: float) -> Check:
         advice = "wrong scale, or the vehicle was never still"
     found = f"{length:.2f} m/s^2 in its stillest second"
     return judge(f"{name} gravity", found, fail=not 0.5 * low < length < 2 * high, warn=not low < length < high, advice=advice)
+
+
+def _turn_rate(name: str, rate: Array) -> Check:
+    """No vehicle but a spinning one turns at 3 rad/s (170 deg/s) on average."""
+    fastest, mean = float(rate.max()), float(rate.mean())
+    wrong = fastest > _FASTEST_RAD_S or mean > _SWIFT_RAD_S
+    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s"
+    return judge(f"{name} turn rate", found, fail=wrong, advice="looks like deg/s: landfix wants rad/s")
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:

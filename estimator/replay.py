@@ -15,11 +15,13 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import OutputConfig, Publisher
 from estimator.tally import ReplaySummary, Tally
 from estimator.version import version
+from logs import schemas
 from logs.codec import Decoder
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
 
 CONFIG_ATTACHMENT = "config.toml"
+TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
 OWN_INPUTS = frozenset({"/landfix/fix", "/landfix/tick"})  # inputs although they stand under our own prefix
 _PROGRESS_EVERY = 2000  # records
@@ -58,7 +60,7 @@ def replay(source: Path, out: Path, config: ReplayConfig, progress: Callable[[fl
         recorder.attach(CONFIG_ATTACHMENT, "application/toml", text)
         for record in reader:
             topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
-            if topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS:
+            if _is_own_output(topic, schema, data):
                 continue
             recorder.write(topic, schema, data, log_time_ns)
             tally.record(log_time_ns)
@@ -74,3 +76,14 @@ def replay(source: Path, out: Path, config: ReplayConfig, progress: Callable[[fl
             if name != CONFIG_ATTACHMENT:
                 recorder.attach(name, media_type, content)
     return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks)
+
+
+def _is_own_output(topic: str, schema: str, data: bytes) -> bool:
+    """Whether a message of the input is what an earlier run of ours published. /tf is shared: only map -> base_link is ours."""
+    if topic == TF_TOPIC and schema == schemas.TF:
+        try:
+            transforms = schemas.STORE.deserialize_cdr(data, schema).transforms  # type: ignore[attr-defined]
+        except Exception:  # bytes from outside that are no transform: not ours, so they are kept
+            return False
+        return [(t.header.frame_id, t.child_frame_id) for t in transforms] == [("map", "base_link")]
+    return topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS

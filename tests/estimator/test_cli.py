@@ -1,0 +1,171 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from estimator.cli import app
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = ["demo", "replay", "evaluate", "simulate", "import", "recover", "doctor"]
+
+
+def run(*args: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in args])
+
+
+def fails(*args: object) -> str:
+    """The one line on stderr of a command that fails."""
+    result = run(*args)
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("landfix: ")
+    assert "internal error" not in result.stderr
+    return result.stderr.removeprefix("landfix: ").strip()
+
+
+@pytest.fixture(scope="module")
+def estimate(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("cli") / "estimate.mcap"
+    assert run("replay", flight, "-o", out, "-c", flight.with_suffix(".toml")).exit_code == 0
+    return out
+
+
+def test_help_lists_all_commands_and_each_has_examples() -> None:
+    text = run("--help").output
+    for command in COMMANDS:
+        assert f"\n  {command} " in text
+        helped = run(command, "--help")
+        assert helped.exit_code == 0
+        assert f"  landfix {command}" in helped.output
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys, estimator.cli; print(*{m.partition('.')[0] for m in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
+    assert not {"numpy", "numba", "scipy", "mcap", "matplotlib", "rosbags"} & set(loaded)
+
+
+@pytest.mark.parametrize(
+    "args", [["nope"], ["replay", "in.mcap"], ["simulate", "s.toml", "-o", "x", "--seed", "-1"], ["doctor", "--config", "x"]]
+)
+def test_wrong_usage_exits_with_2(args: list[str]) -> None:
+    result = run(*args)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+
+
+def test_replay_prints_a_summary_or_json(flight: Path, tmp_path: Path) -> None:
+    config = flight.with_suffix(".toml")
+    text = run("replay", flight, "-o", tmp_path / "a.mcap", "-c", config)
+    assert text.exit_code == 0
+    assert "x real time" in text.stdout
+    assert "/pose_fix" in text.stdout
+    summary = json.loads(run("replay", flight, "-o", tmp_path / "b.mcap", "-c", config, "--from-fixes", "--json").stdout)
+    assert summary["internal_errors"] == 0
+    assert summary["imu_samples"] == 4001
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_a_torn_log_is_replayed_and_said_to_be_torn(flight: Path, tmp_path: Path) -> None:
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(flight.read_bytes()[: flight.stat().st_size // 3])
+    result = run("replay", torn, "-o", tmp_path / "out.mcap", "-c", flight.with_suffix(".toml"))
+    assert result.exit_code == 0
+    assert "is torn; replayed up to its last whole record" in result.stderr
+
+
+def test_evaluate_tells_the_error_and_json_is_whole(estimate: Path) -> None:
+    assert "position" in run("evaluate", estimate).stdout
+    evaluation = json.loads(run("evaluate", estimate, "--json").stdout)
+    assert 0.0 < evaluation["accuracy"]["position_m"]["rmse"] < 3.0
+    assert "/nowhere" in fails("evaluate", estimate, "--truth", "/nowhere")
+
+
+def test_simulate_writes_a_log_and_its_configuration(tmp_path: Path) -> None:
+    scenario, out = tmp_path / "s.toml", tmp_path / "out.mcap"
+    scenario.write_text("duration_s = 2.0\n[pose_fix]\n")
+    written = json.loads(run("simulate", scenario, "-o", out, "--seed", 3, "--json").stdout)
+    assert written["messages"] > 800
+    first = out.read_bytes()
+    run("simulate", scenario, "-o", out, "--seed", 3)
+    assert out.read_bytes() == first
+    assert run("replay", out, "-o", tmp_path / "est.mcap", "-c", tmp_path / "out.toml").exit_code == 0
+    scenario.write_text("duration = 2.0\n")
+    assert "did you mean 'duration_s'?" in fails("simulate", scenario, "-o", out)
+
+
+def test_import_csv(tmp_path: Path) -> None:
+    rows = [f"{k * 0.01:.2f},0,0,0,0,0,-9.81" for k in range(300)]
+    (tmp_path / "imu.csv").write_text("t_s,gx,gy,gz,fx,fy,fz\n" + "\n".join(rows) + "\n")
+    out = tmp_path / "out.mcap"
+    assert json.loads(run("import", "csv", tmp_path, "-o", out, "--json").stdout)["messages"] == {"/imu": 300}
+    assert run("replay", out, "-o", tmp_path / "est.mcap", "-c", out.with_suffix(".toml")).exit_code == 0
+
+
+def test_recover(flight: Path, tmp_path: Path) -> None:
+    torn, whole = tmp_path / "torn.mcap", tmp_path / "whole.mcap"
+    torn.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
+    assert json.loads(run("recover", torn, "-o", whole, "--json").stdout)["torn"]
+    assert "torn" not in run("replay", whole, "-o", tmp_path / "out.mcap").stderr
+
+
+def test_every_failure_is_one_line(flight: Path, tmp_path: Path) -> None:
+    text, out, config = tmp_path / "no.mcap", tmp_path / "out.mcap", tmp_path / "v.toml"
+    text.write_text("this is no log")
+    config.write_text("[imu]\naxis = 'flu'\n")
+    assert "no.mcap" in fails("replay", text, "-o", out)
+    assert "nowhere.mcap" in fails("replay", tmp_path / "nowhere.mcap", "-o", out)
+    assert "did you mean 'axes'?" in fails("replay", flight, "-o", out, "-c", config)
+    assert "would overwrite the input" in fails("replay", flight, "-o", flight)
+    assert "cannot be written" in fails("replay", flight, "-o", tmp_path / "no" / "folder" / "out.mcap")
+    assert "no.mcap" in fails("evaluate", text)
+    assert "no.mcap" in fails("recover", text, "-o", out)
+    assert "landfix replay" in fails("evaluate", flight)
+    assert "nowhere" in fails("import", "csv", tmp_path / "nowhere", "-o", out)
+    assert "nowhere.toml" in fails("simulate", tmp_path / "nowhere.toml", "-o", out)
+
+
+def test_a_defect_of_ours_is_one_line_too_and_debug_shows_it(
+    monkeypatch: pytest.MonkeyPatch, flight: Path, tmp_path: Path
+) -> None:
+    def broken(*_: object) -> None:
+        raise KeyError("oops")
+
+    monkeypatch.delenv("LANDFIX_DEBUG", raising=False)
+    monkeypatch.setattr("estimator.replay.replay", broken)
+    result = run("replay", flight, "-o", tmp_path / "out.mcap")
+    assert result.exit_code == 1
+    assert result.stderr == "landfix: internal error, please report it: KeyError: 'oops' (LANDFIX_DEBUG=1 shows where)\n"
+    monkeypatch.setenv("LANDFIX_DEBUG", "1")
+    assert isinstance(run("replay", flight, "-o", tmp_path / "out.mcap").exception, KeyError)
+
+
+def test_the_program_as_a_person_starts_it(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "estimator", "replay", str(tmp_path / "no.mcap"), "-o", "x.mcap"],
+        capture_output=True, text=True, check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr == f"landfix: {tmp_path / 'no.mcap'}: no such file or directory\n"
+    version = subprocess.run(
+        [sys.executable, "-m", "estimator", "--version"],
+        capture_output=True, text=True, check=True, cwd=ROOT,
+    )  # fmt: skip
+    assert version.stdout.startswith("landfix ")
+
+
+def test_the_table_of_keys_is_a_valid_configuration_with_the_defaults(tmp_path: Path) -> None:
+    printed = run("doctor", "--config").stdout
+    assert "# m: antenna from the IMU" in printed
+    (tmp_path / "all.toml").write_text(printed)
+    from estimator.config import Config, load  # noqa: PLC0415  (the program imports it late, too)
+
+    assert load(tmp_path / "all.toml") == Config()
+    rows = json.loads(run("doctor", "--config", "--json").stdout)
+    assert {"section": "map", "name": "geoid_m", "default": "0.0", "unit": "m"}.items() <= next(
+        r for r in rows if r["name"] == "geoid_m"
+    ).items()

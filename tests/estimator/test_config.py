@@ -1,0 +1,111 @@
+from pathlib import Path
+
+import pytest
+
+from estimator import strict_toml
+from estimator.config import Config, ConfigError, load, parse
+from logs.codec import ImuMounting, encode_input
+from models.imu import ImuNoise
+from models.messages import ImuSample
+
+TASK = """
+[imu]
+axes = "frd"
+gyro_noise = 0.0007
+accel_noise = 0.04
+gyro_walk = 0.0001
+accel_walk = 0.001
+
+[inputs]
+imu = "/sensors/imu"
+pose_fix = ["/pose_fix", "/position_fix"]
+
+[gnss]
+delay_s = 0.1
+antenna_b_m = [0.1, 0, -0.2]
+
+[map]
+origin = [47.4, 8.5, 488]
+"""
+
+
+def test_without_a_file_everything_has_its_default() -> None:
+    config = load(None)
+    assert config == Config()
+    assert config.inputs.imu == ("/imu",)
+    assert config.fusion().origin is None
+
+
+def test_the_sections_reach_the_parts_they_configure(tmp_path: Path) -> None:
+    file = tmp_path / "vehicle.toml"
+    file.write_text(TASK)
+    config = load(file)
+    fusion = config.fusion()
+    noise: ImuNoise = fusion.imu
+    assert (noise.gyro_noise, noise.accel_noise, noise.gyro_walk, noise.accel_walk) == (0.0007, 0.04, 0.0001, 0.001)
+    assert fusion.gnss.delay_s == 0.1
+    assert fusion.gnss.antenna_b_m == (0.1, 0.0, -0.2)
+    assert fusion.origin == (47.4, 8.5, 488.0)
+    assert config.inputs.imu == ("/sensors/imu",)
+    assert config.inputs.pose_fix == ("/pose_fix", "/position_fix")
+
+
+def test_axes_and_mounting_reach_the_decoder() -> None:
+    sample = ImuSample(10**9, 10**9, (0.1, 0.2, 0.3), (1.0, 2.0, -9.0))
+    topic, schema, data = encode_input(sample, ImuMounting("frd", 0.0, 0.0, 90.0))
+    decoder = parse('[imu]\naxes = "frd"\nmounting_rpy_deg = [0, 0, 90]\n').decoder()
+    decoded = decoder.decode(topic, schema, data, sample.arrived_ns)
+    assert isinstance(decoded, ImuSample)
+    assert decoded.gyro_b == pytest.approx(sample.gyro_b)
+    assert decoded.accel_b == pytest.approx(sample.accel_b)
+
+
+def test_everything_survives_writing_and_reading() -> None:
+    config = parse(TASK)
+    assert parse(config.toml()) == config
+    assert parse(config.toml()).toml() == config.toml()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[imu]\naxis = "flu"\n', "v.toml: unknown key 'axis' in [imu]; did you mean 'axes'?"),
+        ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: imu, inputs, gnss, pose_fix, map"),
+        ('[imu]\naxes = "ned"\n', 'v.toml: imu.axes = "ned": must be one of '),
+        ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float > 0.0"),
+        ("[imu]\ngyro_noise = nan\n", "v.toml: imu.gyro_noise = nan: must be a finite number"),
+        ("[map]\norigin = [91, 8, 0]\n", "v.toml: map.origin[0] = 91: expected float <= 90.0"),
+        ('[inputs]\nimu = "/a"\ngnss = "/a"\n', "v.toml: [inputs]: topic /a cannot feed two inputs"),
+        ("[output]\nrate_hz = '50'\n", 'v.toml: output.rate_hz = "50": expected float, got str'),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_file_and_key(text: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "v.toml"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load(file)
+    line = str(caught.value).replace(str(tmp_path) + "/", "")
+    assert line.startswith(expected)
+    assert "\n" not in line
+
+
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere.toml: cannot be read \(no such file or directory\)"):
+        load(tmp_path / "nowhere.toml")
+    binary = tmp_path / "b.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="is not a text file"):
+        load(binary)
+
+
+def test_every_key_has_a_meaning_and_every_number_a_default() -> None:
+    keys = strict_toml.keys(Config)
+    assert {k.section for k in keys} == set(Config.__struct_fields__)
+    assert [f"{k.section}.{k.name}" for k in keys if not k.meaning] == []
+    assert {f"{k.section}.{k.name}" for k in keys if k.default == "-"} == {"map.origin", "map.landmarks", "rig.file"}
+
+
+def test_every_physical_number_has_a_unit() -> None:
+    without = {f"{k.section}.{k.name}" for k in strict_toml.keys(Config) if not k.unit and k.default[0] in "-0123456789"}
+    suffixed = {k for k in without if k.endswith(("_s", "_m", "_deg", "_hz", "_noise", "_walk"))}
+    assert suffixed == set()
