@@ -39,7 +39,8 @@ class Tally:
         self._last_ns = 0
         self._previous_ns: int | None = None
         self._modes_ns: Counter[Mode] = Counter()
-        self._longest_s = self._worst_radius_m = 0.0
+        self._longest_ns = 0
+        self._worst_radius_m = 0.0
         self._decisions: dict[tuple[str, str, int, int], Reason] = {}
 
     def record(self, log_time_ns: int) -> None:
@@ -69,10 +70,10 @@ class Tally:
         if self._previous_ns is not None and 0 < estimate.t_ns - self._previous_ns <= _LONGEST_STEP_NS:
             self._modes_ns[estimate.mode] += estimate.t_ns - self._previous_ns
         self._previous_ns = estimate.t_ns
+        if estimate.last_absolute_ns >= 0:  # negative: never
+            self._longest_ns = max(self._longest_ns, estimate.t_ns - estimate.last_absolute_ns)
 
     def _health(self, health: Health) -> None:
-        if isfinite(health.absolute_age_s):
-            self._longest_s = max(self._longest_s, health.absolute_age_s)
         if isfinite(health.radius95_m):
             self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
 
@@ -91,7 +92,7 @@ class Tally:
             speed=duration_s / elapsed_s if elapsed_s > 0 else 0.0,
             fixes={topic: dict(reasons) for topic, reasons in sorted(fixes.items())},
             modes_s={mode.value: ns * 1e-9 for mode, ns in self._modes_ns.items()},
-            longest_without_absolute_s=self._longest_s,
+            longest_without_absolute_s=self._longest_ns * 1e-9,
             worst_radius95_m=self._worst_radius_m,
             resets=self._resets,
             internal_errors=self._internal,
