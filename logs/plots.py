@@ -92,7 +92,7 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
     if len(truth):
         _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, "truth", linewidth=0.8, zorder=5)
     if np.isfinite(p).any():
-        _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided", linewidth=2.2, zorder=4)
+        _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided" if outages else "estimate", linewidth=2.2, zorder=4)
     if outages:
         _line(axes, blind[few, 0], blind[few, 1], ORANGE, "estimate in an outage", linewidth=2.2, zorder=4)
     _draw_fixes_from_above(axes, evidence)

@@ -1,4 +1,5 @@
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -8,10 +9,11 @@ from rich.console import Console
 
 from logs import schemas
 from logs.codec import encode, encode_input, encode_truth
-from logs.evaluate import compare, evaluate, find_outages
+from logs.evaluate import assess, compare, evaluate, find_outages
 from logs.evaluation import Evaluation, Honesty
 from logs.evaluation_table import print_table
 from logs.evidence import HealthPoint, read
+from logs.metrics import nees
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
 from logs.trajectory import decode
@@ -100,7 +102,7 @@ def test_errors_half_as_large_again_are_not(tmp_path: Path) -> None:
     assert h.radius95_covered < 0.88
 
 
-def test_outages_and_their_drift(honest: Evaluation) -> None:
+def test_outages_and_their_drift(log: Path, honest: Evaluation) -> None:
     assert [o.source for o in honest.outages] == ["all", "all"]  # one source only: not told twice
     first, second = honest.outages
     assert [first.start_s, first.duration_s] == pytest.approx([20.0, 10.0])
@@ -110,8 +112,11 @@ def test_outages_and_their_drift(honest: Evaluation) -> None:
     assert second.drift.distance_m == pytest.approx(161.0, abs=1.0)
     assert second.drift.end_percent == pytest.approx(100 * second.drift.end_m / second.drift.distance_m)
     assert second.radius95_end_m == pytest.approx(2.4477 * np.sqrt(0.3**2 * 32), rel=0.03)  # 32 s of random walk
-    assert second.nees_position is not None
-    assert 0.1 < second.nees_position < 4
+    evidence = read(log)
+    c = compare(evidence.estimate, evidence.truth)
+    c = c[(c.t_ns > EPOCH_NS + 58 * S) & (c.t_ns < EPOCH_NS + 90 * S)]
+    assert second.nees_position == pytest.approx(nees(c.p_error, c.p_covariance).mean() / 3)
+    assert second.attitude_end_deg == pytest.approx(np.rad2deg(np.linalg.norm(c.theta_error[-1])))
 
 
 def test_modes_aids_latency_and_resets(honest: Evaluation) -> None:
@@ -249,6 +254,30 @@ def test_velocity_errors_are_judged_along_the_body(log: Path) -> None:
     c = compare(evidence.estimate, evidence.truth)
     np.testing.assert_allclose(c.v_error, c.truth.v_body - c.estimate.v_body)
     assert np.abs(c.v_error).max() < 2.0
+
+
+def test_nothing_is_compared_where_the_estimate_is_silent_or_not_finite(log: Path) -> None:
+    """GIVEN an estimate silent for 1 s from 40 s and not finite at 50 s, THEN the hole is left out, the short one bridged."""
+    evidence = read(log)
+    t = (evidence.estimate.t_ns - EPOCH_NS) / S
+    estimate = evidence.estimate[(t <= 40) | (t >= 41)]
+    estimate.p[estimate.t_ns == EPOCH_NS + 50 * S] = np.nan
+    c = compare(estimate, evidence.truth)
+    assert c.left_out == 24
+    assert np.isfinite(c.p_error).all()
+    assert EPOCH_NS + 50 * S in c.t_ns
+
+
+def test_the_jump_at_the_end_of_an_outage_is_not_called_aided(log: Path) -> None:
+    """GIVEN a fix between two estimates, THEN a truth between it and the second, where both are mixed, is not aided."""
+    evidence = read(log)
+    aids = tuple(msgspec.structs.replace(a, t_ns=a.t_ns - S // 100, arrived_ns=a.arrived_ns - S // 100) for a in evidence.aids)
+    truth = evidence.truth[2247:2248]  # at 89.88 s
+    for t_s, aided in ((89.995, 0), (91.0, 1)):
+        moved = replace(truth, t_ns=np.array([EPOCH_NS + round(t_s * S)]))
+        accuracy = assess(replace(evidence, aids=aids, truth=moved), "log").accuracy
+        assert accuracy is not None
+        assert (accuracy.position_m.n, accuracy.aided_position_m.n) == (1, aided)
 
 
 def test_an_estimate_that_is_not_finite_is_left_out_and_told(log: Path, tmp_path: Path) -> None:
