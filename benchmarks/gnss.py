@@ -7,15 +7,16 @@ slow, so a figure of one window is one sample; medians are over windows.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from estimator.fusion import Fusion
 
 from benchmarks.tables import Table, number
 from benchmarks.tasks import INSIDE95, data_folder
 from estimator.config import Config, load
+from estimator.fusion import Fusion
 from logs.importers import csv_folder
 from logs.importers.recording import Recording, Truth
 from logs.metrics import Mask, Times, nees
@@ -56,16 +57,24 @@ class Track(msgspec.Struct, frozen=True):
     origin: Origin | None
 
 
-def tables(out: Path) -> list[Table]:
-    """Both tables; progress by flight on the terminal."""
-    rows: list[tuple[str, ...]] = []
-    for name, folder in FLIGHTS.items():
-        print(f"GNSS hidden: {name}", flush=True)
-        recording, config = flight(folder, out)
-        rows += [outage_row(name, recording, config, length_s) for length_s in LENGTHS_S]
-    columns = ("flight", "hidden s", "windows", "RMSE m", "end m", "worst end m", "NEES/3", "in 95 %")
-    outages = Table("GNSS hidden, scored at the hidden rows (medians over windows; NEES and share: means)", columns, rows)
-    return [outages, glitch_table(*flight(GLITCH, out))]
+def tables(out: Path, processes: int) -> list[Table]:
+    """Both tables; a line on the terminal for each flight that is done."""
+    with ProcessPoolExecutor(processes) as pool:
+        glitch = pool.submit(glitch_table, out)
+        futures = {name: pool.submit(outage_rows, name, out) for name in FLIGHTS}
+        rows: list[tuple[str, ...]] = []
+        for name, future in futures.items():
+            rows += future.result()
+            print(f"GNSS hidden: {name} done", flush=True)
+        columns = ("flight", "hidden s", "windows", "RMSE m", "end m", "worst end m", "NEES/3", "in 95 %")
+        outages = Table("GNSS hidden, scored at the hidden rows (medians over windows; NEES and share: means)", columns, rows)
+        return [outages, glitch.result()]
+
+
+def outage_rows(name: str, out: Path) -> list[tuple[str, ...]]:
+    """A flight with windows of all lengths."""
+    recording, config = flight(FLIGHTS[name], out)
+    return [outage_row(name, recording, config, length_s) for length_s in LENGTHS_S]
 
 
 def flight(folder: str, out: Path) -> tuple[Recording, Config]:
@@ -157,12 +166,13 @@ def score(track: Track, rows: list[GnssFix], delay_s: float) -> Outage | None:
     return Outage(rmse, float(size[-1]), float(ratio.mean() / 3.0), float(np.mean(ratio < INSIDE95)))
 
 
-def glitch_table(recording: Recording, config: Config) -> Table:
+def glitch_table(out: Path) -> Table:
     """f450_glitch: the receiver's height walks off by 100 m and its velocity jumps, while the barometer stays.
 
     Height is judged against the barometer, levelled over the minute before the fault; an error is confident where it exceeds
     3 sigma of the estimate.
     """
+    recording, config = flight(GLITCH, out)
     messages = inputs(recording)
     track, statuses = run(messages, config)
     start_ns = messages[0].t_ns
