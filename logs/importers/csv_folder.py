@@ -48,8 +48,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         progress(0.5)
     aids = [*_gnss(reader), *_baro(reader)]
     if options.pose_fix_hz > 0.0:
-        aids.append(_pose_fixes(reader, options, known, B))
-    truth = _truth(reader, options, known, B)
+        aids.append(_pose_fixes(reader, options, B))
+    truth = _truth(reader, options, B)
     if not any(s.topic in ("/gnss", "/pose_fix") for s in aids):
         hint = "; --pose-fix-hz takes some from vision.csv" if reader.has("vision") else ""
         notes.append(f"{source.name}: neither GNSS nor pose fixes, so the estimator has nothing to start from{hint}")
@@ -190,15 +190,15 @@ def _baro(reader: _Reader) -> list[Stream]:
     return [recording.baro(table.t_ns, arrived(table), pressure)]
 
 
-def _poses(table: Table, options: ImportOptions, known: DataSet, B: Array) -> tuple[Array, Array, Array]:
+def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:
     """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses; nan: not given.
 
-    Columns named n, e, d are NED; x, y, z, or an attitude alone, are in the world of the options, else of the data set, else
-    ENU (x, y, z) or NED (attitude alone).
+    Columns named n, e, d are NED; x, y, z, or an attitude alone, are in the world of the options, else ENU (x, y, z) or NED
+    (attitude alone).
     """
     axes = next((a for a in (_NED, "xyz") if table.find(csv_table.POSITION.names(a[0])) is not None), None)
     usual = _NED if axes is None else "enu"
-    W = frames.world_axes(_NED if axes == _NED else options.world or known.world or usual)
+    W = frames.world_axes(_NED if axes == _NED else options.world or usual)
     nothing = np.full((len(table.t_ns), 3), np.nan)
     p, v = (table.vector(quantity, axes) if axes else None for quantity in (csv_table.POSITION, csv_table.VELOCITY))
     q = table.vector(csv_table.ATTITUDE, "wxyz")
@@ -206,22 +206,22 @@ def _poses(table: Table, options: ImportOptions, known: DataSet, B: Array) -> tu
     return p_n, v_n, np.full((len(table.t_ns), 4), np.nan) if q is None else frames.attitude(q, W, B)
 
 
-def _truth(reader: _Reader, options: ImportOptions, known: DataSet, B: Array) -> Stream | None:
+def _truth(reader: _Reader, options: ImportOptions, B: Array) -> Stream | None:
     table = reader.table("truth", "groundtruth")
     if table is None:
         return None
-    p_n, v_n, q_nb = _poses(table, options, known, B)
+    p_n, v_n, q_nb = _poses(table, options, B)
     if np.isnan(p_n).all() and np.isnan(q_nb).all():
         raise LogError(f"{table.file}: neither position (pn_m or px_m) nor attitude (qw); it has {', '.join(table.names)}")
     return recording.truth(table.t_ns, p_n, v_n, q_nb)
 
 
-def _pose_fixes(reader: _Reader, options: ImportOptions, known: DataSet, B: Array) -> Stream:
+def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
     """Poses of vision.csv as fixes, the first of each period."""
     table = reader.table("vision")
     if table is None:
         raise LogError(f"{reader.folder}: no vision.csv in it to take pose fixes from")
-    p_n, _, q_nb = _poses(table, options, known, B)
+    p_n, _, q_nb = _poses(table, options, B)
     if np.isnan(p_n).all() or np.isnan(q_nb).all():
         raise LogError(f"{table.file}: needs position and attitude (px_m, qw, ...); it has {', '.join(table.names)}")
     period_ns = round(1e9 / options.pose_fix_hz)

@@ -43,7 +43,8 @@ class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a log cannot say about itself; an empty text means "as the log, or the data set it belongs to, says".
 
     axes: where x, y and z of the IMU point, a letter each of f/b, r/l, u/d ("frd", "flu", "urf"), csv and euroc only;
-    world: the same for positions, of n/s, e/w, u/d ("ned", "enu"), csv only; imu: which of several IMUs ("imu2", "IMU3");
+    world: the same for positions, of n/s, e/w, u/d ("ned", "enu"), csv and euroc only;
+    imu: which of several IMUs ("imu2", "IMU3"), not for ulog;
     pose_fix_hz: take poses of vision.csv as pose fixes, at most so many a second (0: none), csv only.
     """
 

@@ -69,10 +69,9 @@ def _quoted(text: str) -> str:
 
 
 class DataSet(msgspec.Struct, frozen=True):
-    """A public collection of flights: its IMU axes, its world axes ("": by the headers of its files), and what else is known."""
+    """A public collection of flights: its IMU axes, and what is known besides its files."""
 
     axes: str = "frd"
-    world: str = ""
     noise: ImuNoise = MULTIROTOR
     noise_reason: str = BY_KIND
     gnss_delay_s: float = 0.0
@@ -84,9 +83,9 @@ _TUNED = "effective values, tuned on this data set"
 
 UNKNOWN = DataSet()
 DATA_SETS = {
-    "euroc": DataSet("urf", "enu", ImuNoise(7e-4, 4e-2, 1e-4, 1e-3), _TUNED),
-    "tumvi_room": DataSet("flu", "enu", ImuNoise(1.5e-3, 2e-2, 5e-5, 1e-3), _TUNED),
-    "blackbird_clover": DataSet("frd", "enu", ImuNoise(7e-4, 2e-2, 1e-4, 1e-3), _TUNED),
+    "euroc": DataSet("urf", ImuNoise(7e-4, 4e-2, 1e-4, 1e-3), _TUNED),
+    "tumvi_room": DataSet("flu", ImuNoise(1.5e-3, 2e-2, 5e-5, 1e-3), _TUNED),
+    "blackbird_clover": DataSet("frd", ImuNoise(7e-4, 2e-2, 1e-4, 1e-3), _TUNED),
     "quad_rtk_dot": DataSet(noise=ImuNoise(2e-3, 0.3, 1e-4, 5e-3), noise_reason=_TUNED),
     "rtk_drive_walk": DataSet(
         noise=CAR,

@@ -44,6 +44,7 @@ def test_headers_of_the_asl_layout(tmp_path: Path) -> None:
     ("header", "cell", "t_ns"),
     [
         ("t_s", "12.000000001", EPOCH_NS + 12_000_000_001),
+        ("t_s", "1.001", EPOCH_NS + 1_001_000_000),  # times 1e9 it is a little less
         ("t_s", "-0.415", EPOCH_NS - 415_000_000),
         ("t_s", "1403637130.538319105", 1403637130538319105),
         ("t_s", "1403637130.49", 1403637130490000000),

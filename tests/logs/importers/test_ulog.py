@@ -1,5 +1,6 @@
 """PX4 logs: every value against pyulog, on logs of v1.8, v1.14 and v1.15."""
 
+import struct
 import sys
 from pathlib import Path
 
@@ -134,6 +135,57 @@ def test_the_origin_is_above_the_same_surface_as_the_fixes(case: Case) -> None:
 
 def test_the_delay_of_gnss_is_the_autopilots(case: Case) -> None:
     assert case.recording.settings.gnss_delay_s == pytest.approx(0.11)
+
+
+# --- logs written here -------------------------------------------------------------------------------------------------------
+
+
+def message(kind: bytes, content: bytes) -> bytes:
+    return struct.pack("<Hc", len(content), kind) + content
+
+
+def written(folder: Path, **topics: list[dict[str, float]]) -> Path:
+    """A log of these topics, all fields but the stamps double."""
+    log = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+    for name, rows in topics.items():
+        fields = ";".join(f"{'uint64_t' if 'timestamp' in field else 'double'} {field}" for field in rows[0])
+        log += message(b"F", f"{name}:{fields};".encode())
+    for k, name in enumerate(topics):
+        log += message(b"A", struct.pack("<BH", 0, k) + name.encode())
+    for k, rows in enumerate(topics.values()):
+        for row in rows:
+            form = "<H" + "".join("Q" if "timestamp" in field else "d" for field in row)
+            log += message(b"D", struct.pack(form, k, *row.values()))
+    path = folder / "log.ulg"
+    path.write_bytes(log)
+    return path
+
+
+GYROS = [{"timestamp": 1000 + 2500 * k, "timestamp_sample": 900 + 2500 * k, "x": 0.1 * k, "y": 0.2, "z": 0.3} for k in range(8)]
+ACCELS = [{"timestamp": 2000 + 5000 * k, "timestamp_sample": 900 + 5000 * k, "x": 1.0 * k, "y": 0.0, "z": -9.8} for k in range(5)]
+
+
+def test_gyro_and_accelerometer_of_their_own_are_brought_together(tmp_path: Path) -> None:
+    recording = ulog.read(written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS))
+    got = [m for m in recording if isinstance(m, ImuSample)]
+    assert [m.t_ns - EPOCH_NS for m in got] == [(900 + 2500 * k) * 1000 for k in range(8)]
+    assert [m.arrived_ns - m.t_ns for m in got] == [100_000] * 8
+    np.testing.assert_allclose([m.gyro_b for m in got], [[0.1 * k, 0.2, 0.3] for k in range(8)])
+    np.testing.assert_allclose([m.accel_b for m in got], [[0.5 * k, 0.0, -9.8] for k in range(8)])
+    assert any("sensor_accel interpolated" in note for note in recording.notes)
+
+
+def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path) -> None:
+    place = {"xy_valid": 1.0, "z_valid": 1.0, "ref_lat": 47.0, "ref_lon": 8.0, "ref_alt": 500.0, "vx": 0.0, "vy": 0.0, "vz": 0.0}
+    positions = [
+        {"timestamp": 1000 * k, "ref_timestamp": 5 * (k > 3), "x": 1.0 * k, "y": 0.0, "z": 0.0, **place} for k in range(1, 9)
+    ]
+    positions[-1]["xy_valid"] = 0.0
+    attitudes = [{"timestamp": 2000 * k, "q[0]": 1.0, "q[1]": 0.0, "q[2]": 0.0, "q[3]": 0.0} for k in range(10)]
+    path = written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS, vehicle_local_position=positions, vehicle_attitude=attitudes)
+    truths = [m for m in ulog.read(path) if isinstance(m, Truth)]
+    assert [m.p_n for m in truths] == [(float(k), 0.0, 0.0) for k in (4, 5, 6, 7)]
+    assert [m.q_nb_wxyz for m in truths] == [(1.0, 0.0, 0.0, 0.0)] * 4
 
 
 def test_a_torn_log_is_read_as_far_as_it_goes(landfix_data: Path, tmp_path: Path) -> None:
