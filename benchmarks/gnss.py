@@ -35,6 +35,7 @@ FLIGHTS = {
 GLITCH, GLITCH_S = "inertialnav_logs/f450_glitch", 116.0  # from here on its receiver is wrong
 LENGTHS_S = (10.0, 30.0, 60.0)
 AIDED_S = 60.0  # before a window, and between windows; at most 40 % of the flight
+MINUTE_NS = 60_000_000_000
 MOVING_M_S = 1.0
 SIGMA_M = np.array([1.5, 1.5, 3.0])  # of a receiver that gives no covariance
 
@@ -177,9 +178,10 @@ def glitch_table(out: Path) -> Table:
     track, statuses = run(messages, config)
     start_ns = messages[0].t_ns
     fault_ns = start_ns + round(GLITCH_S * 1e9)
-    last = {(s.topic, s.kind, s.t_ns): s for s in statuses if s.topic.startswith("/gnss") and s.t_ns >= fault_ns}
-    refused = [s.t_ns for s in last.values() if s.reason is not Reason.FUSED]
-    fused = sum(s.reason is Reason.FUSED for s in last.values())
+    last = {(s.topic, s.kind, s.t_ns): s for s in statuses if s.topic.startswith("/gnss")}  # its last revision
+    before = [s for s in last.values() if fault_ns - MINUTE_NS <= s.t_ns < fault_ns]
+    later = [s for s in last.values() if s.t_ns >= fault_ns]
+    refused = [s.t_ns for s in later if s.reason is not Reason.FUSED]
     baro = [m for m in messages if isinstance(m, Baro)]
     t_ns = np.array([m.t_ns for m in baro], np.int64)
     height = 44330.8 * (1.0 - (np.array([m.pressure_pa for m in baro]) / 101325.0) ** 0.190263)  # standard atmosphere
@@ -191,12 +193,17 @@ def glitch_table(out: Path) -> Table:
     after = t_s >= GLITCH_S
     confident = after & (np.abs(error) > 3.0 * sigma)
     rows: list[tuple[str, ...]] = [
-        ("GNSS first distrusted, s after the fault begins", number((min(refused) - fault_ns) * 1e-9) if refused else "never"),
-        ("GNSS measurements fused after that moment", f"{fused} of {len(last)}"),
+        ("GNSS fused in the minute before the fault", _share_fused(before)),
+        ("GNSS first refused, s after the fault begins", number((min(refused) - fault_ns) * 1e-9) if refused else "never"),
+        ("GNSS fused after the fault begins", _share_fused(later)),
         ("worst height error, m (its sigma)", _worst(error, sigma, after)),
         ("worst confident height error, m (its sigma)", _worst(error, sigma, confident)),
     ]
     return Table("f450_glitch: a real GNSS fault from 116 s on, height against the barometer", ("figure", "value"), rows)
+
+
+def _share_fused(statuses: Sequence[AidStatus]) -> str:
+    return f"{sum(s.reason is Reason.FUSED for s in statuses)} of {len(statuses)}"
 
 
 def _worst(error: Array, sigma: Array, where: Mask) -> str:
