@@ -103,8 +103,8 @@ def find_outages(
     """Spans without absolute information, of all sources together ("all") and of each topic where there are several.
 
     A span runs from the validity of the newest absolute measurement fused to the arrival of a newer one. It is an outage where
-    it is longer than 3 x the median interval between measurements, and than 2 s; or than longer_than_s. Without AidStatus the
-    Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate counts as
+    it is longer than 3 x the median of such waits (interval and delay), and than 2 s; or than longer_than_s. Without AidStatus
+    the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate counts as
     information: it was aligned by some.
     """
     aids, health = tuple(aids), tuple(health)
@@ -124,8 +124,8 @@ def find_outages(
     outages = {}
     for source, seen in points.items():
         valid, arrived = np.array([*seen, (start, start)], np.int64).T
-        usual = float(np.median(np.diff(np.unique(valid)))) if len(seen) > 1 else 0.0
-        threshold = max(_SHORTEST_OUTAGE_NS, 3 * usual) if longer_than_s is None else 1e9 * longer_than_s
+        usual = np.median(np.diff(metrics.waits(valid, arrived))) if len(seen) else 0.0
+        threshold = max(_SHORTEST_OUTAGE_NS, 3.0 * usual) if longer_than_s is None else 1e9 * longer_than_s
         outages[source] = metrics.gaps(valid, arrived, end, round(threshold))
     return outages
 

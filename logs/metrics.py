@@ -294,21 +294,33 @@ def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
     return radius
 
 
-def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Spans without information: where now - (validity of the newest that has arrived) exceeds longer_than_ns.
+def waits(valid_ns: Times, arrived_ns: Times) -> Times:
+    """From the validity of the newest information to the arrival of newer, (m, 2): how old it had become by then.
 
-    A span runs from the validity of the newest information to the arrival of newer, or to end_ns. Late information that is
-    older than what is there ends nothing. valid_ns, arrived_ns: (n,) in any order; all ns on one clock.
+    valid_ns, arrived_ns: (n,) in any order, on one clock. Late information that is older than what is there ends no wait.
     """
-    spans = []
+    pairs = []
     newest: int | None = None
     for k in np.lexsort((valid_ns, arrived_ns)):
-        valid, arrived = int(valid_ns[k]), int(arrived_ns[k])
-        if newest is not None and valid > newest and arrived - newest > longer_than_ns:
-            spans.append((newest, arrived))
-        newest = valid if newest is None else max(newest, valid)
-    if newest is not None and end_ns - newest > longer_than_ns:
-        spans.append((newest, end_ns))
+        valid = int(valid_ns[k])
+        if newest is None or valid > newest:
+            if newest is not None:
+                pairs.append((newest, int(arrived_ns[k])))
+            newest = valid
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
+    """Spans without information: waits longer than longer_than_ns, the last of them up to end_ns; overlapping ones are one."""
+    if not len(valid_ns):
+        return []
+    last = (int(valid_ns.max()), end_ns)
+    spans: list[tuple[int, int]] = []
+    for start, arrived in [*map(tuple, waits(valid_ns, arrived_ns).tolist()), last]:
+        end = min(arrived, end_ns)
+        if end - start > longer_than_ns:
+            overlapped = spans.pop()[0] if spans and start <= spans[-1][1] else start
+            spans.append((overlapped, end))
     return spans
 
 

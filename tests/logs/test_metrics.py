@@ -249,13 +249,19 @@ def test_horizontal_radius_holds_95_percent(minor: float) -> None:
     assert inside.mean() == pytest.approx(0.95, abs=0.002)
 
 
+def test_waits_end_when_newer_information_arrives() -> None:
+    valid = np.array([0, 1, 2, 8, 9, 3])
+    assert m.waits(valid, valid).tolist() == [[0, 1], [1, 2], [2, 3], [3, 8], [8, 9]]
+    assert m.waits(valid, valid + 4).tolist() == [[0, 5], [1, 6], [2, 7], [3, 12], [8, 13]]
+    assert m.waits(np.array([5, 1, 2, 9]), np.array([5, 6, 7, 9])).tolist() == [[5, 9]]  # 1 and 2 come late
+    assert m.waits(np.array([5]), np.array([5])).shape == (0, 2)
+
+
 def test_gaps_are_measured_by_what_had_arrived() -> None:
-    s = 1_000_000_000
-    valid = np.array([0, 1, 2, 8, 9, 3]) * s
-    punctual = m.gaps(valid, valid, 20 * s, 2 * s)
-    assert punctual == [(3 * s, 8 * s), (9 * s, 20 * s)]
-    late = m.gaps(valid, valid + 3 * s // 2, 10 * s, 2 * s)  # each 1.5 s late: between two of them the newest is 2.5 s old
-    assert late == [(0, 5 * s // 2), (1 * s, 7 * s // 2), (2 * s, 9 * s // 2), (3 * s, 19 * s // 2), (8 * s, 21 * s // 2)]
+    valid = np.array([0, 10, 20, 80, 90, 30])
+    assert m.gaps(valid, valid, 200, 20) == [(30, 80), (90, 200)]
+    assert m.gaps(valid, valid + 15, 100, 30) == [(30, 95)]  # each 1.5 steps late
+    assert m.gaps(valid, valid + 15, 100, 20) == [(0, 95)]  # always old: one gap, not many that overlap
 
 
 def test_old_information_ends_no_gap() -> None:
