@@ -186,7 +186,7 @@ class Fusion:
                 t_ns,
                 arrived_ns,
                 lead.x.copy(),
-                lead.cov[: E.SIZE, : E.SIZE].copy(),
+                tracker.hypotheses.covariance(),
                 (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
                 tracker.mode(self._history.samples.newest_ns, t_ns),
                 self._reset_counter,

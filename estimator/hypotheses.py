@@ -20,16 +20,20 @@ fault modes; Blackman and Popoli 1999, ch. 16.)
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from estimator.eskf import Eskf, Innovation
 from estimator.gating import gate
 from estimator.sources.source import Aid
 from models.measurements import Measurement
 from models.messages import Array
+from models.state import E, local
 
-_MOST = 3  # hypotheses at a time
+_MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
-_LEAST_DOUBT = 1.0  # ln: a new hypothesis starts at least this far behind
+_LEAST_DOUBT = 0.5  # ln: a new hypothesis starts at least this far behind
+_LEAST_PATIENCE_S = 5.0  # s: contradiction shorter than this never wins
 _TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
@@ -45,19 +49,35 @@ class Doubt:
 
 @dataclass(slots=True, eq=False)
 class Hypothesis:
-    """One filter, the logarithm of its weight, when it last fused a position, when it last differed from the leading one,
-    and what it disbelieves (by topic)."""
+    """One filter and the logarithm of its weight.
+
+    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break; parted_ns: when it last
+    differed from the leading one; doubts: what it disbelieves, by topic.
+    """
 
     filter: Eskf
     weight: float = 0.0
     fused_ns: int = 0
+    established_ns: int = 0
     parted_ns: int = 0
     doubts: dict[str, Doubt] = field(default_factory=dict)
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
-        return Hypothesis(self.filter.copy(), self.weight, self.fused_ns, self.parted_ns, doubts)
+        return Hypothesis(self.filter.copy(), self.weight, self.fused_ns, self.established_ns, self.parted_ns, doubts)
+
+    def note_fused(self, t_ns: int) -> None:
+        """A position was fused."""
+        if (t_ns - self.fused_ns) * 1e-9 > _LEAST_PATIENCE_S:
+            self.established_ns = t_ns
+        self.fused_ns = t_ns
+
+    def patience_s(self, t_ns: int, most_s: float) -> float:
+        """How long consistent contradiction must last: as long as the hypothesis itself has stood, less when it is unaided."""
+        stood_s = (self.fused_ns - self.established_ns) * 1e-9
+        unaided_s = (t_ns - self.fused_ns) * 1e-9
+        return min(max(stood_s, _LEAST_PATIENCE_S), most_s) / (1.0 + unaided_s / _TRUST_FADES_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +107,18 @@ class Hypotheses:
         """The filter that is the estimate."""
         return self.members[0].filter
 
+    def covariance(self) -> Array:
+        """Of the error of the leading state, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
+        lead = self.lead
+        if len(self.members) == 1:
+            return lead.cov[: E.SIZE, : E.SIZE].copy()
+        weights = np.exp([m.weight for m in self.members])
+        total = np.zeros((E.SIZE, E.SIZE))
+        for weight, member in zip(weights / weights.sum(), self.members, strict=True):
+            off = local(lead.x, member.filter.x)
+            total += weight * (member.filter.cov[: E.SIZE, : E.SIZE] + np.outer(off, off))
+        return total
+
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
         """Let every hypothesis answer a measurement; trusted: the source's machine lets it be fused."""
         limit = gate(aid.rules.gate_probability, len(z.rows))
@@ -94,72 +126,78 @@ class Hypotheses:
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
             return Verdict(seen[0], limit, passed[0], fused=False)
-        born = self._fork(aid, z, gyro_b, seen, passed) if aid.absolute else []
-        fused = [self._answer(k, aid, seen, passed) for k in range(len(self.members))]
+        believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
+        born: list[Hypothesis] = []
+        agreement = [self._agreement(k, aid, seen, passed) for k in range(len(self.members))]
+        fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], born) for k in range(len(self.members))]
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
-        self.members += born
+        self.members += born + ([believer] if believer else [])
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0])
 
-    def _answer(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> bool:
+    def _agreement(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> float | None:
+        """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again."""
+        doubt = self.members[k].doubts.get(aid.topic)
+        if doubt is None:
+            return None
+        believed = [
+            seen[j].log_likelihood for j, other in enumerate(self.members) if j != k and passed[j] and aid.topic not in other.doubts
+        ]
+        return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
+
+    def _answer(
+        self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]
+    ) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again."""
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
-        if doubt and (doubt.deliberate or not passed[k]):
-            agreeing = [
-                seen[j].log_likelihood
-                for j, other in enumerate(self.members)
-                if j != k and passed[j] and aid.topic not in other.doubts
-            ]
-            if agreeing:
-                member.weight += max(agreeing) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s
-                doubt.last_ns = aid.t_ns
-                return False
-        if passed[k]:
-            member.weight += math.log1p(-aid.rules.false_share) + seen[k].log_likelihood
+        true = math.log1p(-aid.rules.false_share) + seen.log_likelihood
+        if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true):
+            member.weight += agreement
+            doubt.last_ns = aid.t_ns
+            return False
+        if passed:
+            margin = max(true - aid.log_false, _LEAST_DOUBT)
+            if aid.absolute and margin < _FORGET and not self._has_sceptic(aid.topic, member):
+                sceptic = member.copy()
+                sceptic.weight += true - margin
+                sceptic.parted_ns = aid.t_ns
+                sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
+                born.append(sceptic)
+            member.weight += true
             member.doubts.pop(aid.topic, None)
-            member.filter.update(seen[k])
+            member.filter.update(seen)
             if aid.absolute:
-                member.fused_ns = aid.t_ns
+                member.note_fused(aid.t_ns)
             return True
         member.weight += aid.log_false
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return False
 
-    def _fork(
-        self, aid: Aid, z: Measurement, gyro_b: Array, seen: list[Innovation], passed: list[bool]
-    ) -> list[Hypothesis]:
-        """The sceptic or the believer that the leading hypothesis calls for, from its state before the measurement."""
-        lead, first = self.members[0], seen[0]
-        if passed[0]:
-            margin = max(first.log_likelihood - aid.log_false, _LEAST_DOUBT)
-            if margin > _FORGET or any(d.deliberate for m in self.members for d in m.doubts.values()):
-                return []
-            sceptic = lead.copy()
-            sceptic.weight += math.log1p(-aid.rules.false_share) + first.log_likelihood - margin
-            sceptic.parted_ns = aid.t_ns
-            sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
-            return [sceptic]
-        if any(passed) or not math.isfinite(first.distance2):
-            return []
-        believer = lead.copy()
-        dof = len(first.nu)
+    def _has_sceptic(self, topic: str, of: Hypothesis) -> bool:
+        """Whether a hypothesis other than `of` already goes on without the source."""
+        return any(m is not of and topic in m.doubts and m.doubts[topic].deliberate for m in self.members)
+
+    def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:
+        """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large."""
+        if not math.isfinite(seen.distance2):
+            return None
+        believer = self.members[0].copy()
+        dof = len(seen.nu)
         overconfident = (
-            math.log(_OVERCONFIDENT_SHARE) + first.log_likelihood
-            + 0.5 * first.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
+            math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
+            + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
-        unaided_s = (aid.t_ns - lead.fused_ns) * 1e-9
-        patience_s = aid.rules.believe_after_s / (1.0 + unaided_s / _TRUST_FADES_S)
+        patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.believe_after_s)
         broken = aid.log_false + _TAKE_OVER - patience_s / aid.rules.lie_s
         believer.weight += min(max(overconfident, broken), aid.log_false - _LEAST_DOUBT)
-        believer.fused_ns = aid.t_ns
-        believer.parted_ns = aid.t_ns
+        believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)
-        believer.filter.widen(math.sqrt(first.distance2 / dof))
+        believer.filter.widen(math.sqrt(seen.distance2 / dof))
         believer.filter.update(innovation(believer.filter, aid, z, gyro_b))
-        return [believer]
+        return believer
 
     def _rank(self, t_ns: int) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""

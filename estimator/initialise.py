@@ -94,7 +94,7 @@ def start_from_pose(t_ns: int, z: Pose, at: Level | None, constants: Array, conf
     noise = turn @ z.noise @ turn.T
     cov[E.P, E.P], cov[E.THETA, E.THETA] = noise[:3, :3], noise[3:, 3:]
     cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
-    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns)])
+    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns)])
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
@@ -108,7 +108,7 @@ def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Arr
         about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, (math.pi / _HEADINGS) ** 2])
         r_nb = so3.matrix(x[X.Q])
         cov[E.THETA, E.THETA] = r_nb.T @ about_n @ r_nb
-        members.append(Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns))
+        members.append(Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns))
     return Hypotheses(members)
 
 
