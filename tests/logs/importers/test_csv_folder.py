@@ -147,6 +147,10 @@ def test_settings_of_the_sets(landfix_data: Path) -> None:
     flights = landfix_data / "flights"
     late = csv_folder.read(flights / "inertialnav_logs/quad106").settings
     assert late.gnss_delay_s == 0.21
+    assert csv_folder.read(flights / "umn_thor75").settings.origin == (45.32883681495387, -93.23095410966317, 249.46754455566406)
+    above_take_off = csv_folder.read(flights / "quad_rtk_dot/flight_a").settings.origin  # checks.json has the first fix's height
+    assert above_take_off is not None
+    assert above_take_off[2] == pytest.approx(12.5942341 - 7.1, abs=0.01)
     assert csv_folder.read(flights / "euroc/V1_02_medium").settings.noise.accel_noise == 0.04
     assert csv_folder.read(flights / "rtk_drive_walk/drive_0708").settings.antenna_b_m == (0.0, -0.05, 0.0)
 

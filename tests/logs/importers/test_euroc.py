@@ -103,6 +103,8 @@ def test_a_position_alone_is_a_truth_without_attitude(tmp_path: Path) -> None:
     )
     truths = [m for m in euroc.read(tmp_path) if isinstance(m, Truth)]
     assert [m.p_n for m in truths] == [(2.0, 1.0, -3.0)]
+    turned = [m for m in euroc.read(tmp_path, ImportOptions(world="nwu")) if isinstance(m, Truth)]
+    assert [m.p_n for m in turned] == [(1.0, -2.0, -3.0)]
     assert np.isnan(truths[0].q_nb_wxyz).all()
 
 

@@ -38,6 +38,10 @@ def rows(flown: Path) -> dict[str, list[Any]]:
     return found
 
 
+def test_fixes_are_as_old_as_the_autopilot_takes_them_for(recording: Recording) -> None:
+    assert recording.settings.gnss_delay_s == 0.2
+
+
 def test_every_imu_sample(recording: Recording, rows: dict[str, list[Any]]) -> None:
     got = [m for m in recording if isinstance(m, ImuSample)]
     assert len(got) == 2856
@@ -168,6 +172,26 @@ def test_accuracies_and_ellipsoid_height_of_mavlink_2(tmp_path: Path) -> None:
     np.testing.assert_allclose(velocity.v_n, [0.0, 3.0, 0.0], atol=1e-12)
     assert velocity.covariance_n is not None
     np.testing.assert_allclose(np.diag(velocity.covariance_n), [0.16, 0.16, 1e4])
+
+
+def test_stamps_that_count_from_1970_are_taken_as_they_are(tmp_path: Path) -> None:
+    ground = Ground()
+    ground.imu(80_000, START_US + 10_000)
+    ground.imu(90_000, START_US + 20_000)
+    assert [(m.t_ns // 1000 - START_US, m.arrived_ns // 1000 - START_US) for m in tlog.read(ground.write(tmp_path))] == [
+        (10_000, 80_000),
+        (20_000, 90_000),
+    ]
+
+
+def test_of_several_vehicles_the_one_with_the_most_messages_is_taken(tmp_path: Path) -> None:
+    ground = Ground(system=7)
+    other = Ground(system=9)
+    for k in range(5):
+        ground.imu(k * 10_000, 1_000_000 + k * 10_000)
+    other.imu(60_000, 77_000_000, z=-9.7)
+    ground.data += other.data
+    assert len(tlog.read(ground.write(tmp_path))) == 5
 
 
 def test_a_reboot_in_flight_starts_a_new_clock(tmp_path: Path) -> None:
