@@ -1,0 +1,153 @@
+"""What flies in the campaign: vehicles, sensors, outages, and what the filter is told of them.
+
+A matched flight is one whose sensors are exactly what the filter's model says: no slow GNSS error, no false fix, biases that
+wake up as the filter expects. A mismatched one breaks one assumption, or several.
+"""
+
+import math
+from typing import Literal
+
+import msgspec
+
+from estimator.fusion import FusionConfig
+from estimator.initialise import InitialiseConfig
+from estimator.sources.gnss import GnssConfig
+from models.imu import ImuNoise
+from models.sim.aids import Gnss, PoseFixes
+from models.sim.ranges import Interval
+from models.sim.scenario import Scenario
+from models.sim.sensors import GRADES, Imu
+from models.sim.trajectory import FixedWing, Multirotor
+
+IMU_HZ = 100.0  # half of what flies: halves the time of a campaign and changes no conclusion
+AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by then
+BETWEEN_S = 30.0  # aided, between outages
+LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
+_NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
+
+Phase = Literal["before", "during", "end", "after"]
+
+
+class Instant(msgspec.Struct, frozen=True):
+    """A fixed time of the flight at which estimates are judged; outage_s: length of the outage it belongs to."""
+
+    t_s: float
+    phase: Phase
+    outage_s: float
+
+    @property
+    def label(self) -> str:
+        """Such as "30 s end"."""
+        return f"{self.outage_s:g} s {self.phase}"
+
+
+class Flight(msgspec.Struct, frozen=True, kw_only=True):
+    """A scenario of the simulator with its outages, and the filter's [gnss] slow_sigma_m; matched: sensors as modelled."""
+
+    name: str
+    scenario: Scenario
+    lengths_s: tuple[float, ...]
+    matched: bool = True
+    told_slow_m: float = 0.0
+
+    def outages_s(self) -> tuple[Interval, ...]:
+        """[begin, end] of each."""
+        return outages(self.lengths_s)
+
+    def instants(self) -> list[Instant]:
+        """Before, three times during, at the end of and three times after each outage, in order of time."""
+        result = []
+        for (begin, end), length in zip(self.outages_s(), self.lengths_s, strict=True):
+            times: list[tuple[Phase, float]] = [("before", begin - 1.0)]
+            times += [("during", begin + share * length) for share in (0.25, 0.5, 0.75)]
+            times += [("end", end - 1.0 / IMU_HZ), *(("after", end + later) for later in (3.0, 10.0, 25.0))]
+            result += [Instant(round(t * IMU_HZ) / IMU_HZ, phase, length) for phase, t in times]
+        return result
+
+    def config(self, noise: ImuNoise, process_scale: float = 1.0) -> FusionConfig:
+        """What the filter knows: noise of the grade, its turn-on biases as prior; process_scale multiplies its process noise Q."""
+        grade = GRADES[self.scenario.imu.grade]
+        scaled = {name: value * math.sqrt(process_scale) for name, value in msgspec.structs.asdict(noise).items()}
+        prior = InitialiseConfig(gyro_bias_sigma=grade.gyro_turn_on, accel_bias_sigma=grade.accel_turn_on)
+        if self.scenario.pose_fix:
+            prior = msgspec.structs.replace(prior, still_gyro=_NEVER_STILL)
+        gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
+        return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, initialise=prior, origin=self.scenario.origin)
+
+
+def outages(lengths_s: tuple[float, ...]) -> tuple[Interval, ...]:
+    """One after the other, with aid before, between and after them."""
+    result, begin = [], AIDED_S
+    for length in lengths_s:
+        result.append((begin, begin + length))
+        begin += length + BETWEEN_S
+    return tuple(result)
+
+
+def flight(
+    name: str,
+    vehicle: Multirotor | FixedWing,
+    *,
+    imu: Imu,
+    pose_fix: PoseFixes | None = None,
+    gnss: Gnss | None = None,
+    lengths_s: tuple[float, ...] = LENGTHS_S,
+    matched: bool = True,
+    told_slow_m: float = 0.0,
+) -> Flight:
+    """A flight whose absolute aids are all gone in each outage."""
+    gone = outages(lengths_s)
+    replace = msgspec.structs.replace
+    scenario = Scenario(
+        name=name,
+        duration_s=gone[-1][1] + BETWEEN_S,
+        vehicle=vehicle,
+        imu=imu,
+        pose_fix=replace(pose_fix, outages_s=gone) if pose_fix else None,
+        gnss=replace(gnss, outages_s=gone) if gnss else None,
+    )
+    return Flight(name=name, scenario=scenario, lengths_s=lengths_s, matched=matched, told_slow_m=told_slow_m)
+
+
+def matched() -> list[Flight]:
+    """Vehicles, grades and aids, one with another."""
+    controller, industrial = Imu(grade="flight_controller", rate_hz=IMU_HZ), Imu(grade="industrial", rate_hz=IMU_HZ)
+    rotor, wing, white = Multirotor(), FixedWing(), Gnss(rate_hz=5.0)
+    return [
+        flight("rotor-fc-pose2", rotor, imu=controller, pose_fix=PoseFixes(rate_hz=2.0)),
+        flight("rotor-fc-pose0.5", rotor, imu=controller, pose_fix=PoseFixes(rate_hz=0.5)),
+        flight("rotor-ind-pose1", rotor, imu=industrial, pose_fix=PoseFixes(rate_hz=1.0)),
+        flight("wing-fc-pose2", wing, imu=controller, pose_fix=PoseFixes(rate_hz=2.0)),
+        flight("wing-fc-pose0.5", wing, imu=controller, pose_fix=PoseFixes(rate_hz=0.5)),
+        flight("wing-ind-pose1", wing, imu=industrial, pose_fix=PoseFixes(rate_hz=1.0)),
+        flight("rotor-fc-gnss5", rotor, imu=controller, gnss=white),
+        flight("rotor-ind-gnss5", rotor, imu=industrial, gnss=white),
+        flight("wing-fc-gnss5", wing, imu=controller, gnss=white),
+        flight("wing-ind-gnss5", wing, imu=industrial, gnss=white),
+    ]
+
+
+def mismatched() -> list[Flight]:
+    """Each with an error that the model does not know; the bound stays that of matched sensors."""
+    controller, fixes, short = Imu(grade="flight_controller", rate_hz=IMU_HZ), PoseFixes(rate_hz=2.0), (10.0, 60.0)
+    slow = Gnss(rate_hz=5.0, slow_sigma_m=1.0, slow_tau_s=120.0)
+    common = msgspec.structs.replace(fixes, common_sigma_m=0.3, common_sigma_deg=0.5)
+    unreported = msgspec.structs.replace(common, common_reported=False)
+
+    def of(name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None, told: float = 0.0) -> Flight:
+        return flight(
+            name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False, told_slow_m=told
+        )
+
+    def imu(**errors: float) -> Imu:
+        return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)  # type: ignore[arg-type]
+
+    return [
+        of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),
+        of("misaligned-0.3deg", imu=imu(misalignment_deg=0.3), pose_fix=fixes),
+        of("noise-x2", imu=imu(noise_multiplier=2.0), pose_fix=fixes),
+        of("slow-gnss-ignored", gnss=slow),
+        of("slow-gnss-considered", gnss=slow, told=slow.slow_sigma_m),
+        of("map-error-reported", pose_fix=common),
+        of("map-error-unreported", pose_fix=unreported),
+    ]
