@@ -31,7 +31,8 @@ def _identity() -> Array:
     return x
 
 
-STATES = {"identity": _identity(), "tiny": retract(_identity(), np.full(E.SIZE, 1e-9))} | {f"random {s}": _state(s) for s in range(4)}
+STATES = {"identity": _identity(), "tiny": retract(_identity(), np.full(E.SIZE, 1e-9))}
+STATES |= {f"random {seed}": _state(seed) for seed in range(4)}
 
 
 def _noise(m: int) -> Array:

@@ -1,0 +1,206 @@
+"""One filter: update, injection and reset on the manifold, errors that are considered but never corrected."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.eskf import Eskf, Innovation, inject
+from estimator.samples import ImuBuffer
+from models import so3
+from models.imu import Coast, ImuNoise, constants
+from models.measurements import Pose, Position
+from models.messages import Array, ImuSample
+from models.state import E, X, local, retract
+
+GYRO = np.zeros(3)
+CONSTANTS = constants(ImuNoise(), Coast(), None)
+SIGMA = np.repeat([2.0, 0.5, 0.05, 1e-3, 0.1], 3)
+
+
+def _truth() -> Array:
+    x = np.random.default_rng(8).normal(size=X.SIZE)
+    x[X.Q] = so3.normalise(x[X.Q])
+    return x
+
+
+def _covariance(seed: int = 1) -> Array:
+    a = np.random.default_rng(seed).normal(size=(E.SIZE, 3 * E.SIZE))
+    return (a @ a.T / (3 * E.SIZE)) * np.outer(SIGMA, SIGMA)
+
+
+def _filter(x: Array | None = None) -> Eskf:
+    return Eskf(0, (_truth() if x is None else x).copy(), _covariance(), CONSTANTS)
+
+
+def _pose_of(x: Array, sigma: float) -> Pose:
+    return Pose(x[X.P].copy(), x[X.Q].copy(), np.eye(6) * sigma**2, np.arange(6))
+
+
+def test_a_precise_pose_takes_the_estimate_to_the_truth() -> None:
+    truth = _truth()
+    dx = np.random.default_rng(2).multivariate_normal(np.zeros(E.SIZE), _covariance())
+    eskf = _filter(retract(truth, dx))
+    eskf.update(eskf.innovation(_pose_of(truth, 1e-5), GYRO))
+    left = local(eskf.x, truth)
+    np.testing.assert_allclose(left[E.P], 0.0, atol=1e-3)
+    np.testing.assert_allclose(left[E.THETA], 0.0, atol=1e-3)
+    assert eskf.sound
+    np.testing.assert_array_equal(eskf.cov, eskf.cov.T)
+    assert np.sqrt(np.diag(eskf.cov)[E.P]).max() < 2e-5
+
+
+def test_the_errors_are_as_large_as_the_covariance_says_before_and_after_an_update() -> None:
+    """NEES over draws of prior and measurement; every bound two-sided."""
+    rng, truth, lever = np.random.default_rng(3), _truth(), np.array([0.5, 0.0, 0.2])
+    antenna = truth[X.P] + so3.matrix(truth[X.Q]) @ lever
+    nees = []
+    for _ in range(400):
+        eskf = _filter(retract(truth, rng.multivariate_normal(np.zeros(E.SIZE), _covariance())))
+        read = antenna + 0.7 * rng.standard_normal(3)
+        eskf.update(eskf.innovation(Position(read, np.eye(3) * 0.49, np.arange(3), lever), GYRO))
+        error = local(eskf.x, truth)
+        nees.append(error @ np.linalg.solve(eskf.cov, error))
+    assert 14.2 < float(np.mean(nees)) < 15.8  # mean of 400 chi-squares of 15 degrees of freedom: 15 +- 0.27
+
+
+def test_injection_is_the_retraction_and_turns_the_covariance_with_it() -> None:
+    x, cov, dx = _truth(), _covariance(), 0.2 * np.random.default_rng(4).normal(size=E.SIZE)
+    injected, turned = x.copy(), cov.copy()
+    assert inject(injected, turned, dx)
+    np.testing.assert_allclose(local(injected, retract(x, dx)), 0.0, atol=1e-12)
+    g = np.eye(E.SIZE)
+    g[E.THETA, E.THETA] -= so3.skew(0.5 * dx[E.THETA])
+    np.testing.assert_allclose(turned, g @ cov @ g.T, rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(turned, turned.T)
+
+
+def test_reset_jacobian_is_the_derivative_of_the_error_after_injection() -> None:
+    """theta' = log(exp(-d) exp(theta)) near theta = d: to first order in d, I - [d/2]x."""
+    d, step = np.array([0.02, -0.03, 0.01]), 1e-6
+    columns = [
+        (
+            so3.quat_log(so3.multiply(so3.quat_exp(-d), so3.quat_exp(d + step * unit)))
+            - so3.quat_log(so3.multiply(so3.quat_exp(-d), so3.quat_exp(d - step * unit)))
+        )
+        / (2.0 * step)
+        for unit in np.eye(3)
+    ]
+    x, cov = _truth(), np.zeros((E.SIZE, E.SIZE))
+    cov[E.THETA, E.THETA] = np.diag([1.0, 2.0, 3.0])
+    dx = np.zeros(E.SIZE)
+    dx[E.THETA] = d
+    inject(x, cov, dx)
+    g = np.array(columns).T
+    np.testing.assert_allclose(cov[E.THETA, E.THETA], g @ np.diag([1.0, 2.0, 3.0]) @ g.T, atol=3.0 * float(d @ d))
+    assert np.abs(cov[E.THETA, E.THETA] - np.diag([1.0, 2.0, 3.0])).max() > 5e-3
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_an_update_that_ruins_the_state_is_told(bad: float) -> None:
+    eskf = _filter()
+    seen = eskf.innovation(_pose_of(_truth(), 0.1), GYRO)
+    with np.errstate(invalid="ignore"):
+        eskf.update(Innovation(np.full(6, bad), seen.h, seen.noise, seen.s, seen.distance2, seen.logdet))
+    assert not eskf.sound
+
+
+def test_innovation_knows_its_likelihood() -> None:
+    eskf = _filter()
+    z = Position(_truth()[X.P] + [0.5, -0.3, 0.2], np.eye(3), np.arange(3), np.zeros(3))
+    seen = eskf.innovation(z, GYRO)
+    s = seen.h @ eskf.cov @ seen.h.T + np.eye(3)
+    density = math.exp(-0.5 * seen.nu @ np.linalg.solve(s, seen.nu)) / math.sqrt((2.0 * math.pi) ** 3 * np.linalg.det(s))
+    assert seen.log_likelihood == pytest.approx(math.log(density), rel=1e-12)
+    assert seen.distance2 == pytest.approx(seen.nu @ np.linalg.solve(s, seen.nu), rel=1e-12)
+
+
+# --- considered errors -----------------------------------------------------------------------------------------------------
+
+
+def _schmidt(cov: Array, seen: Innovation) -> tuple[Array, Array]:
+    """Schmidt's gain: that of the optimal filter for the estimated part, zero for the considered; then Joseph's form."""
+    gain = cov @ seen.h.T @ np.linalg.inv(seen.h @ cov @ seen.h.T + seen.noise)
+    gain[E.SIZE :] = 0.0
+    keep = np.eye(len(cov)) - gain @ seen.h
+    return gain @ seen.nu, keep @ cov @ keep.T + gain @ seen.noise @ gain.T
+
+
+def test_consideration_is_the_schmidt_kalman_filter() -> None:
+    eskf = _filter()
+    eskf.consider("map", np.eye(6) * 0.09, 1e9)
+    for offset in (0.3, -0.2):
+        z = _pose_of(retract(_truth(), np.full(E.SIZE, offset) * SIGMA), 0.1)
+        seen = eskf.innovation(z, GYRO, "map")
+        dx, expected = _schmidt(eskf.cov, seen)
+        before = eskf.x.copy()
+        eskf.update(seen)
+        np.testing.assert_allclose(local(before, eskf.x), dx[: E.SIZE], atol=1e-9)
+        g = np.eye(len(expected))
+        g[E.THETA, E.THETA] -= so3.skew(0.5 * dx[E.THETA])
+        np.testing.assert_allclose(eskf.cov, g @ expected @ g.T, atol=1e-9)
+        np.testing.assert_array_equal(eskf.cov[E.SIZE :, E.SIZE :], np.eye(6) * 0.09)
+        assert np.linalg.eigvalsh(eskf.cov)[0] > 0.0
+
+
+def test_fixes_with_a_common_error_never_make_the_filter_surer_than_that_error() -> None:
+    considered, white = _filter(), _filter()
+    considered.consider("map", np.eye(6) * 0.3**2, 1e9)
+    for _ in range(60):
+        considered.update(considered.innovation(_pose_of(_truth(), 0.1), GYRO, "map"))
+        white.update(white.innovation(_pose_of(_truth(), math.hypot(0.1, 0.3)), GYRO))
+    assert np.sqrt(np.diag(considered.cov)[E.P]).min() > 0.27
+    assert np.sqrt(np.diag(white.cov)[E.P]).max() < 0.05
+
+
+def test_a_block_shifts_only_the_components_that_were_given() -> None:
+    eskf = _filter()
+    eskf.consider("gnss", np.diag([1.0, 2.0, 3.0]), 60.0)
+    eskf.consider("map", np.diag([4.0, 5.0, 6.0, 7.0, 8.0, 9.0]), 1e9)
+    x = _truth()
+    rows = np.array([1, 2, 5])
+    seen = eskf.innovation(Pose(x[X.P], x[X.Q], np.eye(3), rows), GYRO, "map")
+    assert seen.h.shape == (3, E.SIZE + 9)
+    np.testing.assert_array_equal(seen.h[:, E.SIZE + 3 :], np.eye(6)[rows])
+    np.testing.assert_array_equal(seen.h[:, E.SIZE : E.SIZE + 3], 0.0)
+    plain = eskf.innovation(Pose(x[X.P], x[X.Q], np.eye(3), rows), GYRO)
+    np.testing.assert_array_equal(plain.h[:, E.SIZE :], 0.0)
+
+
+def test_a_block_once_known_stays_as_it_is() -> None:
+    eskf = _filter()
+    eskf.consider("map", np.eye(6) * 0.09, 1e9)
+    eskf.consider("map", np.eye(6) * 4.0, 10.0)
+    assert eskf.cov.shape == (E.SIZE + 6, E.SIZE + 6)
+    np.testing.assert_array_equal(eskf.considered.sigma2, np.full(6, 0.09))
+    np.testing.assert_array_equal(eskf.considered.tau_s, np.full(6, 1e9))
+
+
+# --- propagation, copies ---------------------------------------------------------------------------------------------------
+
+
+def _at_rest(count: int) -> ImuBuffer:
+    buffer = ImuBuffer()
+    for k in range(count):
+        buffer.insert(ImuSample(k * 5_000_000, k * 5_000_000, (0.0, 0.0, 0.1), (0.1, 0.0, -9.8)))
+    return buffer
+
+
+def test_a_copy_goes_its_own_way() -> None:
+    eskf, samples = _filter(), _at_rest(201)
+    other = eskf.copy()
+    other.propagate(samples, 1, 10**9)
+    other.consider("map", np.eye(6), 1e9)
+    assert (eskf.t_ns, other.t_ns) == (0, 10**9)
+    np.testing.assert_array_equal(eskf.x, _truth())
+    np.testing.assert_array_equal(eskf.cov, _covariance())
+    assert eskf.considered.columns == {}
+
+
+def test_widening_lets_position_velocity_and_attitude_be_less_certain_and_keeps_correlations() -> None:
+    eskf = _filter()
+    eskf.widen(3.0)
+    before = np.sqrt(np.diag(_covariance()))
+    after = np.sqrt(np.diag(eskf.cov))
+    np.testing.assert_allclose(after / before, np.repeat([3.0, 3.0, 3.0, 1.0, 1.0], 3), rtol=1e-12)
+    np.testing.assert_allclose(eskf.cov / np.outer(after, after), _covariance() / np.outer(before, before), atol=1e-12)
