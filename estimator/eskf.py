@@ -10,6 +10,7 @@ part in S and in the correlations, and are never corrected (Schmidt 1966). With 
 full update whose considered block and mean are put back (Bierman 1977, sec. VIII.3).
 """
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -23,6 +24,7 @@ from models.measurements import Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.state import E, X, sound
 
+_LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 
 
@@ -64,7 +66,7 @@ class Innovation:
     @property
     def log_likelihood(self) -> float:
         """ln N(nu; 0, S)."""
-        return -0.5 * (self.distance2 + self.logdet + len(self.nu) * np.log(2.0 * np.pi))
+        return -0.5 * (self.distance2 + self.logdet + len(self.nu) * _LN_2PI)
 
 
 class Eskf:
@@ -90,7 +92,7 @@ class Eskf:
         self.t_ns = to_ns
 
     def consider(self, block: str, covariance: Array, tau_s: float) -> None:
-        """From now on take the slow error `block` into account; covariance: (k, k), steady. Once known, a block stays as it is."""
+        """From now on take the slow error `block` into account; covariance: (k, k), steady. Once known it stays as it is."""
         if block in self.considered.columns:
             return
         n, k = len(self.cov), len(covariance)
@@ -100,7 +102,7 @@ class Eskf:
         self.considered = self.considered.also(block, np.diag(covariance).copy(), tau_s)
 
     def widen(self, factor: float) -> None:
-        """P <- D P D: position, velocity and attitude are taken to be `factor` times less certain than they claimed; biases stay."""
+        """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
         scale = np.ones(len(self.cov))
         scale[E.P], scale[E.V], scale[E.THETA] = factor, factor, factor
         self.cov = self.cov * np.outer(scale, scale)

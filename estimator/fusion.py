@@ -90,7 +90,7 @@ class Fusion:
             if type(message) is ImuSample:
                 return self._imu(message)
             return self._other(message)
-        except Exception as error:  # noqa: BLE001  (the flight goes on; the count of these must stay 0)
+        except Exception as error:
             self._detail = f"internal error: {type(error).__name__}: {error}"
             return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
 
@@ -191,11 +191,10 @@ class Fusion:
                 tracker.mode(self._history.samples.newest_ns, t_ns),
                 self._reset_counter,
                 tracker.last_absolute_ns,
-                tracker.origin,
+                tracker.place,
             )
             out.append(self._published)
-        for entry in changed:
-            out.append(self._aid_status(entry))
+        out += [self._aid_status(entry) for entry in changed]
         if self._next_health_ns is None or t_ns >= self._next_health_ns:
             self._next_health_ns = t_ns + self._health_period_ns
             out.append(self._health(tracker, t_ns, arrived_ns))

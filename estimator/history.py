@@ -20,7 +20,8 @@ _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, for the 
 @dataclass(slots=True, eq=False)
 class Entry:
     """An aid in the history, what became of it last time, how often that changed, the samples replayed
-    for it, and the reason last reported."""
+    for it, and the reason last reported.
+    """
 
     aid: Aid
     decision: Decision | None = None

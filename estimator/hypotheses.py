@@ -12,9 +12,9 @@ it later: it keeps the lie and locks the truth out. So the decision stays open w
 
 e is the share of false readings, u their uniform density, tau how long a fault that repeats itself lasts. The leading
 hypothesis is the estimate; another takes over when its weight is larger by a margin. A believer starts with at least the
-weight of "the filter itself is wrong", e^-b, whatever its distance: consistent fixes are believed after believe_after_s (sooner when
-the filter has long been unaided), never locked out, and a cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking with
-fault modes; Blackman and Popoli 1999, ch. 16.)
+weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are believed in the end and never locked
+out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s), sooner when it has long been unaided. A
+cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
@@ -51,8 +51,8 @@ class Doubt:
 class Hypothesis:
     """One filter and the logarithm of its weight.
 
-    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break; parted_ns: when it last
-    differed from the leading one; doubts: what it disbelieves, by topic.
+    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
+    parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic.
     """
 
     filter: Eskf
@@ -108,7 +108,7 @@ class Hypotheses:
         return self.members[0].filter
 
     def covariance(self) -> Array:
-        """Of the error of the leading state, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
+        """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
         lead = self.lead
         if len(self.members) == 1:
             return lead.cov[: E.SIZE, : E.SIZE].copy()
@@ -144,13 +144,13 @@ class Hypotheses:
         if doubt is None:
             return None
         believed = [
-            seen[j].log_likelihood for j, other in enumerate(self.members) if j != k and passed[j] and aid.topic not in other.doubts
+            seen[j].log_likelihood
+            for j, other in enumerate(self.members)
+            if j != k and passed[j] and aid.topic not in other.doubts
         ]
         return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
 
-    def _answer(
-        self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]
-    ) -> bool:
+    def _answer(self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again."""
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = math.log1p(-aid.rules.false_share) + seen.log_likelihood
@@ -207,9 +207,7 @@ class Hypotheses:
             others = [lead, *(m for m in others if m is not best)]
             lead = best
             self.switches += 1
-        others = [
-            m for m in others if m.weight > lead.weight - _FORGET and t_ns - m.parted_ns < _SETTLED_S * 1e9
-        ]
+        others = [m for m in others if m.weight > lead.weight - _FORGET and t_ns - m.parted_ns < _SETTLED_S * 1e9]
         others.sort(key=lambda m: -m.weight)
         self.members = [lead, *others[: _MOST - 1]]
         top = lead.weight

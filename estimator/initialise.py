@@ -40,8 +40,8 @@ class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     velocity_sigma_m_s: Annotated[float, Meta(gt=0, description="m/s: of the unknown velocity at the start")] = 10.0
     gyro_bias_sigma: Annotated[float, Meta(gt=0, description="rad/s: of the gyro bias at the start")] = 0.05
     accel_bias_sigma: Annotated[float, Meta(gt=0, description="m/s^2: of the accelerometer bias at the start")] = 0.3
-    still_gyro: Annotated[float, Meta(gt=0, description="rad/s: standard deviation below which the vehicle may be at rest")] = 0.02
-    still_accel: Annotated[float, Meta(gt=0, description="m/s^2: standard deviation below which the vehicle may be at rest")] = 0.3
+    still_gyro: Annotated[float, Meta(gt=0, description="rad/s: deviation below which the vehicle may be at rest")] = 0.02
+    still_accel: Annotated[float, Meta(gt=0, description="m/s^2: deviation below which the vehicle may be at rest")] = 0.3
     still_rate: Annotated[float, Meta(gt=0, description="rad/s: mean rate below which the vehicle may be at rest")] = 0.15
     level_moving_deg: Annotated[float, Meta(gt=0, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
     heading_deg: Annotated[float, Meta(gt=0, description="deg: attitude sigma below which the estimate is aligned")] = 10.0

@@ -17,7 +17,7 @@ class ImuBuffer:
     def __init__(self, capacity: int = 4096) -> None:
         self.t_ns = np.zeros(capacity, np.int64)
         self.u = np.zeros((capacity, 6))
-        self._u_bytes = memoryview(self.u).cast("B")
+        self._u_bytes = self.u.data.cast("B")
         self.count = 0
         self.newest_ns = self.previous_ns = -(2**62)
 
@@ -65,4 +65,4 @@ class ImuBuffer:
     def _grow(self) -> None:
         self.t_ns = np.concatenate([self.t_ns, np.zeros_like(self.t_ns)])
         self.u = np.concatenate([self.u, np.zeros_like(self.u)])
-        self._u_bytes = memoryview(self.u).cast("B")
+        self._u_bytes = self.u.data.cast("B")

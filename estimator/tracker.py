@@ -79,6 +79,7 @@ class Tracker:
         self.config = config
         self.t_ns = _NEVER
         self.origin = config.origin
+        self.place = config.origin.lla if config.origin else None
         self.constants = imu.constants(config.imu, config.coast, config.origin)
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
@@ -117,7 +118,7 @@ class Tracker:
     def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
         """Take a measurement valid now (t_ns is aid.t_ns)."""
         if aid.geodetic and self.origin is None and self.hypotheses is None:
-            self.origin = Origin(*aid.geodetic)
+            self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
         z = aid.measurement(self.origin)
         if z is None:

@@ -10,12 +10,14 @@ from typing import Self
 
 import numpy as np
 import pymap3d
+from numba import njit
 
 from models.messages import Array, Vec3
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS-84
 GRAVITY = 9.80665  # m/s^2, standard gravity, where the place on Earth is unknown
 _EARTH_RADIUS = 6_378_137.0  # m, WGS-84 semi-major axis
+_E2 = 6.69437999014e-3  # WGS-84 first eccentricity squared
 
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # its own inverse
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])  # its own inverse
@@ -40,9 +42,14 @@ class Origin:
         return float(n), float(e), float(d)
 
     def to_geodetic(self, p_n: Array | Vec3) -> Vec3:
-        """Latitude [deg], longitude [deg], ellipsoid height [m] of a position in n."""
-        lat, lon, alt = pymap3d.ned2geodetic(p_n[0], p_n[1], p_n[2], self.lat_deg, self.lon_deg, self.alt_m)
-        return float(lat), float(lon), float(alt)
+        """Latitude [deg], longitude [deg], ellipsoid height [m] of a position in n (by way of ECEF)."""
+        lat, lon, alt = _geodetic(p_n[0], p_n[1], p_n[2], math.radians(self.lat_deg), math.radians(self.lon_deg), self.alt_m)
+        return math.degrees(lat), math.degrees(lon), alt
+
+    @property
+    def lla(self) -> Vec3:
+        """(lat_deg, lon_deg, alt_m)."""
+        return self.lat_deg, self.lon_deg, self.alt_m
 
     @property
     def earth_rate_n(self) -> Array:
@@ -59,9 +66,34 @@ class Origin:
 def normal_gravity(lat_rad: float, alt_m: float) -> float:
     """Gravity on and above the WGS-84 ellipsoid, m/s^2.
 
-        g0 = 9.7803253359 (1 + 0.001931853 s^2) / sqrt(1 - e^2 s^2),  s = sin(lat)         (Somigliana; Groves 2013, eq. 2.134)
-        g(h) = g0 (1 - 2 h / a)                                                      (first term of Groves 2013, eq. 2.139)
+    g0 = 9.7803253359 (1 + 0.001931853 s^2) / sqrt(1 - e^2 s^2),  s = sin(lat)         (Somigliana; Groves 2013, eq. 2.134)
+    g(h) = g0 (1 - 2 h / a)                                                      (first term of Groves 2013, eq. 2.139)
     """
     s2 = math.sin(lat_rad) ** 2
-    g0 = 9.7803253359 * (1.0 + 0.001931853 * s2) / math.sqrt(1.0 - 6.69437999014e-3 * s2)
+    g0 = 9.7803253359 * (1.0 + 0.001931853 * s2) / math.sqrt(1.0 - _E2 * s2)
     return g0 * (1.0 - 2.0 * alt_m / _EARTH_RADIUS)
+
+
+@njit(cache=True)
+def _geodetic(north: float, east: float, down: float, lat0: float, lon0: float, alt0: float) -> tuple[float, float, float]:
+    """Latitude, longitude [rad] and height [m] of a place in n, whose origin is at lat0, lon0 [rad], alt0 [m].
+
+    ECEF by rotation, then Bowring's (1976) latitude, iterated: below 1e-9 m after two rounds up to 100 km of height. The general
+    library takes 200 us for it, and the global position goes out at 30 Hz.
+    """
+    slat, clat, slon, clon = math.sin(lat0), math.cos(lat0), math.sin(lon0), math.cos(lon0)
+    radius = _EARTH_RADIUS / math.sqrt(1.0 - _E2 * slat * slat)
+    outward = -slat * north - clat * down + (radius + alt0) * clat
+    x, y = clon * outward - slon * east, slon * outward + clon * east
+    z = clat * north - slat * down + (radius * (1.0 - _E2) + alt0) * slat
+    p = math.hypot(x, y)
+    flat = math.sqrt(1.0 - _E2)
+    beta = math.atan2(z, flat * p)
+    lat = 0.0
+    for _ in range(3):
+        s, c = math.sin(beta), math.cos(beta)
+        lat = math.atan2(z + _E2 / (1.0 - _E2) * flat * _EARTH_RADIUS * s * s * s, p - _E2 * _EARTH_RADIUS * c * c * c)
+        beta = math.atan2(flat * math.sin(lat), math.cos(lat))
+    s, c = math.sin(lat), math.cos(lat)
+    alt = p * c + z * s - _EARTH_RADIUS * math.sqrt(1.0 - _E2 * s * s)
+    return lat, math.atan2(y, x), alt

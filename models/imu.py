@@ -12,8 +12,8 @@ beginning, middle and end, and a = R f in n:
 Error transition (local attitude error; exact in theta because R(t) theta(t) is constant without bias):
 
     dp1 = dp + h dv - [s_p]x R0 theta + h^2/6 [s_v]x Rm db_g - h^2/2 Rm db_a
-    dv1 =         dv - [s_v]x R0 theta + h/2   [s_v]x Rm db_g - h     Rm db_a
-    theta1 = R1^T R0 theta - h R1^T Rm db_g
+    dv1 = (I - 2h [w_ie]x) dv + h G dp - [s_v]x R0 theta + h/2 [s_v]x Rm db_g - h Rm db_a,  G = g/r diag(-1, -1, 2)
+    theta1 = R1^T (I - h [w_ie]x) R0 theta - h R1^T Rm db_g
 
 When the IMU itself is missing the model is constant velocity with a turn rate that dies away, and much larger noise (`coast`).
 States beyond E.SIZE in P are first-order Gauss-Markov errors that the filter considers: c1 = exp(-h/tau) c + n_c.
@@ -55,7 +55,7 @@ class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gap_s: Annotated[float, msgspec.Meta(gt=0, description="s: longer gaps between IMU samples are coasted")] = 0.1
     accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): unknown acceleration while coasting")] = 3.0
     gyro_noise: Annotated[float, msgspec.Meta(gt=0, description="rad/s/sqrt(Hz): unknown turning while coasting")] = 0.3
-    turn_decay_s: Annotated[float, msgspec.Meta(gt=0, description="s: time constant with which the last turn rate dies away")] = 1.0
+    turn_decay_s: Annotated[float, msgspec.Meta(gt=0, description="s: time in which the last turn rate dies away")] = 1.0
 
 
 # Layout of the constants that the kernels read, one float array.
@@ -74,7 +74,7 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
     c = np.zeros(_C_SIZE)
     c[_C_GRAVITY] = GRAVITY
     if origin is not None:
-        c[_C_GRAVITY], c[_C_EARTH:_C_EARTH + 3] = origin.gravity, origin.earth_rate_n
+        c[_C_GRAVITY], c[_C_EARTH : _C_EARTH + 3] = origin.gravity, origin.earth_rate_n
         c[_C_GRADIENT] = origin.gravity / _EARTH_RADIUS
     c[_C_GYRO_PSD], c[_C_ACCEL_PSD] = noise.gyro_noise**2, noise.accel_noise**2
     c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD] = noise.gyro_walk**2, noise.accel_walk**2
@@ -86,7 +86,7 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
 @njit(cache=True, inline="always")
 def _gravity(p: Array, v: Array, c: Array) -> tuple[float, float, float]:
     """g(p) - 2 w_ie x v in n: towards the Earth's centre, weaker with height, plus Coriolis (Groves 2013, eq. 5.53)."""
-    w = c[_C_EARTH:_C_EARTH + 3]
+    w = c[_C_EARTH : _C_EARTH + 3]
     k = c[_C_GRADIENT]
     gx = -k * p[0] - 2.0 * (w[1] * v[2] - w[2] * v[1])
     gy = -k * p[1] - 2.0 * (w[2] * v[0] - w[0] * v[2])
@@ -133,8 +133,8 @@ def _cross_columns(sx: float, sy: float, sz: float, r: Array, scale: float, out:
 
 
 # Rows of the workspace (_WORK, 3, 3): rotations at three instants, then the blocks of the transition.
-_R0, _RM, _R1, _PT, _VT, _PG, _VG, _TT, _TG = range(9)
-_WORK = 9
+_R0, _RM, _R1, _PT, _VT, _PG, _VG, _TT, _TG, _VV = range(10)
+_WORK = 10
 
 
 @njit(cache=True)
@@ -143,7 +143,7 @@ def _strapdown(x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c
     p, v, q, bg, ba = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA], x[_XA:]
     r0, rm, r1 = work[_R0], work[_RM], work[_R1]
     _matrix_into(q, r0)
-    earth = c[_C_EARTH:_C_EARTH + 3]
+    earth = c[_C_EARTH : _C_EARTH + 3]
     a0, a1, a2 = w0[0] - bg[0], w0[1] - bg[1], w0[2] - bg[2]
     b0, b1, b2 = w1[0] - bg[0], w1[1] - bg[1], w1[2] - bg[2]
     k = h * h / 12.0
@@ -180,14 +180,21 @@ def _strapdown(x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c
     _cross_columns(vx, vy, vz, r0, -1.0, work[_VT])
     _cross_columns(vx, vy, vz, rm, kp, work[_PG])
     _cross_columns(vx, vy, vz, rm, 0.5 * h, work[_VG])
-    for i in range(3):
-        for j in range(3):
-            work[_TT, i, j] = r1[0, i] * r0[0, j] + r1[1, i] * r0[1, j] + r1[2, i] * r0[2, j]
+    wx, wy, wz = h * earth[0], h * earth[1], h * earth[2]
+    turn = work[_VV]  # I - 2h [w_ie]x
+    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0, 2.0 * wz, -2.0 * wy
+    turn[1, 0], turn[1, 1], turn[1, 2] = -2.0 * wz, 1.0, 2.0 * wx
+    turn[2, 0], turn[2, 1], turn[2, 2] = 2.0 * wy, -2.0 * wx, 1.0
+    for j in range(3):
+        x0, x1, x2 = r0[0, j], r0[1, j], r0[2, j]
+        y0, y1, y2 = x0 + wz * x1 - wy * x2, x1 - wz * x0 + wx * x2, x2 + wy * x0 - wx * x1
+        for i in range(3):
+            work[_TT, i, j] = r1[0, i] * y0 + r1[1, i] * y1 + r1[2, i] * y2
             work[_TG, i, j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
 
 
 @njit(cache=True)
-def _transition_rows(m: Array, h: float, work: Array, out: Array) -> None:
+def _transition_rows(m: Array, h: float, gradient: float, work: Array, out: Array) -> None:
     """out = the position, velocity and attitude rows of Phi m, m (>= 15, k); the bias rows of Phi m are those of m.
 
     One inner loop an output row, its coefficients in scalars: the form that LLVM turns into vector instructions.
@@ -205,11 +212,13 @@ def _transition_rows(m: Array, h: float, work: Array, out: Array) -> None:
                 + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
                 + hh * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
             )  # fmt: skip
+        v0, v1, v2 = work[_VV, i, 0], work[_VV, i, 1], work[_VV, i, 2]
+        pull = (2.0 if i == 2 else -1.0) * gradient * h
         t0, t1, t2 = work[_VT, i, 0], work[_VT, i, 1], work[_VT, i, 2]
         g0, g1, g2 = work[_VG, i, 0], work[_VG, i, 1], work[_VG, i, 2]
         for j in range(k):
             out[_V + i, j] = (
-                m[_V + i, j]
+                pull * m[_P + i, j] + v0 * m[_V, j] + v1 * m[_V + 1, j] + v2 * m[_V + 2, j]
                 + t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
                 + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
                 - h * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
@@ -224,17 +233,17 @@ def _transition_rows(m: Array, h: float, work: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def _covariance(cov: Array, h: float, work: Array, rows: Array, turned: Array, block: Array) -> None:
+def _covariance(cov: Array, h: float, gradient: float, work: Array, rows: Array, turned: Array, block: Array) -> None:
     """P <- Phi P Phi^T = Phi (Phi P)^T, in place, exactly symmetric.
 
     Scratch: rows (9, n) for Phi P, turned (15, 9) for its transpose, block (9, 9) for the result's upper left.
     """
     n = cov.shape[0]
-    _transition_rows(cov, h, work, rows)
+    _transition_rows(cov, h, gradient, work, rows)
     for i in range(_G):
         for j in range(_N):
             turned[j, i] = rows[i, j]
-    _transition_rows(turned, h, work, block)
+    _transition_rows(turned, h, gradient, work, block)
     for i in range(_G):
         for j in range(i, _G):
             cov[i, j] = block[i, j]
@@ -272,7 +281,7 @@ def _gauss_markov(cov: Array, h: float, tau: Array, sigma2: Array) -> None:
 
 @njit(cache=True)
 def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> None:
-    """One step of the nominal state without IMU: v turns with the yaw rate, attitude with the last rate, which dies away with its age.
+    """One step of the nominal state without IMU: attitude turns on at the last rate, which dies away, and v with it.
 
     psi = integral of w_n,z;  v1 = Rz(psi) v,  p1 = p + h v,  R1 = R exp(alpha)      (coordinated turn; Bar-Shalom 2001, 11.7)
     The error transition is that of constant velocity: theta and dv do not mix.
@@ -293,6 +302,7 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> N
     q[:] = so3.normalise(so3.multiply(q, so3.quat_exp(a)))
     _matrix_into(q, r1)
     work[_TT] = r1.T @ r0
+    work[_VV] = np.eye(3)
 
 
 @njit(cache=True)
@@ -337,7 +347,7 @@ def propagate(
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
         h = (end - from_ns) * _NS
         coasting = _step(x, t_ns, u, count, i, from_ns, end, c, work, ends)
-        _covariance(cov, h, work, rows, turned, block)
+        _covariance(cov, h, 0.0 if coasting else c[_C_GRADIENT], work, rows, turned, block)
         if coasting:
             _add_noise(cov, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         else:
@@ -351,16 +361,14 @@ def propagate(
 
 
 @njit(cache=True)
-def transition(
-    x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array
-) -> Array:
+def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
     """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
     phi, nominal = np.eye(_N), x.copy()
     work, ends, rows = np.empty((_WORK, 3, 3)), np.zeros((4, 3)), np.empty((_G, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
-        _step(nominal, t_ns, u, count, i, from_ns, end, c, work, ends)
-        _transition_rows(phi, (end - from_ns) * _NS, work, rows)
+        coasting = _step(nominal, t_ns, u, count, i, from_ns, end, c, work, ends)
+        _transition_rows(phi, (end - from_ns) * _NS, 0.0 if coasting else c[_C_GRADIENT], work, rows)
         phi[:_G] = rows
         from_ns = end
         if i < count and end == t_ns[i]:
@@ -371,9 +379,9 @@ def transition(
 @njit(cache=True)
 def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
     """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
-    if i <= 0:
-        return u[0].copy()
-    if i >= count:
-        return u[count - 1].copy()
-    s = (at_ns - t_ns[i - 1]) / (t_ns[i] - t_ns[i - 1])
-    return u[i - 1] + s * (u[i] - u[i - 1])
+    out = np.empty(6)
+    before, after = max(i - 1, 0), min(i, count - 1)
+    s = 0.0 if before == after else (at_ns - t_ns[before]) / (t_ns[after] - t_ns[before])
+    for k in range(6):
+        out[k] = u[before, k] + s * (u[after, k] - u[before, k])
+    return out

@@ -187,12 +187,14 @@ def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
-    """Roll and pitch alone: d = R R_z^T e_z is "down" as the fix saw it, turned by our attitude; nu = (d_y, -d_x), H = (R, rows x y) for small nu."""
+    """Roll and pitch alone: d = R R_z^T e_z is "down" as the fix saw it, turned by our attitude; nu = (d_y, -d_x).
+
+    H from d(exp(delta) d) = delta x d; rows x and y of R where the two agree.
+    """
     nu, h = _pose(x, z, q)
     r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
     down = r @ m.T[:, 2]
     nu[3], nu[4] = down[1], -down[0]
-    # d(exp(delta) d) = delta x d: exact rows, which become those of R where the two agree
     h[3, _T:_G] = np.array([down[2], 0.0, -down[0]]) @ r
     h[4, _T:_G] = np.array([0.0, down[2], -down[1]]) @ r
     return nu, h

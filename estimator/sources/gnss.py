@@ -43,9 +43,11 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     ] = 10
     hold_s: Annotated[float, Meta(ge=0, description="s: how long GNSS is held off when its innovations drift; 0: never")] = 10.0
     delay_s: Annotated[float, Meta(ge=0, le=5, description="s: stamps are later than validity by this much")] = 0.0
-    antenna_b_m: Annotated[
-        tuple[float, float, float], Meta(description="m: antenna from the IMU, forward right down")
-    ] = (0.0, 0.0, 0.0)
+    antenna_b_m: Annotated[tuple[float, float, float], Meta(description="m: antenna from the IMU, forward right down")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     horizontal_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 1.5
     vertical_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 3.0
     velocity_sigma_m_s: Annotated[float, Meta(gt=0, description="m/s: where the receiver gives no covariance")] = 0.3

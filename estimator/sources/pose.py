@@ -5,6 +5,7 @@ from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from estimator.sources.source import (
     FALSE_ATTITUDE_RAD,
@@ -33,11 +34,12 @@ class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
 
 
-def given_components(cov: Array) -> Array:
+def given_components(cov: Array) -> NDArray[np.bool_]:
     """Which of (x y z rx ry rz) a fix gives: a variance that is NaN, negative, >= 9e4 m^2 or >= 10 rad^2 says "not given"."""
     variance = np.diag(cov)
     limit = np.array([_NOT_GIVEN_M2] * 3 + [_NOT_GIVEN_RAD2] * 3)
-    return (variance >= 0) & (variance < limit)
+    given: NDArray[np.bool_] = (variance >= 0) & (variance < limit)
+    return given
 
 
 def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
@@ -66,7 +68,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if common is not None and (common.shape != (6, 6) or not np.isfinite(common).all() or np.linalg.eigvalsh(common)[0] < 0):
         return Refusal(Reason.NOT_PSD, "common covariance")
     z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
-    widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]  # noqa: PLR2004  (x y z come first)
+    widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]
     return Aid(
         t_ns=fix.t_ns,
         arrived_ns=fix.arrived_ns,

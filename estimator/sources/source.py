@@ -37,7 +37,7 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(gt=0, description="s: after so long of consistent contradiction the source is believed, not the filter")
     ] = 20.0
     probation: Annotated[
-        int, Meta(ge=0, description="measurements that must pass before a (returning) source is fused beside another absolute one")
+        int, Meta(ge=0, description="measurements that must pass before a (returning) source is fused beside another one")
     ] = 0
     hold_s: Annotated[float, Meta(ge=0, description="s: how long a source that was found out is held off; 0: never")] = 0.0
     cusum_slack: Annotated[float, Meta(gt=0, description="sigma: bias of the innovations that is tolerated")] = 1.0
