@@ -126,12 +126,12 @@ def wire(ax: Axes) -> None:
     heading = np.deg2rad(40)
     nose, right = (float(np.sin(heading)), -float(np.cos(heading))), (float(np.cos(heading)), float(np.sin(heading)))
     for centre, title, world, body in (
-        ((1010.0, 170.0), "inside: NED, FRD", (("N", X, (0, -1)), ("E", Y, (1, 0))), (("F", X, nose), ("R", Y, right))),
+        ((1010.0, 170.0), "inside: NED, FRD", (("N", X, (0.0, -1.0)), ("E", Y, (1.0, 0.0))), (("F", X, nose), ("R", Y, right))),
         (
             (1010.0, 370.0),
             "on the wire: ENU, FLU",
-            (("N", Y, (0, -1)), ("E", X, (1, 0))),
-            (("F", X, nose), ("L", Y, moved((0, 0), right, -1))),
+            (("N", Y, (0.0, -1.0)), ("E", X, (1.0, 0.0))),
+            (("F", X, nose), ("L", Y, moved((0.0, 0.0), right, -1))),
         ),
     ):
         corner = moved(centre, (-58, 42))
