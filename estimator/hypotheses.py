@@ -111,7 +111,7 @@ class Hypotheses:
         """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
         lead = self.lead
         if len(self.members) == 1:
-            return lead.cov[: E.SIZE, : E.SIZE].copy()
+            return lead.cov.copy() if len(lead.cov) == E.SIZE else lead.cov[: E.SIZE, : E.SIZE].copy()
         weights = np.exp([m.weight for m in self.members])
         total = np.zeros((E.SIZE, E.SIZE))
         for weight, member in zip(weights / weights.sum(), self.members, strict=True):

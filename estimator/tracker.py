@@ -77,6 +77,7 @@ class Tracker:
 
     def __init__(self, config: TrackerConfig) -> None:
         self.config = config
+        self._gap_ns, self._aided_ns = round(config.coast.gap_s * 1e9), round(config.dead_reckoning_after_s * 1e9)
         self.t_ns = _NEVER
         self.origin = config.origin
         self.place = config.origin.lla if config.origin else None
@@ -110,10 +111,9 @@ class Tracker:
         """What an estimate for t_ns rests on."""
         if self.hypotheses is None or not self.is_aligned:
             return Mode.STARTING if self.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
-        if (t_ns - newest_imu_ns) * 1e-9 > self.config.coast.gap_s:
+        if t_ns - newest_imu_ns > self._gap_ns:
             return Mode.COASTING
-        aided = (t_ns - self.last_absolute_ns) * 1e-9 <= self.config.dead_reckoning_after_s
-        return Mode.AIDED if aided else Mode.DEAD_RECKONING
+        return Mode.AIDED if t_ns - self.last_absolute_ns <= self._aided_ns else Mode.DEAD_RECKONING
 
     def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
         """Take a measurement valid now (t_ns is aid.t_ns)."""

@@ -48,11 +48,11 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
     given = given_components(covariance)
-    attitude = _ATTITUDES.get((bool(given[3]), bool(given[4]), bool(given[5])))
+    attitude = _ATTITUDES.get(tuple(given.tolist()[3:]))
     rows = np.flatnonzero(given)
     if attitude is None or not len(rows):
         return Refusal(Reason.UNSUPPORTED, "attitude is given whole, as roll and pitch, as yaw, or not at all")
-    noise = covariance[np.ix_(rows, rows)] * config.noise_scale**2
+    noise = (covariance if given.all() else covariance[np.ix_(rows, rows)]) * config.noise_scale**2
     if refusal := covariance_refusal(noise):
         return refusal
     p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz)
