@@ -54,7 +54,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         hint = "; --pose-fix-hz takes some from vision.csv" if reader.has("vision") else ""
         notes.append(f"{source.name}: neither GNSS nor pose fixes, so the estimator has nothing to start from{hint}")
     settings = _settings(known, checks, aids, truth)
-    return Recording((*aids, imu, *([truth] if truth else [])), settings, tuple(notes))
+    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes)
 
 
 class _Reader:
@@ -105,8 +105,8 @@ def _imu(reader: _Reader, stem: str, B: Array) -> Stream:
     if table is None:
         there = ", ".join(sorted(p.name for p in reader.folder.iterdir())[:20]) or "nothing"
         raise LogError(f"{reader.folder}: no {stem}.csv or {stem}.csv.gz in it (there is: {there})")
-    gyro_b = table.needed(csv_table.GYRO, "xyz") @ B.T
-    accel_b = table.needed(csv_table.ACCEL, "xyz") @ B.T
+    gyro_b = frames.turned(table.needed(csv_table.GYRO, "xyz"), B)
+    accel_b = frames.turned(table.needed(csv_table.ACCEL, "xyz"), B)
     reader.notes += sensors.check_imu(gyro_b, accel_b, table.file) + sensors.check_rate(table.t_ns, table.file)
     return recording.imu(table.t_ns, arrived(table), gyro_b, accel_b)
 
@@ -202,7 +202,7 @@ def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array
     nothing = np.full((len(table.t_ns), 3), np.nan)
     p, v = (table.vector(quantity, axes) if axes else None for quantity in (csv_table.POSITION, csv_table.VELOCITY))
     q = table.vector(csv_table.ATTITUDE, "wxyz")
-    p_n, v_n = (nothing if column is None else column @ W.T for column in (p, v))
+    p_n, v_n = (nothing if column is None else frames.turned(column, W) for column in (p, v))
     return p_n, v_n, np.full((len(table.t_ns), 4), np.nan) if q is None else frames.attitude(q, W, B)
 
 

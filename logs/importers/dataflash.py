@@ -10,8 +10,7 @@ on the log's clock, set so that the fastest fix took no time, and what all fixes
 """
 
 import contextlib
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from pymavlink import DFReader
 from scipy.ndimage import minimum_filter1d
 
 from logs.importers import frames, recording, sensors
+from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.reader import LogError
@@ -42,6 +42,7 @@ _DELAYS = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EK2_GPS_DELAY", "EKF_POS_DELAY")  #
 _USUAL_DELAY_MS = 200.0
 _WEEK_MS = 7 * 86_400_000
 _DRIFT_WINDOW = 601  # fixes (2 min at 5 Hz) over which the autopilot's clock keeps step with GPS time
+_FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _LATE_US = 2_000_000  # a fix later than this has a wrong week time
 
 Tables = Mapping[str, Mapping[str, Array]]  # message -> field -> column
@@ -68,7 +69,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         delay_s = _delay_s(parameters, gnss[0])
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
-    return Recording((*gnss, *_baro(tables, timebase_us), imu, *([truth] if truth else [])), settings, tuple(notes))
+    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *([truth] if truth else [])), settings, notes)
 
 
 def _open(source: Path) -> Any:
@@ -81,24 +82,10 @@ def _open(source: Path) -> Any:
     if magic != _MAGIC:
         raise LogError(f"{source.name}: {'not an ArduPilot dataflash log (.bin)' if magic else 'the file is empty'}")
     try:
-        with _silence():
+        with silence():
             return DFReader.DFReader_binary(str(source))
     except Exception as error:  # pymavlink raises whatever a damaged file makes it stumble over
         raise LogError(f"{source.name}: cannot be read as a dataflash log: {error}") from None
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """pymavlink prints a line for each damaged byte, from Python and from compiled code."""
-    kept = os.dup(2)
-    try:
-        with Path(os.devnull).open("w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-            with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-                yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
 
 
 class _Layout:
@@ -143,7 +130,7 @@ def _tables(source: Path, log: Any, imu: str, progress: Progress | None) -> Tabl
 
 
 def _t_ns(time_us: Array, timebase_us: int) -> Times:
-    return (np.rint(time_us).astype(np.int64) + timebase_us) * 1000
+    return (np.rint(np.clip(time_us, 0.0, _FAR_US)).astype(np.int64) + timebase_us) * 1000
 
 
 def _vector(table: Mapping[str, Array], *fields: str) -> Array:

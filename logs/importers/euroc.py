@@ -41,8 +41,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     known = DATA_SETS["euroc"]
     B = frames.body_axes(options.axes or known.axes)
     table = read_table(folder / "data.csv")
-    gyro_b = table.needed(csv_table.GYRO, "xyz") @ B.T
-    accel_b = table.needed(csv_table.ACCEL, "xyz") @ B.T
+    gyro_b = frames.turned(table.needed(csv_table.GYRO, "xyz"), B)
+    accel_b = frames.turned(table.needed(csv_table.ACCEL, "xyz"), B)
     where = f"{folder.name}/data.csv"
     notes = [*table.notes, *sensors.check_imu(gyro_b, accel_b, where), *sensors.check_rate(table.t_ns, where)]
     if progress:
@@ -52,7 +52,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     notes.append("no fixes in this layout: images are not imported")
     noise, reason = _noise(folder / "sensor.yaml")
     settings = Settings(noise or known.noise, reason or known.noise_reason)
-    return Recording((imu, *([truth] if truth else [])), settings, tuple(notes))
+    return Recording.of((imu, *([truth] if truth else [])), settings, notes)
 
 
 def _truth(mav: Path, W: Array, B: Array, notes: list[str]) -> Stream | None:
@@ -69,8 +69,8 @@ def _truth(mav: Path, W: Array, B: Array, notes: list[str]) -> Stream | None:
     if p is None:
         raise LogError(f"{path.parent.name}/data.csv: no column for position x (p_RS_R_x [m]); it has {', '.join(table.names)}")
     unknown = np.full((len(table.t_ns), 4), np.nan)
-    v_n = unknown[:, :3] if v is None else v @ W.T
-    return recording.truth(table.t_ns, p @ W.T, v_n, unknown if q is None else frames.attitude(q, W, B))
+    v_n = unknown[:, :3] if v is None else frames.turned(v, W)
+    return recording.truth(table.t_ns, frames.turned(p, W), v_n, unknown if q is None else frames.attitude(q, W, B))
 
 
 def _noise(path: Path) -> tuple[ImuNoise | None, str]:

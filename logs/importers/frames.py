@@ -37,6 +37,12 @@ def _axes(letters: str, directions: dict[str, tuple[int, int, int]], name: str, 
     return columns
 
 
+def turned(v: Array, axes: Array) -> Array:
+    """axes @ v of each row (n, 3). The axes are a signed permutation: components are moved, so a nan stays in its own place."""
+    order = np.argmax(np.abs(axes), axis=1)
+    return np.asarray(v[:, order] * axes[np.arange(3), order])
+
+
 def attitude(q_file_wxyz: Array, W: Array, B: Array) -> Array:
     """q_nb_wxyz (n, 4), normalised, of the attitudes (n, 4) that turn the log's body axes into its world axes; nan stays nan."""
     q_w, q_b = so3.from_matrix(W), so3.from_matrix(B)

@@ -6,9 +6,9 @@ estimator has a reason for each. Where a log knows no arrival times, messages ar
 
 import heapq
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Self, TypeAlias
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ Times: TypeAlias = NDArray[np.int64]
 Progress: TypeAlias = Callable[[float], None]  # told the fraction done
 
 EPOCH_NS = 1_700_000_000 * 10**9  # 2023-11-14T22:13:20Z: when t = 0 was, in logs that do not know the date
+_LAST_NS = (2**31 - 1) * 10**9  # 2038: the wire's seconds have 31 bits
 _BLOCK = 4096  # rows that are plain Python objects at one time
 
 
@@ -76,6 +77,14 @@ class Stream:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def within(self, first_ns: int, last_ns: int) -> Self:
+        """The messages that were valid and arrived between the two."""
+        earlier, later = np.minimum(self.t_ns, self.arrived_ns), np.maximum(self.t_ns, self.arrived_ns)
+        rows = (earlier >= first_ns) & (later <= last_ns)
+        if rows.all():
+            return self
+        return replace(self, t_ns=self.t_ns[rows], arrived_ns=self.arrived_ns[rows], columns=tuple(c[rows] for c in self.columns))
+
     def __iter__(self) -> Iterator[Message]:
         """In the order of arrival; messages that arrived together as they stand in the log."""
         order = np.argsort(self.arrived_ns, kind="stable")
@@ -92,6 +101,15 @@ class Recording:
     streams: tuple[Stream, ...]
     settings: Settings
     notes: tuple[str, ...] = ()  # what a person should know, one line each
+
+    @classmethod
+    def of(cls, streams: Iterable[Stream], settings: Settings, notes: Iterable[str]) -> Self:
+        """A Recording without the messages whose stamps no log can hold, those of damaged rows; a note says how many."""
+        given = tuple(streams)
+        kept = [s.within(0, _LAST_NS) for s in given]
+        lost = sum(map(len, given)) - sum(map(len, kept))
+        more = [f"{lost} messages stamped outside 1970-2038 left out"] if lost else []
+        return cls(tuple(s for s in kept if len(s)), settings, (*notes, *more))
 
     def __len__(self) -> int:
         return sum(map(len, self.streams))

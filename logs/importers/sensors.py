@@ -46,10 +46,11 @@ def check_rate(t_ns: Times, where: str) -> list[str]:
 
 def check_place(lla: Array, where: str) -> None:
     """Refuse latitudes and longitudes that are not degrees. lla (n, 3)."""
-    worst = float(np.nanmax(np.abs(lla[:, :2]), initial=0.0))
-    if worst > 360.0:
-        unit = "1e-7 deg" if worst > 1e5 else "degrees and minutes"
-        raise LogError(f"{where}: latitude or longitude {worst:.0f} is not degrees ({unit}?)")
+    known = np.abs(lla[np.isfinite(lla).all(axis=1), :2])
+    usual = float(np.median(known, axis=0).max()) if len(known) else 0.0
+    if usual > 360.0:
+        unit = "1e-7 deg" if usual > 1e5 else "degrees and minutes"
+        raise LogError(f"{where}: latitude or longitude {usual:.0f} is not degrees ({unit}?)")
 
 
 def navsat_status(fix_type: Array) -> Array:

@@ -42,6 +42,7 @@ _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
 _IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2")  # the best first
 _UNKNOWN = 65535
 _UNIX_US = 1e14  # stamps above it count from 1970
+_FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _REBOOT_US = 5e6  # stamps that fall by more
 _GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
 _SPEED_SIGMA = 0.5  # m/s, where the receiver tells none
@@ -79,7 +80,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
-    return Recording((*gnss, *_baro(tables), imu, *([truth] if truth else [])), settings, tuple(notes))
+    return Recording.of((*gnss, *_baro(tables), imu, *([truth] if truth else [])), settings, notes)
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
@@ -140,7 +141,7 @@ def _dated(messages: Mapping[str, Array]) -> dict[str, _Table]:
 
 
 def _ns(t_us: Array) -> Times:
-    return np.rint(t_us).astype(np.int64) * 1000
+    return np.rint(np.clip(t_us, 0.0, _FAR_US)).astype(np.int64) * 1000
 
 
 def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int, notes: list[str]) -> Stream:

@@ -8,6 +8,7 @@ PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, i
 receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
 """
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from logs.importers import frames, recording, sensors
+from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.reader import LogError
@@ -28,6 +30,7 @@ _WANTED = (
     "vehicle_attitude", "vehicle_local_position", "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
+_FAR_US = np.uint64(4 * 10**15)  # beyond any date; a damaged stamp may be
 _UNIX_US = 10**14  # stamps above it count from 1970
 
 
@@ -51,7 +54,27 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(aids[0], truth, delay_s, origin)
     altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
-    return Recording((*aids, imu, *([truth] if truth else [])), settings, tuple(notes))
+    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes)
+
+
+class _Finite(io.BufferedReader):
+    """A file that ends: pyulog walks in a circle at the end of some damaged files.
+
+    Twice the size of the file is what the slowest walk needs that goes on a byte at a time.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._furthest, self._standing, self._patience = 0, 0, 1000 + 2 * path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of any file, until no read has come further for too long. Raises LogError."""
+        self._standing += 1
+        if (place := self.tell()) > self._furthest:
+            self._furthest, self._standing = place, 0
+        if self._standing > self._patience:
+            raise LogError("damaged beyond reading")
+        return super().read(size)
 
 
 def _open(source: Path) -> Any:
@@ -61,18 +84,19 @@ def _open(source: Path) -> Any:
     except ModuleNotFoundError:
         raise LogError("reading PX4 logs needs pyulog: pip install 'landfix[px4]'") from None
     try:
-        with source.open("rb") as file:
-            magic = file.read(len(_MAGIC))
-            if magic != _MAGIC:
-                raise LogError(f"{source.name}: {'not a PX4 log (.ulg)' if magic else 'the file is empty'}")
-            file.seek(0)
-            return ULog(file, list(_WANTED))
+        file = _Finite(source)
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None
-    except LogError:
-        raise
-    except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
-        raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
+    with file:
+        magic = file.read(len(_MAGIC))
+        if magic != _MAGIC:
+            raise LogError(f"{source.name}: {'not a PX4 log (.ulg)' if magic else 'the file is empty'}")
+        file.seek(0)
+        try:
+            with silence():
+                return ULog(file, list(_WANTED))
+        except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
+            raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
 
 
 def _clock(receiver: Topic | None, notes: list[str]) -> int:
@@ -90,8 +114,8 @@ def _clock(receiver: Topic | None, notes: list[str]) -> int:
 
 def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:
     """t_ns, arrived_ns: of the sample where the driver gives it, and of its publication."""
-    published = topic["timestamp"].astype(np.int64)
-    sampled = topic["timestamp_sample"].astype(np.int64) if "timestamp_sample" in topic else published
+    published = np.minimum(topic["timestamp"], _FAR_US).astype(np.int64)
+    sampled = np.minimum(topic["timestamp_sample"], _FAR_US).astype(np.int64) if "timestamp_sample" in topic else published
     sampled = np.where(sampled > 0, sampled, published)
     return (sampled + clock_us) * 1000, recording.arrival((published + clock_us) * 1000)
 

@@ -33,6 +33,11 @@ def test_letters_that_make_no_axes_are_refused(letters: str, reason: str) -> Non
         frames.body_axes(letters)
 
 
+def test_a_component_that_is_not_given_does_not_spoil_the_others() -> None:
+    v = np.array([[1.0, np.nan, np.inf], [1.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(frames.turned(v, frames.body_axes("urf")), [[np.inf, np.nan, -1.0], [3.0, 2.0, -1.0]])
+
+
 def test_attitude_changes_both_of_its_frames() -> None:
     """R_nb = W R B^T, as matrices."""
     q = np.random.default_rng(5).standard_normal((20, 4))

@@ -46,7 +46,8 @@ def test_slow_imus_are_told() -> None:
 
 
 def test_places_that_are_not_degrees_are_refused() -> None:
-    sensors.check_place(np.array([[-89.0, 179.9, 1e4], [np.nan] * 3]), "gps.csv")
+    sensors.check_place(np.array([[-89.0, 179.9, 1e4], [np.nan] * 3, [np.inf, 0.0, 0.0]]), "gps.csv")
+    sensors.check_place(np.array([[47.0, 8.0, 0.0], [47.0, 8.0, 0.0], [1e9, 8.0, 0.0]]), "gps.csv")  # one damaged row
     with pytest.raises(LogError, match="1e-7 deg"):
         sensors.check_place(np.array([[473977422.0, 85455940.0, 488.0]]), "gps.csv")
 

@@ -194,6 +194,16 @@ def test_of_several_vehicles_the_one_with_the_most_messages_is_taken(tmp_path: P
     assert len(tlog.read(ground.write(tmp_path))) == 5
 
 
+def test_a_damaged_stamp_costs_its_own_message_only(tmp_path: Path) -> None:
+    ground = Ground()
+    for k in range(4):
+        ground.imu(k * 10_000, 1_000_000 + k * 10_000)
+    ground.imu(40_000, 2**63 + 5)
+    recording = tlog.read(ground.write(tmp_path))
+    assert len(recording) == 4
+    assert "1 messages stamped outside 1970-2038 left out" in recording.notes
+
+
 def test_a_reboot_in_flight_starts_a_new_clock(tmp_path: Path) -> None:
     ground = Ground()
     for k in range(10):

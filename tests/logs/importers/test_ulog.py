@@ -188,6 +188,15 @@ def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path
     assert [m.q_nb_wxyz for m in truths] == [(1.0, 0.0, 0.0, 0.0)] * 4
 
 
+def test_pyulog_walking_in_a_circle_is_stopped(tmp_path: Path) -> None:
+    """A message of an unknown type that claims more bytes than follow makes pyulog step back for ever."""
+    path = tmp_path / "log.ulg"
+    before = message(b"B", bytes(40)) + message(b"F", b"padding:" + b"double x;" * 7000)
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + before + struct.pack("<Hc", 60_000, b"?") + b"?" * 90)
+    with pytest.raises(LogError, match=r"log\.ulg: cannot be read as a PX4 log: damaged beyond reading"):
+        ulog.read(path)
+
+
 def test_a_torn_log_is_read_as_far_as_it_goes(landfix_data: Path, tmp_path: Path) -> None:
     whole = landfix_data / "native_logs/px4_sitl_v115_31s.ulg"
     torn = tmp_path / "torn.ulg"
