@@ -5,6 +5,7 @@ wake up as the filter expects. A mismatched one breaks one assumption, or severa
 """
 
 import math
+import zlib
 from typing import Literal
 
 import msgspec
@@ -50,6 +51,10 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     matched: bool = True
     told_slow_m: float = 0.0
 
+    def seed(self, run: int) -> int:
+        """Of the simulation: flights do not share their noise, so that their cells are independent."""
+        return (zlib.crc32(self.name.encode()) << 20) + run
+
     def outages_s(self) -> tuple[Interval, ...]:
         """[begin, end] of each."""
         return outages(self.lengths_s)
@@ -65,12 +70,12 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
         return result
 
     def config(self, noise: ImuNoise, process_scale: float = 1.0) -> FusionConfig:
-        """What the filter knows: noise of the grade, its turn-on biases as prior; process_scale multiplies its process noise Q."""
+        """What the filter knows: noise of the grade, its turn-on biases as prior; process_scale multiplies Q."""
         grade = GRADES[self.scenario.imu.grade]
         scaled = {name: value * math.sqrt(process_scale) for name, value in msgspec.structs.asdict(noise).items()}
-        prior = InitialiseConfig(gyro_bias_sigma=grade.gyro_turn_on, accel_bias_sigma=grade.accel_turn_on)
-        if self.scenario.pose_fix:
-            prior = msgspec.structs.replace(prior, still_gyro=_NEVER_STILL)
+        prior = InitialiseConfig(
+            gyro_bias_sigma=grade.gyro_turn_on, accel_bias_sigma=grade.accel_turn_on, still_gyro=_NEVER_STILL
+        )
         gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, initialise=prior, origin=self.scenario.origin)
 
@@ -134,13 +139,13 @@ def mismatched() -> list[Flight]:
     common = msgspec.structs.replace(fixes, common_sigma_m=0.3, common_sigma_deg=0.5)
     unreported = msgspec.structs.replace(common, common_reported=False)
 
-    def of(name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None, told: float = 0.0) -> Flight:
-        return flight(
-            name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False, told_slow_m=told
-        )
+    def of(
+        name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None, told: float = 0.0
+    ) -> Flight:
+        return flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False, told_slow_m=told)
 
     def imu(**errors: float) -> Imu:
-        return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)  # type: ignore[arg-type]
+        return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)
 
     return [
         of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),

@@ -1,6 +1,6 @@
 """One flight, simulated, estimated and judged against its truth and its bound.
 
-    e = x_true (-) x_hat,   NEES = e' P^-1 e  of  pose (p, theta), velocity, full state                  (Bar-Shalom 2001, eq. 5.4.2-2)
+    e = x_true (-) x_hat,   NEES = e' P^-1 e  of  pose (p, theta), velocity, full state         (Bar-Shalom 2001, eq. 5.4.2-2)
 
 The bound begins at the first fix with the covariance that the filter begins with; for GNSS, which gives no attitude, with a
 diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before scoring.
@@ -41,9 +41,9 @@ class Score(msgspec.Struct, frozen=True):
     internal: int
 
 
-def run(flight: Flight, seed: int, process_scale: float = 1.0) -> Score:
-    """Simulate, estimate, judge; process_scale != 1 is a filter that is tuned wrong."""
-    simulation = simulate(flight.scenario, seed)
+def run(flight: Flight, number: int, process_scale: float = 1.0) -> Score:
+    """Simulate, estimate, judge run `number` of a flight; process_scale != 1 is a filter that is tuned wrong."""
+    simulation = simulate(flight.scenario, flight.seed(number))
     config = flight.config(simulation.imu_noise, process_scale)
     at_ns = [EPOCH_NS + round(instant.t_s * 1e9) for instant in flight.instants()]
     estimates, reasons = estimate(simulation, config, frozenset(at_ns))

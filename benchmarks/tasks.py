@@ -116,7 +116,7 @@ def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5
 
 
 def _exchange_fixes(base: Path, out: Path, task: Task, sigma_m: float, sigma_deg: float) -> None:
-    """Write `base` again with EuRoC's real vision estimates, those nearest in time, in the place of its fixes.
+    """Write `base` again with EuRoC's real vision estimates, the first at or after each of its fixes, in their place.
 
     Where vision starts late, the truth before that and in the 10 s after it is left out, and with it its score.
     """
@@ -125,12 +125,13 @@ def _exchange_fixes(base: Path, out: Path, task: Task, sigma_m: float, sigma_deg
         messages = [(m.log_time, c.topic, m.data) for _, c, m in make_reader(f).iter_messages(log_time_order=False)]
     stamps_ns, vision = _vision(task)
     wanted = np.array([log_time for log_time, topic, _ in messages if topic == "/pose_fix"])
-    row, near = nearest(stamps_ns, wanted, VISION_NEAR_NS)
-    events = [
-        (log_time, 1, topic, t.STORE.deserialize_cdr(data, TYPES[topic])) for log_time, topic, data in messages if topic in TYPES
-    ]
+    row = np.minimum(np.searchsorted(stamps_ns, wanted), len(stamps_ns) - 1)  # never one from inside an outage
+    row = np.unique(row[np.abs(stamps_ns[row] - wanted) < VISION_NEAR_NS])
+    begin = int(stamps_ns[row[0]]) + VISION_BURN_NS
+    kept = [m for m in messages if m[1] == "/imu" or (m[1] == "/truth" and m[0] >= begin)]
+    events = [(log_time, 1, topic, t.STORE.deserialize_cdr(data, TYPES[topic])) for log_time, topic, data in kept]
     covariance = np.diag([sigma_m**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3).ravel()
-    for k in np.unique(row[near]):
+    for k in row:
         pose = t.T["geometry_msgs/msg/PoseWithCovariance"](pose=vision[k], covariance=covariance)
         header = t.header((stamps_ns[k] - t.EPOCH_NS) * 1e-9, "map")
         events.append((int(stamps_ns[k]), 0, "/pose_fix", t.T[FIX_TYPE](header=header, pose=pose)))

@@ -1,0 +1,120 @@
+"""From the scores of many runs of a flight to its cells: one instant, one part of the state, the mean over seeds.
+
+n * mean(NEES) ~ chi2(n * dof)           two-sided bands of a cell                      (Bar-Shalom 2001, eq. 5.4.2-8)
+efficiency = sqrt(mean |e|^2 / mean tr B),   B the posterior Cramer-Rao bound           (Tichavsky 1998)
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import msgspec
+import numpy as np
+
+from benchmarks.campaign_flights import Flight, Instant
+from benchmarks.campaign_runs import BLOCKS, PARTS, Score
+from logs.metrics import chi2_band
+from models.messages import Reason
+
+INSIDE, OUTSIDE = 0.95, 0.9999  # probabilities of the two bands
+_LOST = frozenset(Reason) - {Reason.FUSED, Reason.GATED, Reason.ALIGNING}
+
+
+class Consistency(msgspec.Struct, frozen=True):
+    """NEES/dof of one part at one instant, mean over n runs, and the bands of that mean; missing: runs without an estimate."""
+
+    instant: Instant
+    part: str
+    n: int
+    missing: int
+    mean: float
+    band95: tuple[float, float]
+    band9999: tuple[float, float]
+
+    @property
+    def inside(self) -> bool:
+        """Within the 95 % band."""
+        return self.band95[0] <= self.mean <= self.band95[1]
+
+    @property
+    def outside(self) -> bool:
+        """Not even within the 99.99 % band."""
+        return not self.band9999[0] <= self.mean <= self.band9999[1]
+
+
+class Efficiency(msgspec.Struct, frozen=True):
+    """RMSE of one block at one instant over runs, beside the bound: m, m/s, rad."""
+
+    instant: Instant
+    block: str
+    rmse: float
+    bound: float
+
+    @property
+    def ratio(self) -> float:
+        """1 is as good as any estimator can be."""
+        return self.rmse / self.bound
+
+
+class Result(msgspec.Struct, frozen=True):
+    """A flight over all its seeds; fixes: valid measurements by what became of them."""
+
+    name: str
+    matched: bool
+    runs: int
+    consistency: list[Consistency]
+    efficiency: list[Efficiency]
+    fixes: dict[str, int]
+    internal: int
+
+    @property
+    def gated(self) -> float:
+        """Share of valid measurements that the gate refused."""
+        return self.fixes.get(Reason.GATED, 0) / sum(self.fixes.values())
+
+    @property
+    def lost(self) -> int:
+        """Valid measurements that neither entered nor met a gate."""
+        return sum(self.fixes.get(reason, 0) for reason in _LOST)
+
+    @property
+    def missing(self) -> int:
+        """Instants without an estimate."""
+        return sum(cell.missing for cell in self.consistency) // len(PARTS)
+
+
+def judge(flight: Flight, scores: Sequence[Score]) -> Result:
+    """All cells of a flight."""
+    nees, squared, bound = (np.array([getattr(s, name) for s in scores]) for name in ("nees", "squared", "bound"))
+    cells, efficiencies = [], []
+    for k, instant in enumerate(flight.instants()):
+        for j, (part, indices) in enumerate(PARTS.items()):
+            cells.append(consistency(instant, part, nees[:, k, j], len(indices)))
+        for j, block in enumerate(BLOCKS):
+            there = np.isfinite(squared[:, k, j])
+            rmse, least = np.sqrt(squared[there, k, j].mean()), np.sqrt(bound[there, k, j].mean())
+            efficiencies.append(Efficiency(instant, block, float(rmse), float(least)))
+    fixes: Counter[str] = Counter()
+    for score in scores:
+        fixes.update(score.fixes)
+    return Result(flight.name, flight.matched, len(scores), cells, efficiencies, dict(fixes), sum(s.internal for s in scores))
+
+
+def consistency(instant: Instant, part: str, values: np.ndarray[tuple[int], np.dtype[np.float64]], dof: int) -> Consistency:
+    """The cell of these NEES values, one a run; nan where there was no estimate."""
+    there = values[~np.isnan(values)]
+    n = len(there)
+    low95, high95 = chi2_band(n * dof, INSIDE)
+    low, high = chi2_band(n * dof, OUTSIDE)
+    scale = 1.0 / (n * dof)
+    mean = float(there.mean()) / dof
+    return Consistency(instant, part, n, len(values) - n, mean, (low95 * scale, high95 * scale), (low * scale, high * scale))
+
+
+def pooled_nees(cells: Iterable[Consistency]) -> float:
+    """Mean of NEES/dof over cells."""
+    return float(np.mean([cell.mean for cell in cells]))
+
+
+def pooled_ratio(cells: Iterable[Efficiency]) -> float:
+    """sqrt of the mean over cells of mean |e|^2 / mean tr B."""
+    return float(np.sqrt(np.mean([cell.ratio**2 for cell in cells])))
