@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
@@ -118,6 +119,7 @@ def write(out: Path, results: list[Result], orders: list[OrderResult]) -> None:
     (out / "report.md").write_text(campaign_report.markdown(tables, picture=bool(matched)), encoding="utf-8")
     (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results, "orders": orders}), indent=1))
     console = Console()
+    console.width = max(console.width, 110)
     for table in tables:
         console.print(rich(table))
     console.print(f"Report: {out / 'report.md'}")
@@ -125,7 +127,7 @@ def write(out: Path, results: list[Result], orders: list[OrderResult]) -> None:
 
 def rich(table: Table) -> RichTable:
     """For the terminal."""
-    result = RichTable(*table.columns, title=table.title, title_justify="left")
+    result = RichTable(*table.columns, title=table.title, title_justify="left", title_style="bold", box=SIMPLE)
     for row in table.rows:
         result.add_row(*row)
     return result

@@ -56,12 +56,12 @@ def verdict(results: Sequence[Result], orders: Sequence[OrderResult]) -> Table:
 
 def flight_table(title: str, results: Sequence[Result]) -> Table:
     """One row a flight."""
-    columns = ("flight", "runs", "cells in 95 %", "out of 99.99 %", *(f"NEES/dof {part}" for part in PARTS))
-    columns += (*(f"RMSE/bound {block}" for block in BLOCKS), "gated", "lost", "missing")
+    columns = ("flight", "runs", "in 95 %", "out", *(f"N {part}" for part in PARTS), *(f"e/B {b[:3]}" for b in BLOCKS))
+    columns += ("gated", "lost", "missing")
     rows = []
     for r in results:
         nees = [f"{pooled_nees(c for c in r.consistency if c.part == part):.2f}" for part in PARTS]
-        ratio = [ratios([e for e in r.efficiency if e.block == block]) for block in BLOCKS]
+        ratio = [f"{pooled_ratio(e for e in r.efficiency if e.block == block):.2f}" for block in BLOCKS]
         inside, outside = share(c.inside for c in r.consistency), str(sum(c.outside for c in r.consistency))
         rows.append((r.name, str(r.runs), inside, outside, *nees, *ratio, f"{r.gated:.2%}", str(r.lost), str(r.missing)))
     return Table(title, columns, rows)
@@ -69,7 +69,7 @@ def flight_table(title: str, results: Sequence[Result]) -> Table:
 
 def phase_table(results: Sequence[Result]) -> Table:
     """Pooled over flights: before, during, at the end of and after outages of each length."""
-    columns = ("outage", "when", "cells in 95 %", *(f"NEES/dof {p}" for p in PARTS), *(f"RMSE/bound {b}" for b in BLOCKS))
+    columns = ("outage", "when", "in 95 %", *(f"N {part}" for part in PARTS), *(f"e/B {b[:3]}" for b in BLOCKS))
     cells = [cell for r in results for cell in r.consistency]
     efficiency = [cell for r in results for cell in r.efficiency]
     rows = []
