@@ -185,24 +185,24 @@ def test_no_node_is_less_certain_than_the_filter() -> None:
 
 
 def test_arrival_plays_no_part() -> None:
+    """GIVEN fixes that are up to 5 s late, overtake each other and come twice THEN the smoothed flight is the same."""
     late = simulate(loads(FLIGHT + "delay_s = [0.0, 5.0]\n"), seed=0)
-    s = smooth(late.messages, parse(late.config_toml).fusion())
+    twice = [m for m in late.messages if m.topic == "/pose_fix"][10:]
+    s = smooth([*late.messages, *twice], parse(late.config_toml).fusion())
     here = s.t_ns >= smoothed(0).t_ns[0]
     np.testing.assert_array_equal(s.nav[here], smoothed(0).nav)
 
 
 def test_a_lie_at_the_end_of_an_outage_does_not_bend_what_was_before() -> None:
-    """GIVEN fixes after the outage that agree with each other and are 20 m off for 2 s: the filter believes them at first."""
-    lie = "lies = [{start_s = 24.0, end_s = 25.6, offset_n_m = [12.0, -9.0, 12.0]}]\n"
-    s = smoothed(3, lie)
-    simulation, estimates = flight(3, lie), filtered(3, lie)
-    during = (seconds(s) > OUTAGE_S[1] + 0.2) & (seconds(s) < OUTAGE_S[1] + 1.4) & np.isin(s.t_ns, list(estimates))
-    stamps = s.t_ns[during].tolist()
+    """GIVEN three fixes after the outage that are off by the same 4.7 m, so that the filter believes them at first."""
+    lie = "lies = [{start_s = 24.0, end_s = 25.6, offset_n_m = [3.0, -2.0, 3.0]}]\n"
+    s, simulation, estimates = smoothed(3, lie), flight(3, lie), filtered(3, lie)
+    stamps = [t for t in s.t_ns.tolist() if 24.9 < (t - EPOCH_NS) * 1e-9 < 25.6 and t in estimates]
     believed = errors(simulation, {t: estimates[t].nav for t in stamps})[:, E.P]
-    assert np.linalg.norm(believed, axis=1).max() > 5.0
+    assert np.linalg.norm(believed, axis=1).min() > 2.0
     seen = (seconds(s) > 10.0) & np.isin(s.t_ns, simulation.truth.t_ns)
     ours = errors(simulation, dict(zip(s.t_ns[seen].tolist(), s.nav[seen], strict=True)))[:, E.P]
-    assert np.linalg.norm(ours, axis=1).max() < 2.0
+    assert np.linalg.norm(ours, axis=1).max() < 0.5
     assert s.segment.max() == 0
 
 
