@@ -24,6 +24,7 @@ IMU_HZ = 100.0  # half of what flies: halves the time of a campaign and changes 
 AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by then
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
+_HANDOVER_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
 Phase = Literal["before", "during", "end", "after"]
@@ -96,19 +97,25 @@ def flight(
     imu: Imu,
     pose_fix: PoseFixes | None = None,
     gnss: Gnss | None = None,
+    alone: bool = False,
     lengths_s: tuple[float, ...] = LENGTHS_S,
     matched: bool = True,
     told_slow_m: float = 0.0,
 ) -> Flight:
-    """A flight whose absolute aids are all gone in each outage."""
+    """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
     gone = outages(lengths_s)
+    duration_s = gone[-1][1] + BETWEEN_S
     replace = msgspec.structs.replace
+    if gnss and not alone:
+        pose_fix = PoseFixes(rate_hz=2.0, outages_s=((_HANDOVER_S, duration_s),))
+    elif pose_fix:
+        pose_fix = replace(pose_fix, outages_s=gone)
     scenario = Scenario(
         name=name,
-        duration_s=gone[-1][1] + BETWEEN_S,
+        duration_s=duration_s,
         vehicle=vehicle,
         imu=imu,
-        pose_fix=replace(pose_fix, outages_s=gone) if pose_fix else None,
+        pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
     return Flight(name=name, scenario=scenario, lengths_s=lengths_s, matched=matched, told_slow_m=told_slow_m)
@@ -129,6 +136,8 @@ def matched() -> list[Flight]:
         flight("rotor-ind-gnss5", rotor, imu=industrial, gnss=white),
         flight("wing-fc-gnss5", wing, imu=controller, gnss=white),
         flight("wing-ind-gnss5", wing, imu=industrial, gnss=white),
+        flight("rotor-fc-gnss5-alone", rotor, imu=controller, gnss=white, alone=True),
+        flight("wing-fc-gnss5-alone", wing, imu=controller, gnss=white, alone=True),
     ]
 
 

@@ -11,16 +11,14 @@ import msgspec
 
 from benchmarks.campaign_flights import IMU_HZ
 from estimator.fusion import Fusion, FusionConfig
-from estimator.sources.gnss import GnssConfig
 from models.messages import AidStatus, Estimate, Reason
-from models.sim.aids import Gnss, PoseFixes
+from models.sim.aids import PoseFixes
 from models.sim.scenario import Scenario, Simulation, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing
 
 DELAY_S = (0.0, 5.0)
-DURATIONS_S = {0.05: 200.0, 0.5: 60.0, 5.0: 25.0, 30.0: 10.0}  # by the rate of the fixes, Hz
-GNSS_HZ, GNSS_DURATION_S = 5.0, 40.0
+DURATIONS_S = {0.05: 200.0, 0.5: 60.0, 5.0: 25.0, 30.0: 6.0}  # by the rate of the fixes, Hz
 
 
 class Orders(msgspec.Struct, frozen=True):
@@ -49,22 +47,16 @@ class OrderResult(msgspec.Struct, frozen=True):
 def sources() -> dict[str, Scenario]:
     """Punctual scenarios by name."""
     imu = Imu(rate_hz=IMU_HZ)
-    scenarios = {
+    return {
         f"pose {rate:g} Hz": Scenario(duration_s=duration, vehicle=FixedWing(), imu=imu, pose_fix=PoseFixes(rate_hz=rate))
         for rate, duration in DURATIONS_S.items()
     }
-    gnss = Scenario(duration_s=GNSS_DURATION_S, vehicle=FixedWing(), imu=imu, gnss=Gnss(rate_hz=GNSS_HZ))
-    return scenarios | {f"GNSS {GNSS_HZ:g} Hz": gnss}
 
 
 def late(punctual: Scenario) -> Scenario:
     """The same measurements, delayed at random and so out of order."""
-    replace = msgspec.structs.replace
-    return replace(
-        punctual,
-        pose_fix=replace(punctual.pose_fix, delay_s=DELAY_S) if punctual.pose_fix else None,
-        gnss=replace(punctual.gnss, delay_s=DELAY_S) if punctual.gnss else None,
-    )
+    assert punctual.pose_fix is not None
+    return msgspec.structs.replace(punctual, pose_fix=msgspec.structs.replace(punctual.pose_fix, delay_s=DELAY_S))
 
 
 def run(name: str, seed: int) -> Orders:
@@ -86,9 +78,7 @@ def run(name: str, seed: int) -> Orders:
 def final(simulation: Simulation) -> tuple[Estimate | None, list[Reason]]:
     """The last estimate, None where the filter never aligned, and the last word on every measurement."""
     origin = simulation.origin
-    fusion = Fusion(
-        FusionConfig(imu=simulation.imu_noise, gnss=GnssConfig(slow_sigma_m=0.0), origin=origin.lla if origin else None)
-    )
+    fusion = Fusion(FusionConfig(imu=simulation.imu_noise, origin=origin.lla if origin else None))
     last: Estimate | None = None
     reasons: dict[tuple[int, str, str], Reason] = {}
     for message in simulation.messages:

@@ -2,8 +2,8 @@
 
     e = x_true (-) x_hat,   NEES = e' P^-1 e  of  pose (p, theta), velocity, full state         (Bar-Shalom 2001, eq. 5.4.2-2)
 
-The bound begins at the first fix with the covariance that the filter begins with; for GNSS, which gives no attitude, with a
-diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before scoring.
+The bound begins at the first pose fix with the covariance that the filter begins with; for GNSS alone, which gives no attitude,
+with a diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before scoring.
 """
 
 import math
@@ -102,7 +102,7 @@ def normalised_squared(error: Array, covariance: Array) -> float:
 def bound_at(flight: Flight, simulation: Simulation, at_ns: list[int]) -> Array:
     """The posterior Cramer-Rao bound at the instants, (k, 15, 15), of everything from the first fix on."""
     aids = sorted((m for m in simulation.messages if isinstance(m, PoseFix | GnssFix | GnssVelocity)), key=lambda m: m.t_ns)
-    first = aids[0]
+    first = next((m for m in aids if isinstance(m, PoseFix)), aids[0])
     truth = simulation.truth.since(first.t_ns)
     rest = [linear for m in aids if m.t_ns > first.t_ns and (linear := linearise(m, simulation.truth)) is not None]
     P0 = prior(first, truth.R_nb[0], flight.config(simulation.imu_noise))

@@ -16,7 +16,7 @@ from logs.metrics import chi2_band
 from models.messages import Reason
 
 INSIDE, OUTSIDE = 0.95, 0.9999  # probabilities of the two bands
-_LOST = frozenset(Reason) - {Reason.FUSED, Reason.GATED, Reason.ALIGNING}
+_MET = frozenset({Reason.FUSED, Reason.GATED, Reason.ALIGNING, Reason.PROBATION})  # used, or looked at as it should be
 
 
 class Consistency(msgspec.Struct, frozen=True):
@@ -73,8 +73,8 @@ class Result(msgspec.Struct, frozen=True):
 
     @property
     def lost(self) -> int:
-        """Valid measurements that neither entered nor met a gate."""
-        return sum(self.fixes.get(reason, 0) for reason in _LOST)
+        """Valid measurements that neither entered nor met a gate (those on probation count as looked at)."""
+        return sum(n for reason, n in self.fixes.items() if reason not in _MET)
 
     @property
     def missing(self) -> int:
