@@ -2,7 +2,7 @@
 
 A late or reordered measurement takes its place in the order; the tracker goes back to the last checkpoint before it and does
 everything again, gates and source machines included, once, before the next output. So late = punctual, to the bit. A stop at
-an IMU sample changes no bit of the propagation, therefore checkpoints stand at samples and may stand at any of them.
+an IMU sample changes no bit of the propagation, and one at an aid is made in any case: there checkpoints may stand.
 """
 
 from bisect import bisect_left, bisect_right
@@ -49,15 +49,17 @@ class History:
     def insert_sample(self, sample: ImuSample) -> Reason | None:
         """Put an IMU sample in its place; the reason where it is not taken."""
         if sample.t_ns > self.samples.newest_ns:
+            before_ns = self.samples.newest_ns
             self.samples.insert(sample)
             if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
-                self._rewind_to(sample.t_ns)
+                self._rewind_to(before_ns + 1)
             return None
         if sample.t_ns <= self._checkpoint_times[0]:
             return Reason.TOO_OLD
         if not self.samples.insert(sample):
             return Reason.DUPLICATE
-        self._rewind_to(sample.t_ns)
+        before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
+        self._rewind_to(int(self.samples.t_ns[before]) + 1 if before >= 0 else sample.t_ns)
         return None
 
     def insert_aid(self, aid: Aid) -> Reason | None:
@@ -85,10 +87,12 @@ class History:
         limit = to_ns if coast else min(to_ns, self.samples.newest_ns)
         while self._next < len(self._entries) and self._entries[self._next].aid.t_ns <= limit:
             entry = self._entries[self._next]
-            self._propagate(entry.aid.t_ns, before=True)
+            self._propagate(entry.aid.t_ns)
             self._decide(entry, self.tracker.process(entry.aid, self.samples))
             self._next += 1
-        self._propagate(limit, before=False)
+        self._propagate(limit)
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._checkpoint()
         return self.tracker
 
     def changed(self) -> list[Entry]:
@@ -104,28 +108,23 @@ class History:
             self._changed.append(entry)
         entry.decision = decision
 
-    def _propagate(self, to_ns: int, *, before: bool) -> None:
-        """Move the tracker to `to_ns`, leaving checkpoints at samples on the way; before: aids at to_ns are still to come."""
+    def _propagate(self, to_ns: int) -> None:
+        """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
         samples, tracker = self.samples, self.tracker
+        if tracker.t_ns >= to_ns:
+            return
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._checkpoint()
         if tracker.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
-            tracker.propagate(samples, to_ns)
             self._since_checkpoint += 1
         else:
-            self._propagate_far(to_ns)
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not before and to_ns == samples.newest_ns:
-            self._checkpoint()
-
-    def _propagate_far(self, to_ns: int) -> None:
-        """As _propagate, over any number of samples; checkpoints strictly before to_ns."""
-        samples, tracker = self.samples, self.tracker
-        begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns - 1)
-        stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : end : _CHECKPOINT_SAMPLES].tolist()
-        for stop in stops:
-            tracker.propagate(samples, stop)
-            self._checkpoint()
-        self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
-        if tracker.t_ns < to_ns:
-            tracker.propagate(samples, to_ns)
+            begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns)
+            stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : end - 1 : _CHECKPOINT_SAMPLES].tolist()
+            for stop in stops:
+                tracker.propagate(samples, stop)
+                self._checkpoint()
+            self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
+        tracker.propagate(samples, to_ns)
 
     def _checkpoint(self) -> None:
         self._checkpoints.append(self.tracker.copy())

@@ -7,7 +7,7 @@ it later: it keeps the lie and locks the truth out. So the decision stays open w
   and without whatever agrees with it;
 * a fix fails the gate: a *believer* goes on with it.
 
-    true:          w <- w + ln(1 - e) + ln N(nu; 0, S)          false:  w <- w + ln(e u)
+    true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln N(nu; 0, S of who believes it)
 
 e is the share of false readings, u their uniform density, tau how long a fault that repeats itself lasts. The leading
@@ -32,8 +32,9 @@ from models.state import E, local
 _MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
-_LEAST_DOUBT = 0.5  # ln: a new hypothesis starts at least this far behind
-_LEAST_PATIENCE_S = 5.0  # s: contradiction shorter than this never wins
+_LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
+_LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
+_LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
 _TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
@@ -153,7 +154,7 @@ class Hypotheses:
     def _answer(self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again."""
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
-        true = math.log1p(-aid.rules.false_share) + seen.log_likelihood
+        true = seen.log_likelihood
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true):
             member.weight += agreement
             doubt.last_ns = aid.t_ns
@@ -192,7 +193,8 @@ class Hypotheses:
         )  # fmt: skip
         patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.believe_after_s)
         broken = aid.log_false + _TAKE_OVER - patience_s / aid.rules.lie_s
-        believer.weight += min(max(overconfident, broken), aid.log_false - _LEAST_DOUBT)
+        most = aid.log_false + _TAKE_OVER - _LEAST_CONTRADICTION_S / aid.rules.lie_s
+        believer.weight += min(max(overconfident, broken), most)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)
         believer.filter.widen(math.sqrt(seen.distance2 / dof))
