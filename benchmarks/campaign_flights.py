@@ -44,49 +44,60 @@ class Instant(msgspec.Struct, frozen=True):
 
 
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
-    """A scenario of the simulator with its outages, and the filter's [gnss] slow_sigma_m; matched: sensors as modelled."""
+    """A scenario of the simulator with its outages (begin, end), and what the filter is told.
+
+    matched: sensors as modelled; told_slow_m: [gnss] slow_sigma_m; told_noise: multiple of the grade's noise.
+    """
 
     name: str
     scenario: Scenario
-    lengths_s: tuple[float, ...]
+    outages_s: tuple[Interval, ...]
     matched: bool = True
     told_slow_m: float = 0.0
+    told_noise: float = 1.0
 
     def seed(self, run: int) -> int:
         """Of the simulation: flights do not share their noise, so that their cells are independent."""
         return (zlib.crc32(self.name.encode()) << 20) + run
 
-    def outages_s(self) -> tuple[Interval, ...]:
-        """[begin, end] of each."""
-        return outages(self.lengths_s)
-
     def instants(self) -> list[Instant]:
         """Before, three times during, at the end of and three times after each outage, in order of time."""
         result = []
-        for (begin, end), length in zip(self.outages_s(), self.lengths_s, strict=True):
+        rate_hz = self.scenario.imu.rate_hz
+        nexts = [begin for begin, _ in self.outages_s[1:]] + [self.scenario.duration_s]
+        for (begin, end), until in zip(self.outages_s, nexts, strict=True):
+            length = end - begin
             times: list[tuple[Phase, float]] = [("before", begin - 1.0)]
             times += [("during", begin + share * length) for share in (0.25, 0.5, 0.75)]
-            times += [("end", end - 1.0 / IMU_HZ), *(("after", end + later) for later in (3.0, 10.0, 25.0))]
-            result += [Instant(round(t * IMU_HZ) / IMU_HZ, phase, length) for phase, t in times]
+            times += [("end", end - 1.0 / rate_hz), *(("after", end + share * (until - end)) for share in (0.1, 0.35, 0.8))]
+            result += [Instant(round(t * rate_hz) / rate_hz, phase, length) for phase, t in times]
         return result
 
-    def config(self, noise: ImuNoise, process_scale: float = 1.0) -> FusionConfig:
-        """What the filter knows: noise of the grade, its turn-on biases as prior; process_scale multiplies Q."""
-        grade = GRADES[self.scenario.imu.grade]
-        scaled = {name: value * math.sqrt(process_scale) for name, value in msgspec.structs.asdict(noise).items()}
+    def noise(self) -> ImuNoise:
+        """The IMU's as the filter knows it: white noise of the grade or a multiple of it, random walks of the grade."""
+        noise = GRADES[self.scenario.imu.grade].noise
+        white = {"gyro_noise": noise.gyro_noise * self.told_noise, "accel_noise": noise.accel_noise * self.told_noise}
+        return msgspec.structs.replace(noise, **white)
+
+    def config(self, process_scale: float = 1.0) -> FusionConfig:
+        """What the filter knows: the IMU's noise, its turn-on biases as prior; process_scale multiplies Q."""
+        imu = self.scenario.imu
+        scaled = {name: value * math.sqrt(process_scale) for name, value in msgspec.structs.asdict(self.noise()).items()}
         prior = InitialiseConfig(
-            gyro_bias_sigma=grade.gyro_turn_on, accel_bias_sigma=grade.accel_turn_on, still_gyro=_NEVER_STILL
+            gyro_bias_sigma=GRADES[imu.grade].gyro_turn_on * imu.turn_on,
+            accel_bias_sigma=GRADES[imu.grade].accel_turn_on * imu.turn_on,
+            still_gyro=_NEVER_STILL,
         )
         gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, initialise=prior, origin=self.scenario.origin)
 
 
-def outages(lengths_s: tuple[float, ...]) -> tuple[Interval, ...]:
+def outages(lengths_s: tuple[float, ...], aided_s: float, between_s: float) -> tuple[Interval, ...]:
     """One after the other, with aid before, between and after them."""
-    result, begin = [], AIDED_S
+    result, begin = [], aided_s
     for length in lengths_s:
         result.append((begin, begin + length))
-        begin += length + BETWEEN_S
+        begin += length + between_s
     return tuple(result)
 
 
@@ -99,12 +110,15 @@ def flight(
     gnss: Gnss | None = None,
     alone: bool = False,
     lengths_s: tuple[float, ...] = LENGTHS_S,
+    aided_s: float = AIDED_S,
+    between_s: float = BETWEEN_S,
     matched: bool = True,
     told_slow_m: float = 0.0,
+    told_noise: float = 1.0,
 ) -> Flight:
     """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
-    gone = outages(lengths_s)
-    duration_s = gone[-1][1] + BETWEEN_S
+    gone = outages(lengths_s, aided_s, between_s)
+    duration_s = gone[-1][1] + between_s
     replace = msgspec.structs.replace
     if gnss and not alone:
         pose_fix = PoseFixes(rate_hz=2.0, outages_s=((_HANDOVER_S, duration_s),))
@@ -118,7 +132,7 @@ def flight(
         pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
-    return Flight(name=name, scenario=scenario, lengths_s=lengths_s, matched=matched, told_slow_m=told_slow_m)
+    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, told_slow_m=told_slow_m, told_noise=told_noise)
 
 
 def matched() -> list[Flight]:

@@ -3,7 +3,8 @@
     e = x_true (-) x_hat,   NEES = e' P^-1 e  of  pose (p, theta), velocity, full state         (Bar-Shalom 2001, eq. 5.4.2-2)
 
 The bound begins at the first pose fix with the covariance that the filter begins with; for GNSS alone, which gives no attitude,
-with a diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before scoring.
+with a diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before
+scoring.
 """
 
 import math
@@ -44,7 +45,7 @@ class Score(msgspec.Struct, frozen=True):
 def run(flight: Flight, number: int, process_scale: float = 1.0) -> Score:
     """Simulate, estimate, judge run `number` of a flight; process_scale != 1 is a filter that is tuned wrong."""
     simulation = simulate(flight.scenario, flight.seed(number))
-    config = flight.config(simulation.imu_noise, process_scale)
+    config = flight.config(process_scale)
     at_ns = [EPOCH_NS + round(instant.t_s * 1e9) for instant in flight.instants()]
     estimates, reasons = estimate(simulation, config, frozenset(at_ns))
     bound = bound_at(flight, simulation, at_ns)
@@ -105,8 +106,8 @@ def bound_at(flight: Flight, simulation: Simulation, at_ns: list[int]) -> Array:
     first = next((m for m in aids if isinstance(m, PoseFix)), aids[0])
     truth = simulation.truth.since(first.t_ns)
     rest = [linear for m in aids if m.t_ns > first.t_ns and (linear := linearise(m, simulation.truth)) is not None]
-    P0 = prior(first, truth.R_nb[0], flight.config(simulation.imu_noise))
-    return posterior_bound(truth, simulation.imu_noise, rest, P0, at_ns, simulation.origin)
+    P0 = prior(first, truth.R_nb[0], flight.config())
+    return posterior_bound(truth, flight.noise(), rest, P0, at_ns, simulation.origin)
 
 
 def prior(first: Input, R_nb: Array, config: FusionConfig) -> Array:
