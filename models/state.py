@@ -86,9 +86,12 @@ def local(x: Array, y: Array) -> Array:
     return dx
 
 
+_N = E.SIZE
+
+
 @njit(cache=True)
 def sound(x: Array, cov: Array) -> bool:
-    """Whether state and covariance may be published: every number finite, every variance positive.
+    """Whether state and covariance may be published: every number finite, every variance positive (a considered one may be 0).
 
     A covariance that is not finite off its diagonal makes the next state so; the diagonal is what costs nothing to watch.
     """
@@ -96,7 +99,7 @@ def sound(x: Array, cov: Array) -> bool:
     for i in range(x.shape[0]):
         total += x[i]
     for i in range(cov.shape[0]):
-        if not cov[i, i] > 0.0:
+        if not (cov[i, i] > 0.0 or (i >= _N and cov[i, i] == 0.0)):
             return False
         total += cov[i, i]
     return math.isfinite(total)

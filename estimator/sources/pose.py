@@ -32,6 +32,9 @@ class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes are judged."""
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
+    tilt_deg: Annotated[
+        float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
+    ] = 0.0
 
 
 def given_components(cov: Array) -> NDArray[np.bool_]:
@@ -65,6 +68,8 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
     p_n, q = np.where(given[:3], p_n, 0.0), (q / norm if attitude != "none" else np.array([1.0, 0.0, 0.0, 0.0]))
     common = fix.covariance_common
+    if common is None and config.tilt_deg > 0:
+        common = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]) * math.radians(config.tilt_deg) ** 2
     if common is not None and (common.shape != (6, 6) or not np.isfinite(common).all() or np.linalg.eigvalsh(common)[0] < 0):
         return Refusal(Reason.NOT_PSD, "common covariance")
     z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
