@@ -239,5 +239,11 @@ def _settings(known: DataSet, checks: dict[str, object], aids: list[Stream], tru
     if gnss and truth:
         origin = sensors.origin_of_truth(gnss, truth, known.gnss_delay_s, origin)
     return Settings(
-        known.noise, known.noise_reason, known.gnss_delay_s, known.antenna_b_m, origin if gnss else None, known.altitude
+        known.noise,
+        known.noise_reason,
+        known.gnss_delay_s,
+        known.antenna_b_m,
+        known.receiver,
+        origin if gnss else None,
+        known.altitude,
     )

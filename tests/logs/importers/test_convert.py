@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator.config import parse
 from logs import importers
 from logs.codec import Decoder, ImuMounting, Topics
 from logs.importers import ImportOptions, convert, read
@@ -101,18 +102,35 @@ def test_progress_goes_up_to_one(flight: Path, tmp_path: Path) -> None:
 
 def test_all_of_settings_reaches_the_text() -> None:
     noise = ImuNoise(1.5e-3, 0.25, 3e-5, 4e-3)
-    settings = Settings(noise, "a guess", 0.21, (0.1, -0.2, 0.3), (47.3977412345, -8.5455, 488.25), "above the ellipsoid")
+    settings = Settings(
+        noise, "a guess", 0.21, (0.1, -0.2, 0.3), {"slow_sigma_m": 0.02}, (47.3977412345, -8.5455, 488.25), "above the ellipsoid"
+    )
     text = settings.toml("csv", Path("/somewhere/flight"), ("/imu", "/gnss", "/gnss2", "/gnss/velocity", "/baro", "/truth"))
     config = tomllib.loads(text)
     assert config == {
         "imu": {"axes": "flu", "gyro_noise": 1.5e-3, "accel_noise": 0.25, "gyro_walk": 3e-5, "accel_walk": 4e-3},
         "inputs": {"imu": ["/imu"], "gnss": ["/gnss", "/gnss2"], "gnss_velocity": ["/gnss/velocity"]},
-        "gnss": {"delay_s": 0.21, "antenna_b_m": [0.1, -0.2, 0.3]},
+        "gnss": {"delay_s": 0.21, "antenna_b_m": [0.1, -0.2, 0.3], "slow_sigma_m": 0.02},
         "map": {"origin": [47.3977412345, -8.5455, 488.25]},
     }
     assert "a guess" in text
     assert "above the ellipsoid" in text
     assert "/somewhere" not in text
+
+
+@pytest.mark.parametrize("name", list(DATA_SETS))
+def test_the_estimator_takes_the_configuration_of_every_data_set(name: str) -> None:
+    known = DATA_SETS[name]
+    settings = Settings(
+        known.noise, known.noise_reason, known.gnss_delay_s, known.antenna_b_m, known.receiver, (47.0, 8.0, 500.0), known.altitude
+    )
+    config = parse(settings.toml("csv", Path(name), ("/imu", "/gnss", "/gnss/velocity", "/pose_fix", "/baro", "/truth")))
+    assert config.imu.axes == "flu"
+    assert config.imu.accel_noise == known.noise.accel_noise
+    assert config.gnss.delay_s == known.gnss_delay_s
+    assert config.map.origin == (47.0, 8.0, 500.0)
+    assert config.inputs.gnss == ("/gnss",)
+    assert {key: getattr(config.gnss, key) for key in known.receiver} == known.receiver
 
 
 def test_data_sets_are_known_by_name(tmp_path: Path) -> None:
