@@ -13,6 +13,7 @@ import msgspec
 from estimator.fusion import FusionConfig
 from estimator.initialise import InitialiseConfig
 from estimator.sources.gnss import GnssConfig
+from estimator.sources.pose import PoseConfig
 from models.imu import ImuNoise
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.ranges import Interval
@@ -89,7 +90,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             still_gyro=_NEVER_STILL,
         )
         gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
-        return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, initialise=prior, origin=self.scenario.origin)
+        pose_fix = PoseConfig(tilt_deg=0.0)  # the simulated fixes are level
+        return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
 
 def outages(lengths_s: tuple[float, ...], aided_s: float, between_s: float) -> tuple[Interval, ...]:

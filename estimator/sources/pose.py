@@ -34,7 +34,7 @@ class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: Annotated[
         float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
-    ] = 0.0
+    ] = 0.2
 
 
 def given_components(cov: Array) -> NDArray[np.bool_]:
