@@ -12,7 +12,7 @@ A flight falls into segments, and nothing is smoothed from one into another: whe
 (coasting is no model to carry information back through) and where a hypothesis was born that doubts the filter itself. Within
 a segment the nodes are the ancestry of the hypothesis that leads at its end: the path that turned out to be right, not the
 one that led at the time. Considered errors (beyond the 15 states) are left out of the gain: the smoothed estimate then is not
-the best possible, and while fixes share a slow error its covariance is a little too small.
+the best possible, and while fixes share a slow error its covariance may be too small.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
