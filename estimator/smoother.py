@@ -4,7 +4,7 @@ With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error trans
 
     C_k   = P_k|k Phi_k^T P_k+1|k^-1
     x_k|N = x_k|k (+) C_k (x_k+1|N (-) x_k+1|k)
-    P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                          (Rauch, Tung, Striebel 1965, eq. 3.28-3.31)
+    P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                                      (Rauch, Tung, Striebel 1965)
 
 on the manifold: (+) and (-) are retract and local, and a covariance moves with the state it belongs to (Sola 2017, eq. 285-287).
 
