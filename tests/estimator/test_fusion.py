@@ -278,7 +278,6 @@ def test_a_gnss_that_jumps_does_not_win_beside_landmarks() -> None:
     spoofed = [s for s in run.last_words("/gnss").values() if s.t_ns > EPOCH_NS + 15.3 * SECOND]
     assert len(spoofed) > 140
     assert {s.reason for s in spoofed} <= {Reason.GATED, Reason.STOPPED, Reason.PROBATION}
-    assert run.health[-1].sources["/gnss"] in {"stopped", "starting"}
     assert run.health[-1].sources["/pose_fix"] == "active"
 
 

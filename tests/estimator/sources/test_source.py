@@ -71,7 +71,8 @@ def test_what_is_no_covariance_is_refused_with_its_reason(cov: Array, reason: Re
 def _meet(state: SourceState, t_s: float, *, passed: bool = True, alone: bool = False, nu: Array = GOOD) -> SourceState:
     t_ns = round(t_s * SECOND)
     state = state.arrive(RULES, t_ns, alone=alone)
-    return state.judge(RULES, t_ns, passed=passed, fused=passed and state.phase is Phase.ACTIVE, nu=nu, sigma=SIGMA)
+    fused = passed and state.phase is Phase.ACTIVE
+    return state.judge(RULES, t_ns, alone=alone, passed=passed, fused=fused, nu=nu, sigma=SIGMA)
 
 
 def _active(at_s: float) -> SourceState:
@@ -110,11 +111,12 @@ def test_silence_stops_a_source_and_its_return_is_on_probation() -> None:
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_a_source_whose_innovations_drift_is_held_off_and_then_on_probation_again(alone: bool) -> None:
+def test_a_source_that_drifts_beside_another_is_held_off_and_then_on_probation_again(alone: bool) -> None:
+    """alone: the other has gone meanwhile, so that no one is left to vouch."""
     state, t = _active(100.0), 100.0
     while state.phase is Phase.ACTIVE:
         t += 1.0
-        state = _meet(state, t, nu=np.array([0.0, 3.0, 0.0]), alone=alone)
+        state = _meet(state, t, nu=np.array([0.0, 3.0, 0.0]))
     assert 102.0 <= t <= 104.0  # 2 sigma beyond the slack at each, limit 5
     assert state.phase is Phase.STOPPED
     held_until = t + RULES.hold_s
@@ -126,12 +128,19 @@ def test_a_source_whose_innovations_drift_is_held_off_and_then_on_probation_agai
     assert state.phase is (Phase.ACTIVE if alone else Phase.STARTING)
 
 
+def test_a_source_that_is_alone_is_not_blamed_for_a_drift() -> None:
+    state = _active(100.0)
+    for k in range(1, 50):
+        state = _meet(state, 100.0 + k, nu=np.array([0.0, 3.0, 0.0]), alone=True)
+    assert state.phase is Phase.ACTIVE
+
+
 def test_without_hold_off_no_drift_stops_it() -> None:
     rules = SourceRules(hold_s=0.0)
     state = SourceState(phase=Phase.ACTIVE, last_ns=0)
     for k in range(100):
         state = state.arrive(rules, k * SECOND, alone=False)
-        state = state.judge(rules, k * SECOND, passed=True, fused=True, nu=np.full(3, 9.0), sigma=SIGMA)
+        state = state.judge(rules, k * SECOND, alone=False, passed=True, fused=True, nu=np.full(3, 9.0), sigma=SIGMA)
     assert state.phase is Phase.ACTIVE
 
 
