@@ -33,7 +33,12 @@ bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign
 
-install: $(VENV)/.installed
+install: $(VENV)/.installed $(VENV)/.kernels
+
+# Compiled kernels are cached by the file they stand in; one that calls a kernel of a changed file would stay as it was.
+$(VENV)/.kernels: $(wildcard models/*.py estimator/*.py estimator/sources/*.py logs/*.py) | $(VENV)/.installed
+	@find models estimator logs -name '*.nb[ic]' -delete
+	@touch $@
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .

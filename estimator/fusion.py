@@ -40,6 +40,7 @@ from models.messages import (
 )
 from models.state import E, X
 
+_ASTRAY_SAMPLES, _ASTRAY_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
 
@@ -80,6 +81,7 @@ class Fusion:
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
+        self._astray: tuple[int, int, int] | None = None  # count, arrival of the first, stamp of the last sample off our clock
         self._now: tuple[int, int] | None = None  # newest accepted stamp of IMU or tick, and its arrival
         self._reset_counter = 0
         self._published: Estimate | None = None
@@ -114,7 +116,8 @@ class Fusion:
         if refusal is None and (reason := self._history.insert_sample(sample)) is not None:
             refusal = Refusal(reason)
         if refusal is not None:
-            return [self._refuse(sample, refusal)]
+            return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
+        self._astray = None
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._now = (sample.t_ns, sample.arrived_ns)
@@ -176,7 +179,7 @@ class Fusion:
         if tracker.is_aligned and tracker.hypotheses is not None and (last is None or t_ns > last.t_ns):
             lead = tracker.hypotheses.lead
             if not lead.sound:
-                return [self._restart(t_ns, arrived_ns)]
+                return [self._restart(t_ns, arrived_ns, Reason.INTERNAL, "internal error: the state was lost; aligning again")]
             if last is not None and changed and (jump := self._jump(last, lead, t_ns)) is not None:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
@@ -210,13 +213,28 @@ class Fusion:
         seen = slice(E.P.start, E.THETA.stop)  # a bias that is corrected moves nothing
         return delta if (np.abs(delta[seen]) > self._config.estimator.reset_sigma * sigma[seen]).any() else None
 
-    def _restart(self, t_ns: int, arrived_ns: int) -> AidStatus:
-        """The state is not finite or P not positive: nothing of it is published, the alignment begins again."""
+    def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
+        """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""
+        if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:
+            return []
+        count, since_ns, last_ns = self._astray or (0, sample.arrived_ns, sample.t_ns)
+        if not 0 <= sample.t_ns - last_ns < self._future_ns:
+            count, since_ns = 0, sample.arrived_ns
+        self._astray = (count + 1, since_ns, sample.t_ns)
+        if count < _ASTRAY_SAMPLES or sample.arrived_ns - since_ns < _ASTRAY_NS:
+            return []
+        self._astray = self._now = self._next_health_ns = None
+        return [
+            self._restart(sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped; aligning again")
+        ]
+
+    def _restart(self, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
+        """Nothing of the state can be used any more: the alignment begins again."""
         self._history = self._begin()
         self._published = None
-        self._detail = "internal error: the state was lost; aligning again"
-        self._count(Reason.INTERNAL)
-        return AidStatus(t_ns, arrived_ns, "", "state", Reason.INTERNAL, detail=self._detail)
+        self._detail = detail
+        self._count(reason)
+        return AidStatus(t_ns, arrived_ns, "", "state", reason, detail=detail)
 
     def _aid_status(self, entry: Entry) -> AidStatus:
         aid, decision = entry.aid, entry.decision

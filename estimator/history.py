@@ -54,12 +54,15 @@ class History:
             if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
                 self._rewind_to(before_ns + 1)
             return None
-        if sample.t_ns <= self._checkpoint_times[0]:
+        if sample.t_ns <= self._checkpoint_times[0] or sample.t_ns < self.samples.newest_ns - self._span_ns:
+            return Reason.TOO_OLD
+        before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
+        before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1
+        if before_ns < self._checkpoint_times[0]:
             return Reason.TOO_OLD
         if not self.samples.insert(sample):
             return Reason.DUPLICATE
-        before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
-        self._rewind_to(int(self.samples.t_ns[before]) + 1 if before >= 0 else sample.t_ns)
+        self._rewind_to(before_ns + 1)
         return None
 
     def insert_aid(self, aid: Aid) -> Reason | None:

@@ -21,6 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from estimator.eskf import Eskf
+from estimator.gating import gate
 from estimator.hypotheses import Hypotheses, Hypothesis, innovation
 from estimator.sources.source import Aid
 from models import so3
@@ -84,9 +85,9 @@ def level(t_ns: int, u: Array, config: InitialiseConfig) -> Level:
     )
 
 
-def start_from_pose(t_ns: int, z: Pose, at: Level | None, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """One filter at a pose fix that gives position and full attitude."""
-    x, cov = _unknown(at, config)
+def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig) -> Hypotheses:
+    """One filter at a pose fix that gives position and full attitude (and soon shows the gyro bias, so no rest is needed)."""
+    x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
     r_nb = so3.matrix(z.q_nb_wxyz)
     turn = np.eye(6)
@@ -130,7 +131,7 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> None:
         seen = innovation(member.filter, aid, z, gyro_b)
         # A single wild measurement must not decide the heading.
         member.weight += max(seen.log_likelihood, aid.log_false)
-        if seen.log_likelihood > aid.log_false:
+        if seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu)) or seen.log_likelihood > aid.log_false:
             member.filter.update(seen)
     best = max(m.weight for m in bank.members)
     bank.members = sorted((m for m in bank.members if m.weight > best - _HOPELESS), key=lambda m: -m.weight)

@@ -151,7 +151,10 @@ class Tracker:
             reason = Reason.GATED
         else:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
-        state = state.judge(aid.rules, aid.t_ns, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma)
+        alone = self._alone(aid)
+        state = state.judge(
+            aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
+        )
         ratio = verdict.seen.distance2 / verdict.gate
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio), state
 
@@ -169,7 +172,7 @@ class Tracker:
                 at = initialise.level(self.t_ns, stretch, config)
             if whole and isinstance(z, Pose):
                 if self.hypotheses is None or len(self.hypotheses.members) > 1:
-                    self.hypotheses = initialise.start_from_pose(self.t_ns, z, at, self.constants, config)
+                    self.hypotheses = initialise.start_from_pose(self.t_ns, z, self.constants, config)
                     return Decision(Reason.ALIGNING)
             elif not aid.absolute or not isinstance(z, Pose | Position):
                 return Decision(Reason.ALIGNING, detail="waiting for a position")

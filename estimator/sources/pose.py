@@ -63,7 +63,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         return Refusal(Reason.NOT_FINITE, "pose")
     if np.abs(p_n[given[:3]]).max(initial=0.0) > _FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
-    norm = float(np.linalg.norm(q)) if attitude != "none" else 1.0
+    norm = math.hypot(*q.tolist()) if attitude != "none" else 1.0
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
     p_n, q = np.where(given[:3], p_n, 0.0), (q / norm if attitude != "none" else np.array([1.0, 0.0, 0.0, 0.0]))

@@ -170,12 +170,17 @@ class SourceState(NamedTuple):
             state = state._replace(phase=Phase.ACTIVE)
         return state._replace(last_ns=t_ns)
 
-    def judge(self, rules: SourceRules, t_ns: int, *, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
-        """The measurement passed its gate or not, was fused or not."""
+    def judge(
+        self, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
+    ) -> "SourceState":
+        """The measurement passed its gate or not, was fused or not.
+
+        A drift is the source's only where another source vouches for the filter: alone, the filter may be what drifts.
+        """
         state = self._replace(fused_ns=t_ns if fused else self.fused_ns)
         if state.phase is Phase.STARTING:
             return state._replace(passed=state.passed + 1 if passed else 0)
-        if rules.hold_s > 0:
+        if rules.hold_s > 0 and fused and not alone:
             sums = cusum(state.sums, nu, sigma, rules.cusum_slack)
             found_out = max(sums) > rules.cusum_limit
             if state.phase is Phase.ACTIVE and found_out:

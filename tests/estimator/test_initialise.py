@@ -68,7 +68,7 @@ def test_a_pose_fix_starts_the_filter_where_it_says_with_its_covariance_about_th
     noise = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.05])
     noise[0, 5] = noise[5, 0] = 0.03
     z = Pose(np.array([1.0, 2.0, 3.0]), q, noise, np.arange(6))
-    bank = start_from_pose(EPOCH_NS, z, None, CONSTANTS, CONFIG)
+    bank = start_from_pose(EPOCH_NS, z, CONSTANTS, CONFIG)
     assert len(bank.members) == 1
     lead, r_nb = bank.lead, so3.matrix(q)
     np.testing.assert_array_equal(lead.x[X.P], z.z_n)
@@ -214,9 +214,8 @@ def test_a_single_wild_measurement_does_not_decide_the_heading() -> None:
 
 
 def test_it_is_aligned_when_attitude_and_velocity_are_known_and_the_headings_agree() -> None:
-    bank = start_from_pose(
-        EPOCH_NS, Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(6) * 1e-3, np.arange(6)), None, CONSTANTS, CONFIG
-    )
+    fix = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(6) * 1e-3, np.arange(6))
+    bank = start_from_pose(EPOCH_NS, fix, CONSTANTS, CONFIG)
     assert not aligned(bank, CONFIG)  # the velocity is not known
     bank.lead.cov[E.V, E.V] = np.eye(3) * 0.1
     assert aligned(bank, CONFIG)

@@ -1,0 +1,39 @@
+"""Stamps that are off: one is refused, a clock that has stepped for good is followed within seconds."""
+
+import msgspec
+import pytest
+
+from estimator.fusion import Fusion, FusionConfig
+from models.messages import Input, Reason
+from models.sim.scenario import EPOCH_NS
+from tests.estimator.scenes import SECOND, Run, hover
+
+HOUR = 3600 * SECOND
+
+
+def _restamped(message: Input, by_ns: int) -> Input:
+    """The message stamped by another clock; it arrives when it did."""
+    return msgspec.structs.replace(message, t_ns=message.t_ns + by_ns)
+
+
+@pytest.mark.parametrize("by_ns", [HOUR, -HOUR])
+def test_one_stamp_that_is_off_is_refused_and_changes_nothing(by_ns: int) -> None:
+    messages = hover(8.0)
+    run = Run(Fusion(FusionConfig())).feed([*messages[:500], _restamped(messages[500], by_ns), *messages[501:]])
+    assert sum(run.reasons("/imu").values()) == 1
+    assert run.estimates[-1].t_ns == EPOCH_NS + 8 * SECOND
+
+
+@pytest.mark.parametrize("by_ns", [HOUR, -HOUR])
+def test_a_step_of_the_stamping_clock_is_survived(by_ns: int) -> None:
+    messages = hover(12.0)
+    run = Run(Fusion(FusionConfig())).feed([*messages[:300], *(_restamped(m, by_ns) for m in messages[300:])])
+    assert run.estimates[-1].t_ns == EPOCH_NS + 12 * SECOND + by_ns
+    assert run.health[-1].t_ns > EPOCH_NS + 11 * SECOND + by_ns
+    assert Reason.INTERNAL not in run.reasons("/imu")
+
+
+def test_first_samples_stamped_before_the_clock_was_set_are_left_behind() -> None:
+    messages = hover(8.0)
+    run = Run(Fusion(FusionConfig())).feed([*(_restamped(m, -EPOCH_NS) for m in messages[:20]), *messages[20:]])
+    assert run.estimates[-1].t_ns == EPOCH_NS + 8 * SECOND
