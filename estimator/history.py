@@ -122,7 +122,7 @@ class History:
             self._since_checkpoint += 1
         else:
             begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns)
-            stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : end - 1 : _CHECKPOINT_SAMPLES].tolist()
+            stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : max(end - 1, 0) : _CHECKPOINT_SAMPLES].tolist()
             for stop in stops:
                 tracker.propagate(samples, stop)
                 self._checkpoint()

@@ -344,3 +344,11 @@ def test_estimates_never_go_back_in_time(flight: Simulation, messages: list[Inpu
     stamps = [e.t_ns for e in run.estimates]
     assert all(isinstance(e, Estimate) for e in run.estimates)
     assert all(a < b for a, b in pairwise(stamps))
+
+
+def test_aids_before_the_first_sample_leave_no_checkpoint_in_the_void() -> None:
+    messages = hover(4.0)
+    early = pose_fix(EPOCH_NS - SECOND)
+    run = Run(Fusion(FusionConfig())).feed([early, *messages])
+    assert all(t <= EPOCH_NS - SECOND or t >= EPOCH_NS for t in run.fusion._history._checkpoint_times)
+    assert same(run.estimates[-1], Run(Fusion(FusionConfig())).feed([*messages[:-1], early, messages[-1]]).estimates[-1])
