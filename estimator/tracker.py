@@ -25,6 +25,7 @@ from models.state import E, X
 
 _NEVER = -(2**62)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
+_LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _XYZ = 3
 
@@ -100,7 +101,9 @@ class Tracker:
         return other
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
-        """Through the IMU samples to `to_ns`."""
+        """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
+        if to_ns - self.t_ns > _LOST_NS:
+            self.hypotheses, self.is_aligned = None, False
         if self.hypotheses is not None and self.t_ns < to_ns:
             index = samples.first_after(self.t_ns)
             for member in self.hypotheses.members:

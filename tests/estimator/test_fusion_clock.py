@@ -37,3 +37,12 @@ def test_first_samples_stamped_before_the_clock_was_set_are_left_behind() -> Non
     messages = hover(8.0)
     run = Run(Fusion(FusionConfig())).feed([*(_restamped(m, -EPOCH_NS) for m in messages[:20]), *messages[20:]])
     assert run.estimates[-1].t_ns == EPOCH_NS + 8 * SECOND
+
+
+def test_after_a_minute_without_imu_the_alignment_begins_again() -> None:
+    later = [msgspec.structs.replace(m, t_ns=m.t_ns + 90 * SECOND, arrived_ns=m.arrived_ns + 90 * SECOND) for m in hover(6.0)]
+    run = Run(Fusion(FusionConfig())).feed([*hover(6.0), *later])
+    gap = [e for e in run.estimates if EPOCH_NS + 6 * SECOND < e.t_ns < EPOCH_NS + 90 * SECOND]
+    assert not gap
+    assert run.estimates[-1].t_ns == EPOCH_NS + 96 * SECOND
+    assert abs(run.estimates[-1].nav[:3]).max() < 1.0
