@@ -1,0 +1,246 @@
+"""The camera: pinhole with Brown distortion, and two of them as a stereo rig on the body.
+
+    a = x / z,  b = y / z,  s = a^2 + b^2                                              (thesis eq. 3.21-3.23)
+    g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)                                  (radial)
+    a' = a g + 2 p1 a b + p2 (s + 2 a^2),   b' = b g + p1 (s + 2 b^2) + 2 p2 a b     (Brown 1966; eq. 3.29-3.31)
+    u = fx a' + cx,   v = fy b' + cy                                                        (thesis eq. 3.26)
+
+Coefficients stand in OpenCV's order k1 k2 p1 p2 [k3 [k4 k5 k6]]; pixel centres are at integer coordinates, (u, v) = (column,
+row). The camera frame c is right, down, forward.
+"""
+
+import math
+from functools import cached_property
+
+import msgspec
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+_COUNTS = (0, 4, 5, 8)  # coefficients a distortion may have
+_NEWTON_STEPS = 30
+_CONVERGED = 1e-13  # normalised plane: far below 1e-9 px
+
+
+class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
+    """One camera: size of its picture [px], focal lengths and principal point [px], distortion.
+
+    covariance: (4 + n, 4 + n) of (fx, fy, cx, cy, *distortion), None = exact.
+    Raises ValueError where the numbers are not a camera.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not (all(map(math.isfinite, numbers)) and self.fx > 0 and self.fy > 0 and self.width > 0 and self.height > 0):
+            raise ValueError("camera: picture size and focal lengths must be positive, all parameters finite")
+        if len(self.distortion) not in _COUNTS:
+            raise ValueError(f"camera: {len(self.distortion)} distortion coefficients, expected one of {_COUNTS}")
+        if self.covariance is not None and self.covariance.shape != (len(numbers), len(numbers)):
+            raise ValueError(f"camera: covariance is {self.covariance.shape}, parameters are {len(numbers)}")
+
+    @cached_property
+    def matrix(self) -> Array:
+        """K (3, 3): u = K @ (a', b', 1)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def _parameters(self) -> Array:
+        """fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 and the largest s that is projected, for the kernels."""
+        distortion = self.distortion + (0.0,) * (8 - len(self.distortion))
+        return np.array([self.fx, self.fy, self.cx, self.cy, *distortion, _fold(distortion)])
+
+    def project(self, x_c: Array) -> Array:
+        """Pixels (N, 2) of points x_c (N, 3) [m]; NaN behind the camera, and so far aside that the lens model folds back."""
+        return _project(_points(x_c, 3), self._parameters)
+
+    def project_jacobian(self, x_c: Array) -> Array:
+        """d(u, v) / d(x_c): (N, 2, 3) [px/m]; NaN where project is."""
+        return _project_jacobian(_points(x_c, 3), self._parameters)
+
+    def parameter_jacobian(self, x_c: Array) -> Array:
+        """d(u, v) / d(fx, fy, cx, cy, *distortion): (N, 2, 4 + n), the order of `covariance`; NaN where project is."""
+        return _parameter_jacobian(_points(x_c, 3), self._parameters)[:, :, : 4 + len(self.distortion)]
+
+    def undistort(self, px: Array) -> Array:
+        """Normalised plane coordinates (x/z, y/z) (N, 2) of pixels (N, 2): project's inverse; NaN where there is none."""
+        return _undistort(_points(px, 2), self._parameters)
+
+    def ray(self, px: Array) -> Array:
+        """Unit direction (N, 3) in c of the points that pixels (N, 2) show."""
+        ab = self.undistort(px)
+        ray: Array = np.column_stack((ab, np.ones(len(ab))))
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        return ray
+
+    def contains(self, px: Array, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Which pixels (N, 2) lie in the picture, at least margin_px from its border; NaN does not."""
+        low, high = margin_px - 0.5, np.array([self.width, self.height]) - 0.5 - margin_px
+        inside: NDArray[np.bool_] = np.all((px >= low) & (px <= high), axis=1)
+        return inside
+
+
+class StereoRig(msgspec.Struct, frozen=True, eq=False, dict=True):
+    """Two cameras on a body: x_r = R_rc @ x_c + t_rc (c = left, r = right camera), x_b = R_bc @ x_c + p_bc.
+
+    Covariances (6, 6) in order x y z rx ry rz, m^2 and rad^2, about the axes of the frame left of the name (r, b):
+    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp.
+    """
+
+    left: CameraModel
+    right: CameraModel
+    R_rc: Array
+    t_rc: Array
+    R_bc: Array
+    p_bc: Array
+    covariance_rc: Array | None = None
+    covariance_bc: Array | None = None
+    time_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, R, t in (("rc", self.R_rc, self.t_rc), ("bc", self.R_bc, self.p_bc)):
+            if R.shape != (3, 3) or t.shape != (3,) or not (np.isfinite(R).all() and np.isfinite(t).all()):
+                raise ValueError(f"stereo rig: pose {name} must be finite, rotation (3, 3) and translation (3,)")
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+                raise ValueError(f"stereo rig: R_{name} is not a rotation")
+        for name, covariance in (("rc", self.covariance_rc), ("bc", self.covariance_bc)):
+            if covariance is not None and covariance.shape != (6, 6):
+                raise ValueError(f"stereo rig: covariance_{name} is {covariance.shape}, expected (6, 6)")
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two centres, L of Z = f L / disparity (thesis eq. 3.128)."""
+        return float(np.linalg.norm(self.t_rc))
+
+    def to_right(self, x_c: Array) -> Array:
+        """x_r (N, 3) of x_c (N, 3)."""
+        return x_c @ self.R_rc.T + self.t_rc
+
+    def camera_pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
+        """(p_nc, R_nc) of the left camera: p_nc = p_n + R_nb p_bc, R_nc = R_nb R_bc."""
+        return p_n + R_nb @ self.p_bc, R_nb @ self.R_bc
+
+    def right_camera_pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
+        """(p_nr, R_nr) of the right camera: R_nr = R_nc R_rc^T, p_nr = p_nc - R_nr t_rc."""
+        p_nc, R_nc = self.camera_pose(p_n, R_nb)
+        R_nr = R_nc @ self.R_rc.T
+        return p_nc - R_nr @ self.t_rc, R_nr
+
+
+def _points(x: Array, columns: int) -> Array:
+    points = np.ascontiguousarray(x, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != columns:
+        raise ValueError(f"points have shape {points.shape}, expected (N, {columns})")
+    return points
+
+
+def _fold(distortion: tuple[float, ...]) -> float:
+    """The s = tan^2(angle) up to which the distorted radius r g(r^2) grows, inf if it always does.
+
+    d(r g) / dr = ((P + 2 s P') Q - 2 s P Q') / Q^2, g = P / Q. Beyond its first zero points from far outside would be drawn
+    into the picture once more.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = distortion
+    p, q = np.polynomial.Polynomial([1.0, k1, k2, k3]), np.polynomial.Polynomial([1.0, k4, k5, k6])
+    two_s = np.polynomial.Polynomial([0.0, 2.0])
+    slope = (p + two_s * p.deriv()) * q - two_s * p * q.deriv()
+    zeros = np.concatenate((slope.trim().roots(), q.trim().roots()))
+    folds = zeros.real[(np.abs(zeros.imag) < 1e-9 * np.abs(zeros)) & (zeros.real > 0)]
+    return float(folds.min(initial=math.inf))
+
+
+@njit(cache=True)
+def _distort(a: float, b: float, k: Array) -> tuple[float, float, float, float, float]:
+    """Distorted a', b' and the derivatives da'/da, da'/db = db'/da, db'/db."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11]
+    s = a * a + b * b
+    p = 1.0 + s * (k1 + s * (k2 + s * k3))
+    q = 1.0 + s * (k4 + s * (k5 + s * k6))
+    g = p / q
+    slope = 2.0 * ((k1 + s * (2.0 * k2 + 3.0 * s * k3)) - g * (k4 + s * (2.0 * k5 + 3.0 * s * k6))) / q  # 2 dg/ds
+    aa = g + a * a * slope + 2.0 * p1 * b + 6.0 * p2 * a
+    ab = a * b * slope + 2.0 * p1 * a + 2.0 * p2 * b
+    bb = g + b * b * slope + 6.0 * p1 * b + 2.0 * p2 * a
+    return a * g + 2.0 * p1 * a * b + p2 * (s + 2.0 * a * a), b * g + p1 * (s + 2.0 * b * b) + 2.0 * p2 * a * b, aa, ab, bb
+
+
+@njit(cache=True)
+def _project(x_c: Array, k: Array) -> Array:
+    px = np.full((x_c.shape[0], 2), np.nan)
+    for i in range(x_c.shape[0]):
+        if x_c[i, 2] > 0.0:
+            a, b = x_c[i, 0] / x_c[i, 2], x_c[i, 1] / x_c[i, 2]
+            if a * a + b * b < k[12]:
+                da, db, _, _, _ = _distort(a, b, k)
+                px[i, 0], px[i, 1] = k[0] * da + k[2], k[1] * db + k[3]
+    return px
+
+
+@njit(cache=True)
+def _project_jacobian(x_c: Array, k: Array) -> Array:
+    jacobian = np.full((x_c.shape[0], 2, 3), np.nan)
+    for i in range(x_c.shape[0]):
+        z = x_c[i, 2]
+        if z > 0.0:
+            a, b = x_c[i, 0] / z, x_c[i, 1] / z
+            if a * a + b * b < k[12]:
+                _, _, aa, ab, bb = _distort(a, b, k)
+                jacobian[i, 0, 0], jacobian[i, 0, 1], jacobian[i, 0, 2] = aa, ab, -(aa * a + ab * b)
+                jacobian[i, 1, 0], jacobian[i, 1, 1], jacobian[i, 1, 2] = ab, bb, -(ab * a + bb * b)
+                jacobian[i, 0] *= k[0] / z
+                jacobian[i, 1] *= k[1] / z
+    return jacobian
+
+
+@njit(cache=True)
+def _parameter_jacobian(x_c: Array, k: Array) -> Array:
+    jacobian = np.full((x_c.shape[0], 2, 12), np.nan)
+    for i in range(x_c.shape[0]):
+        if x_c[i, 2] > 0.0:
+            a, b = x_c[i, 0] / x_c[i, 2], x_c[i, 1] / x_c[i, 2]
+            s = a * a + b * b
+            if s < k[12]:
+                q = 1.0 + s * (k[9] + s * (k[10] + s * k[11]))
+                g = (1.0 + s * (k[4] + s * (k[5] + s * k[8]))) / q
+                da, db, _, _, _ = _distort(a, b, k)
+                for row, f, x, square in ((0, k[0], a, s + 2.0 * a * a), (1, k[1], b, s + 2.0 * b * b)):
+                    j = jacobian[i, row]
+                    j[0], j[1], j[2], j[3] = 0.0, 0.0, 0.0, 0.0
+                    j[row], j[2 + row] = (da, db)[row], 1.0
+                    j[4], j[5], j[8] = f * x * s / q, f * x * s * s / q, f * x * s * s * s / q
+                    j[6 + row], j[7 - row] = f * 2.0 * a * b, f * square
+                    j[9], j[10], j[11] = -j[4] * g, -j[5] * g, -j[8] * g
+    return jacobian
+
+
+@njit(cache=True)
+def _undistort(px: Array, k: Array) -> Array:
+    """Newton from the distorted point: the radius converges from one side, as it is convex or concave up to the fold."""
+    plane = np.full((px.shape[0], 2), np.nan)
+    for i in range(px.shape[0]):
+        u, v = (px[i, 0] - k[2]) / k[0], (px[i, 1] - k[3]) / k[1]
+        a, b = u, v
+        for _ in range(_NEWTON_STEPS):
+            if not a * a + b * b < k[12]:
+                break
+            da, db, aa, ab, bb = _distort(a, b, k)
+            du, dv = u - da, v - db
+            if abs(du) + abs(dv) <= _CONVERGED * (1.0 + abs(u) + abs(v)):
+                plane[i, 0], plane[i, 1] = a, b
+                break
+            det = aa * bb - ab * ab
+            if det == 0.0:
+                break
+            a += (bb * du - ab * dv) / det
+            b += (aa * dv - ab * du) / det
+    return plane
