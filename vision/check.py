@@ -1,0 +1,72 @@
+"""Is this a picture at all? Said before any stage works on it: a reason, or None where nothing is wrong."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import CameraModel
+from vision.rectify import Image
+
+_DARK = 0.04  # part of the range: night without a light
+_BRIGHT = 0.97
+_FLAT = 0.008  # standard deviation, part of the range: no object, only noise
+_SATURATED_PART = 0.6  # of the pixels
+_LOST_PART = 0.04  # of the rows, one after the other without any change: a decoder's filling
+_STEP = 8  # every eighth pixel tells
+
+
+def picture_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
+    """Why a picture cannot be used: format, size, black, white, flat, saturated, torn; None if it can.
+
+    image (H, W) or (H, W, 3), uint8 or uint16; a camera says what H and W must be.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        return "not a picture of 8 or 16 bit"
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or min(image.shape) < 1:
+        return f"not a grey or colour picture: shape {image.shape}"
+    height, width = image.shape[:2]
+    if camera is not None and (width, height) != (camera.width, camera.height):
+        return f"picture is {width} x {height}, the camera {camera.width} x {camera.height}"
+    return _brightness_flaw(image) or _torn_flaw(image)
+
+
+def pair_flaw(left: Image, right: Image) -> str | None:
+    """Why two good pictures are not a pair: different sizes or depths, or twice the same picture."""
+    if left.shape[:2] != right.shape[:2]:
+        return f"left is {left.shape[1]} x {left.shape[0]}, right is {right.shape[1]} x {right.shape[0]}"
+    if left.dtype != right.dtype:
+        return "one picture has 8 bit, the other 16"
+    if left.ndim == right.ndim and np.array_equal(left[::_STEP, ::_STEP], right[::_STEP, ::_STEP]):
+        return "left and right are the same picture"
+    return None
+
+
+def _brightness_flaw(image: Image) -> str | None:
+    """Levels of an 8-bit picture are parts of 255; a 16-bit one uses what part of its range it likes."""
+    sample = image[::_STEP, ::_STEP].astype(np.float32)
+    full = 255.0 if image.dtype == np.uint8 else float(max(sample.max(), 1.0))
+    low, high = np.percentile(sample, (1, 99)) / full
+    if high < _DARK:
+        return "black"
+    if low > _BRIGHT:
+        return "white"
+    grey = sample if sample.ndim == 2 else sample.mean(axis=2)
+    if grey.std() < _FLAT * full:
+        return "flat: no contrast"
+    saturated = float(np.mean(grey >= 0.99 * full))
+    if image.dtype == np.uint8 and saturated > _SATURATED_PART:
+        return f"saturated: {saturated:.0%} of the pixels"
+    return None
+
+
+def _torn_flaw(image: Image) -> str | None:
+    """Rows that are constant, or copies of the row above, at the lower end: the rest never arrived."""
+    sample: NDArray[Any] = image[:, ::_STEP]
+    constant = (sample == sample[:, :1]).reshape(len(sample), -1).all(axis=1)
+    copied = np.append(False, (sample[1:] == sample[:-1]).reshape(len(sample) - 1, -1).all(axis=1))
+    lost = constant | copied
+    whole = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
+    if len(lost) - whole > _LOST_PART * len(lost):
+        return f"torn: nothing below row {whole}"
+    return None
