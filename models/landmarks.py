@@ -1,0 +1,231 @@
+"""The map: landmarks known by description, and where each stands.
+
+A landmark is an upright prism: a flat roof of known outline over flat ground; height 0 is painted on the ground. The map keeps
+them as columns and makes Landmark objects only of those asked for, so a million cost a frame what a hundred do.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import Self
+
+import msgspec
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models import outline as polygon
+from models.frames import Origin
+from models.messages import Array
+
+Colour = tuple[int, int, int]
+WEIGHTS = (0.20966, 0.30413, 0.302214, 0.209658)  # size, width, length, fill ratio (thesis eq. 5.5; their sum is 1.0257)
+
+
+class Landmark(msgspec.Struct, frozen=True, eq=False):
+    """One landmark; lengths in metres, n = local NED at the map's origin.
+
+    outline_n: (K, 2) north, east of the roof's edge, anticlockwise seen from above, not closed; base_d: down of the ground;
+    height_m: roof above ground. sigma_m: horizontal, of the whole landmark, per axis; outline_sigma_m: by how much the whole
+    outline may be larger (footprint to eave). weights: of size, width, length and fill ratio in the similarity.
+    orientation_rad: long side of the least rectangle, from north to east, 0..pi.
+    """
+
+    id: str
+    outline_n: Array
+    base_d: float
+    height_m: float
+    colour_bgr: Colour | None
+    sigma_m: float
+    height_sigma_m: float
+    outline_sigma_m: float
+    weights: tuple[float, float, float, float]
+    size_m2: float
+    width_m: float
+    length_m: float
+    fill_ratio: float
+    orientation_rad: float
+    centre_n: tuple[float, float]
+    name: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        id: str,  # noqa: A002  (the field's name)
+        outline_n: Array | Sequence[tuple[float, float]],
+        base_d: float = 0.0,
+        height_m: float = 0.0,
+        colour_bgr: Colour | None = None,
+        sigma_m: float = 0.0,
+        height_sigma_m: float = 0.0,
+        outline_sigma_m: float = 0.0,
+        weights: tuple[float, float, float, float] = WEIGHTS,
+        name: str = "",
+    ) -> Self:
+        """A landmark with its description computed; the outline may run either way. Raises ValueError where it has no area."""
+        outline = np.array(outline_n, dtype=np.float64)
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3 or not np.isfinite(outline).all():
+            raise ValueError(f"landmark {id}: outline must be (K, 2) with K >= 3 and finite")
+        if polygon.area(outline) < 0.0:
+            outline = np.ascontiguousarray(outline[::-1])
+        d = polygon.describe(outline, np.array([0, len(outline)]))[0].tolist()
+        if d[polygon.SIZE] <= 0.0:
+            raise ValueError(f"landmark {id}: outline has no area")
+        size, width, length, fill, orientation, north, east, _ = d
+        return cls(
+            id, outline, base_d, height_m, colour_bgr, sigma_m, height_sigma_m, outline_sigma_m, weights,
+            size, width, length, fill, orientation, (north, east), name,
+        )  # fmt: skip
+
+    @property
+    def roof_d(self) -> float:
+        """Down of the roof."""
+        return self.base_d - self.height_m
+
+    @property
+    def label(self) -> str:
+        """What a person reads."""
+        return self.name or self.id
+
+
+class Columns(msgspec.Struct, frozen=True, eq=False):
+    """N landmarks: vertices (V, 2) north, east with offsets (N + 1,), per landmark one entry in the others.
+
+    colour_bgr: (N, 3), -1 = unknown; weights and names: only of those that have their own.
+    """
+
+    ids: list[str]
+    vertices: Array
+    offsets: NDArray[np.int64]
+    base_d: Array
+    height_m: Array
+    colour_bgr: NDArray[np.int16]
+    sigma_m: Array
+    height_sigma_m: Array
+    outline_sigma_m: Array
+    weights: dict[int, tuple[float, float, float, float]]
+    names: dict[int, str]
+
+
+class LandmarkMap:
+    """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index."""
+
+    def __init__(self, origin: tuple[float, float, float], columns: Columns) -> None:
+        self.origin = origin
+        self.columns = columns
+        self.description = polygon.describe(columns.vertices, columns.offsets)  # (N, 8), columns as named in models/outline.py
+        self._index = _Grid(self.description)
+
+    @classmethod
+    def from_landmarks(cls, origin: tuple[float, float, float], landmarks: Iterable[Landmark]) -> Self:
+        """A map of these landmarks; equal ids raise ValueError."""
+        several = list(landmarks)
+        if len({landmark.id for landmark in several}) < len(several):
+            raise ValueError("map: two landmarks have the same id")
+        sizes = [len(landmark.outline_n) for landmark in several]
+        columns = Columns(
+            ids=[landmark.id for landmark in several],
+            vertices=np.concatenate([np.empty((0, 2)), *(landmark.outline_n for landmark in several)]),
+            offsets=np.concatenate(([0], np.cumsum(sizes, dtype=np.int64))),
+            base_d=np.array([landmark.base_d for landmark in several]),
+            height_m=np.array([landmark.height_m for landmark in several]),
+            colour_bgr=np.array([landmark.colour_bgr or (-1, -1, -1) for landmark in several], dtype=np.int16).reshape(-1, 3),
+            sigma_m=np.array([landmark.sigma_m for landmark in several]),
+            height_sigma_m=np.array([landmark.height_sigma_m for landmark in several]),
+            outline_sigma_m=np.array([landmark.outline_sigma_m for landmark in several]),
+            weights={i: landmark.weights for i, landmark in enumerate(several) if landmark.weights != WEIGHTS},
+            names={i: landmark.name for i, landmark in enumerate(several) if landmark.name},
+        )
+        return cls(origin, columns)
+
+    def __len__(self) -> int:
+        return len(self.columns.ids)
+
+    def __getitem__(self, id: str) -> Landmark:  # noqa: A002
+        return self._landmark(self._row[id])
+
+    def __contains__(self, id: str) -> bool:  # noqa: A002
+        return id in self._row
+
+    def __iter__(self) -> Iterator[Landmark]:
+        return map(self._landmark, range(len(self)))
+
+    @cached_property
+    def frame(self) -> Origin:
+        """n on the Earth."""
+        return Origin(*self.origin)
+
+    @cached_property
+    def _row(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.columns.ids)}
+
+    def near(self, north_m: float, east_m: float, radius_m: float) -> list[Landmark]:
+        """Landmarks whose bounding circle (about the centroid) reaches into the circle around a place, nearest centre first."""
+        return [self._landmark(i) for i in self.rows_near(north_m, east_m, radius_m).tolist()]
+
+    def rows_near(self, north_m: float, east_m: float, radius_m: float) -> NDArray[np.int64]:
+        """As near, but row numbers of `columns` and `description`."""
+        return self._index.near(north_m, east_m, radius_m)
+
+    def _landmark(self, i: int) -> Landmark:
+        c = self.columns
+        size, width, length, fill, orientation, north, east, _ = self.description[i].tolist()
+        colour = c.colour_bgr[i].tolist()
+        return Landmark(
+            c.ids[i], c.vertices[c.offsets[i] : c.offsets[i + 1]], float(c.base_d[i]), float(c.height_m[i]),
+            None if colour[0] < 0 else (colour[0], colour[1], colour[2]),
+            float(c.sigma_m[i]), float(c.height_sigma_m[i]), float(c.outline_sigma_m[i]), c.weights.get(i, WEIGHTS),
+            size, width, length, fill, orientation, (north, east), c.names.get(i, ""),
+        )  # fmt: skip
+
+
+class _Grid:
+    """Centroids in square cells, sorted by cell, so a row of cells is one slice; landmarks larger than a cell stand apart."""
+
+    def __init__(self, description: Array) -> None:
+        self._circles = np.ascontiguousarray(description[:, [polygon.NORTH, polygon.EAST, polygon.RADIUS]])
+        centre, radius = self._circles[:, :2], self._circles[:, 2]
+        self._low = centre.min(axis=0, initial=math.inf) if len(centre) else np.zeros(2)
+        extent = centre.max(axis=0) - self._low if len(centre) else np.zeros(2)
+        self._cell = max(50.0, 2.0 * math.sqrt(float(extent[0] * extent[1]) / max(len(centre), 1)), float(extent.max()) / 4000.0)
+        self._shape = (extent // self._cell).astype(np.int64) + 1
+        small = np.flatnonzero(radius <= self._cell)
+        self._large = np.flatnonzero(radius > self._cell)
+        cells = ((centre[small] - self._low) // self._cell).astype(np.int64)
+        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
+        self._order = small[np.argsort(keys, kind="stable")]
+        counts = np.bincount(keys, minlength=int(self._shape[0] * self._shape[1]))
+        self._starts = np.concatenate(([0], np.cumsum(counts)))
+
+    def near(self, north: float, east: float, radius: float) -> NDArray[np.int64]:
+        return _near(
+            north, east, radius, self._circles, self._low, self._cell, self._shape, self._starts, self._order, self._large
+        )
+
+
+@njit(cache=True)
+def _near(
+    north: float, east: float, radius: float, circles: Array, low: Array, cell: float, shape: NDArray[np.int64],
+    starts: NDArray[np.int64], order: NDArray[np.int64], large: NDArray[np.int64],
+) -> NDArray[np.int64]:  # fmt: skip
+    """Rows of the circles (north, east, radius) that meet the circle, by distance of the centre."""
+    found, distance = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    reach = radius + cell
+    first = max(0.0, math.floor((north - reach - low[0]) / cell))
+    last = min(shape[0] - 1.0, math.floor((north + reach - low[0]) / cell))
+    left = max(0.0, math.floor((east - reach - low[1]) / cell))
+    right = min(shape[1] - 1.0, math.floor((east + reach - low[1]) / cell))
+    if left <= right:
+        for row in range(int(first), int(last) + 1):
+            for k in range(starts[row * shape[1] + int(left)], starts[row * shape[1] + int(right) + 1]):
+                i = order[k]
+                d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
+                if d <= radius + circles[i, 2]:
+                    found.append(i)
+                    distance.append(d)
+    for i in large:
+        d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
+        if d <= radius + circles[i, 2]:
+            found.append(i)
+            distance.append(d)
+    return np.array(found)[np.argsort(np.array(distance))]
