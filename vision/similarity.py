@@ -4,41 +4,30 @@
     similarity = w1 S' + w2 W' + w3 L' + w4 F'                                                             (thesis, eq. 5.5)
 
 Two repairs: a ratio r above one counts as 1/r (else a region twice too large is 200 % similar), and the weights, which sum to
-1.0257 in the thesis, are divided by their sum. Similarity makes a region a candidate; it does not decide: look-alikes have it too.
+1.0257 in the thesis, are divided by their sum. Similarity makes a region a candidate; it does not decide: look-alikes have it
+too.
 """
 
-from typing import Final
+from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
 from models.messages import Array
 
 
-class Weights(msgspec.Struct, frozen=True):
-    """w1 ... w4 of eq. 5.5, as general weights or for one landmark; only their ratios matter."""
-
-    size: float = 0.20966
-    width: float = 0.304130
-    length: float = 0.302214
-    fill_ratio: float = 0.209658
-
-    def normalised(self) -> Array:
-        """(4,), size width length fill_ratio, sum 1. ValueError: negative, not finite, or all zero."""
-        w = np.array([self.size, self.width, self.length, self.fill_ratio])
-        total = float(w.sum())
-        if not np.all(np.isfinite(w)) or np.any(w < 0.0) or total <= 0.0:
-            raise ValueError(f"similarity weights must be finite, not negative and not all zero, not {w.tolist()}")
-        return np.asarray(w / total)
-
-
-GENERAL: Final = Weights()
+def normalised(weights: Array | Sequence[float] | Sequence[Sequence[float]]) -> Array:
+    """Weights (..., 4) of size, width, length, fill ratio, divided by their sum. ValueError: negative, not finite, all zero."""
+    w = np.asarray(weights, np.float64)
+    total = w.sum(axis=-1, keepdims=True)
+    if not np.all(np.isfinite(w)) or np.any(w < 0.0) or np.any(total <= 0.0):
+        raise ValueError(f"similarity weights must be finite, not negative and not all zero, not {w.tolist()}")
+    return np.asarray(w / total)
 
 
 def similarity(measured: Array, described: Array, weights: Array) -> Array:
     """Similarity 0 ... 1 of descriptions (..., 4): size m^2, width m, length m, fill ratio; weights (..., 4) sum to 1.
 
-    Shapes broadcast: measured (M, 1, 4) against described (1, K, 4) gives (M, K). A figure that is not positive or not finite
+    Shapes broadcast: measured (M, 1, 4) against described (1, J, 4) gives (M, J). A figure that is not positive or not finite
     agrees with nothing: its ratio is 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
