@@ -210,6 +210,8 @@ def _near(
 ) -> NDArray[np.int64]:  # fmt: skip
     """Rows of the circles (north, east, radius) that meet the circle, by distance of the centre."""
     found, distance = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    if not (math.isfinite(north) and math.isfinite(east) and radius >= 0.0):
+        return np.array(found)
     reach = radius + cell
     first = max(0.0, math.floor((north - reach - low[0]) / cell))
     last = min(shape[0] - 1.0, math.floor((north + reach - low[0]) / cell))
