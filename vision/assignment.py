@@ -1,0 +1,236 @@
+"""Which region is which landmark: the posterior of the joint assignment of all regions in view.
+
+    x = (dp, dtheta, s): errors common to all regions: prior position [m] and attitude (about n's axes) [rad], log scale of depth
+    y_ij = A_ij x + e,  e ~ N(0, I): what landmark j says minus what region i shows, whitened
+    p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia x, I) dx . prod_j missed_j(a, x)
+
+The integral is built region by region (a Kalman update each), so regions are correlated through the pose as they are in truth:
+position among each other counts at full weight, the pose error they share only once. A tree of hypotheses is searched region by
+region, a breadth of the best at a time (Reid 1979; Neira and Tardos 2001, joint compatibility); what is cut off is counted.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+P, THETA, SCALE, STATES = slice(0, 3), slice(3, 6), 6, 7
+
+_NOTHING: Final = -1e300
+_EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its place is, and this many sigmas around it
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What each region may be. Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
+
+    landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 7) whitened, rows of zeros where there is less
+    to say;  log_weight (N,): everything of the option's weight that does not depend on x.
+    """
+
+    start: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    y: Array
+    A: Array
+    log_weight: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """Landmarks that should be seen: (J,) each.
+
+    x_c (J, 3) and A (J, 3, 7): place in the camera's frame at the prior, and its change with x;  radius_m of the landmark
+    log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
+    view: (4,) x/z and y/z limits of the picture: left, right, top, bottom
+    place_c (M, 3), A_region (M, 3, 7): the regions likewise, now in view (NaN: remembered from an earlier picture)
+    """
+
+    x_c: Array
+    A: Array
+    radius_m: Array
+    log_missed: Array
+    log_gone: float
+    view: Array
+    place_c: Array
+    A_region: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Hypotheses:
+    """Joint assignments, best first: option (H, M) chosen for each region, probability (H,), x (H, 7), covariance (H, 7, 7).
+
+    Probabilities and `unexplored`, a bound on what was cut off, sum to one.
+    """
+
+    option: NDArray[np.int64]
+    probability: Array
+    x: Array
+    covariance: Array
+    unexplored: float
+
+
+def search(options: Options, expected: Expected, covariance: Array, breadth: int = 600, drop: float = 28.0) -> Hypotheses:
+    """The most probable joint assignments under x ~ N(0, covariance (7, 7)).
+
+    breadth: hypotheses kept after each region; drop: those worse than the best by a factor exp(drop) are not followed.
+    """
+    count = len(options.start) - 1
+    order = np.argsort(np.diff(options.start), kind="stable")  # the least ambiguous first: the pose is known early
+    o = options
+    option, weight, x, cov, cut = _search(o.start, order, o.landmark, o.y, o.A, o.log_weight, covariance, breadth, drop)
+    e = expected
+    clutter = o.landmark[option] < 0 if count else np.zeros((len(weight), 0), np.bool_)
+    weight = weight + _missed(
+        o.landmark[option].reshape(len(weight), count), clutter, x, cov, e.x_c, e.A, e.radius_m, e.log_missed, e.log_gone,
+        e.view, e.place_c, e.A_region,
+    )  # fmt: skip
+    best = np.argsort(-weight, kind="stable")
+    probability = np.exp(weight[best] - weight[best[0]])
+    total = float(probability.sum()) + cut
+    return Hypotheses(option[best], probability / total, x[best], cov[best], cut / total)
+
+
+@njit(cache=True)
+def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
+    """x, cov after the rows y = A x + e, in place; returns log N(y; A x, A cov A' + I) without its 2 pi.
+
+    Stops, returning a very low number, as soon as the sum falls below floor.
+    """
+    log_density = 0.0
+    pa = np.empty(STATES)
+    for r in range(y.shape[0]):
+        v, s = y[r], 1.0
+        for a in range(STATES):
+            total = 0.0
+            for b in range(STATES):
+                total += cov[a, b] * A[r, b]
+            pa[a] = total
+            v -= A[r, a] * x[a]
+            s += A[r, a] * total
+        log_density -= 0.5 * (v * v / s + math.log(s))
+        if log_density < floor:
+            return _NOTHING
+        for a in range(STATES):
+            x[a] += pa[a] * v / s
+            for b in range(STATES):
+                cov[a, b] -= pa[a] * pa[b] / s
+    return log_density
+
+
+@njit(cache=True)
+def _search(
+    start: NDArray[np.int64], order: NDArray[np.int64], landmark: NDArray[np.int64], y: Array, A: Array, log_weight: Array,
+    prior: Array, breadth: int, drop: float,
+) -> tuple[NDArray[np.int64], Array, Array, Array, float]:  # fmt: skip
+    """Breadth-limited search; the last number is the weight cut off, relative to the best hypothesis at that depth."""
+    count = order.shape[0]
+    chosen = np.full((1, count), -1, np.int64)
+    weight, x, cov = np.zeros(1), np.zeros((1, STATES)), np.empty((1, STATES, STATES))
+    cov[0] = prior
+    x_new, cov_new = np.empty(STATES), np.empty((STATES, STATES))
+    cut = 0.0
+    for i in order:
+        choices = start[i + 1] - start[i]
+        children = np.full(weight.shape[0] * choices, _NOTHING)
+        best = _NOTHING
+        for h in range(weight.shape[0]):
+            for k in range(choices):
+                o = start[i] + k
+                if _taken(chosen[h], landmark, o):
+                    continue
+                x_new[:] = x[h]
+                cov_new[:] = cov[h]
+                base = weight[h] + log_weight[o]
+                children[h * choices + k] = base + _update(x_new, cov_new, y[o], A[o], best - drop - base)
+                best = max(best, children[h * choices + k])
+        ranked = np.argsort(-children)
+        kept = 0
+        for child in ranked:
+            if children[child] < best - drop:
+                break
+            if kept < breadth:
+                kept += 1
+            else:
+                cut += math.exp(children[child] - best)
+        chosen, weight, x, cov = _grow(chosen, children, ranked[:kept], choices, start[i], i, x, cov, y, A)
+    return chosen, weight, x, cov, cut
+
+
+@njit(cache=True)
+def _grow(
+    chosen: NDArray[np.int64], children: Array, ranked: NDArray[np.int64], choices: int, first: int, region: int, x: Array,
+    cov: Array, y: Array, A: Array,
+) -> tuple[NDArray[np.int64], Array, Array, Array]:  # fmt: skip
+    """The kept children as the next generation."""
+    kept = ranked.shape[0]
+    next_chosen, next_weight = np.empty((kept, chosen.shape[1]), np.int64), np.empty(kept)
+    next_x, next_cov = np.empty((kept, STATES)), np.empty((kept, STATES, STATES))
+    for n in range(kept):
+        h, o = ranked[n] // choices, first + ranked[n] % choices
+        next_chosen[n] = chosen[h]
+        next_chosen[n, region] = o
+        next_weight[n] = children[ranked[n]]
+        next_x[n], next_cov[n] = x[h], cov[h]
+        _update(next_x[n], next_cov[n], y[o], A[o], _NOTHING)
+    return next_chosen, next_weight, next_x, next_cov
+
+
+@njit(cache=True)
+def _taken(chosen: NDArray[np.int64], landmark: NDArray[np.int64], option: int) -> bool:
+    """Whether another region is that landmark already."""
+    if landmark[option] < 0:
+        return False
+    for o in chosen:
+        if o >= 0 and landmark[o] == landmark[option]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _missed(
+    landmark: NDArray[np.int64], clutter: NDArray[np.bool_], x: Array, cov: Array, x_c: Array, A: Array, radius: Array,
+    log_missed: Array, log_gone: float, view: Array, place_c: Array, A_region: Array,
+) -> Array:  # fmt: skip
+    """Log probability, for each hypothesis, of seeing no region where landmarks should be (H,).
+
+    Where an object that is not in the map stands on a landmark's own place, the landmark must be gone.
+    """
+    result = np.zeros(landmark.shape[0])
+    assigned = np.empty(x_c.shape[0], np.bool_)
+    for h in range(landmark.shape[0]):
+        assigned[:] = False
+        for i in landmark[h]:
+            if i >= 0:
+                assigned[i] = True
+        for j in range(x_c.shape[0]):
+            if assigned[j]:
+                continue
+            place = x_c[j] + A[j] @ x[h]
+            depth = place[2]
+            if depth <= 1.0:
+                continue
+            spread = A[j] @ cov[h] @ A[j].T
+            sigma = math.sqrt(max(spread[0, 0], spread[1, 1]))
+            margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / depth
+            u, v = place[0] / depth, place[1] / depth
+            if sigma < radius[j] and _occupied(clutter[h], place_c, A_region, x[h], place, 0.5 * radius[j]):
+                result[h] += log_gone
+            elif view[0] + margin < u < view[1] - margin and view[2] + margin < v < view[3] - margin:
+                result[h] += log_missed[j]
+    return result
+
+
+@njit(cache=True)
+def _occupied(clutter: NDArray[np.bool_], place_c: Array, A: Array, x: Array, place: Array, radius: float) -> bool:
+    """Whether a region that is said not to be in the map stands within a radius of a place."""
+    for i in range(place_c.shape[0]):
+        if clutter[i]:
+            away = place_c[i] + A[i] @ x - place
+            if away @ away < radius * radius:
+                return True
+    return False

@@ -1,0 +1,354 @@
+"""What each region may be, and how likely what was measured is then: the options of vision/assignment.py.
+
+A landmark j shown by region i, both described by (place, log width, log length, fill ratio, orientation):
+
+    l_j - (p + r_i) = dp - [r_i]x dtheta + r_i s + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
+
+r_i: arm from body to region in n at the prior, s: the log scale of depth that all regions share. Each landmark stands there
+twice, measured well and, rarely, measured badly (a shadow or a neighbour grown into the region): same equations, wide noise.
+
+A region that is no landmark of the map is an object like those of the map (unmapped objects look like mapped ones, and stand
+in the same streets) or anything. Its density is estimated from the map around: assuming it uniform would make every look-alike
+a sure landmark.
+"""
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.landmarks import Landmark
+from models.messages import Array
+from vision.assignment import SCALE, STATES, Options
+from vision.similarity import normalised, similarity
+
+_ROWS = 7  # place (3), log width, log length, fill ratio, orientation
+_GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
+_AROUND_M = 40.0  # radius over which the density of objects around an object is taken
+_OBLONG = 1.3  # below this ratio of length to width the axes may be exchanged
+
+
+class Beliefs(msgspec.Struct, frozen=True):
+    """What is taken for granted about world and segmentation, before a picture is seen."""
+
+    unmapped_fraction: float = 0.3  # of the objects that look like landmarks
+    gone_fraction: float = 0.1  # of the map
+    found_fraction: float = 0.7  # a landmark wholly in view gives a region
+    bad_fraction: float = 0.03  # of the regions: measured badly
+    bad_log_size: float = 0.25
+    bad_fill_ratio: float = 0.2
+    bad_orientation_deg: float = 20.0
+    bad_centre: float = 0.3  # of the length
+    look_alike_fraction: float = 0.7  # of what is not in the map: resembles what is
+    background_per_m2: float = 1e-4  # regions that are no objects at all: shadows, cars, fields
+    centre_sigma_m: float = 0.1  # centre of the region against centre of the roof
+    size_sigma: float = 0.01  # relative: edges of a region against edges of the roof
+    fill_ratio_sigma: float = 0.02
+    height_spread_m: float = 1.0  # of what is not in the map, about heights of what is
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A region as identification sees it; n at the prior's attitude.
+
+    arm_n (3,) from body to region; depth_sigma: relative error of its depth, its own (place and sizes share it; what all regions
+    share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2) of (log width, log length): the other errors
+    orientation_rad of the length, from north to east; now: in the present picture.
+    """
+
+    arm_n: Array
+    depth_sigma: float
+    covariance_n: Array
+    size_m2: float
+    width_m: float
+    length_m: float
+    fill_ratio: float
+    log_size_covariance: Array
+    fill_ratio_sigma: float
+    orientation_rad: float
+    orientation_sigma_rad: float
+    colour_bgr: tuple[float, float, float] | None = None
+    now: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """Landmarks near the prior as arrays: place (J, 3) of the roof's centre, its variance (J, 3), features (J, 4) log width, log length,
+    fill ratio, orientation; outline sigma (J,), description and weights (J, 4) of the similarity, colour (J, 3), NaN unknown.
+    density_per_m2: of objects around an object.
+    """
+
+    ids: tuple[str, ...]
+    place_n: Array
+    variance_n: Array
+    features: Array
+    outline_sigma_m: Array
+    description: Array
+    weights: Array
+    chroma: Array
+    density_per_m2: float
+
+    @property
+    def radius_m(self) -> Array:
+        """(J,) half the diagonal of the least rectangle."""
+        return np.asarray(0.5 * np.hypot(self.description[:, 1], self.description[:, 2]))
+
+
+def catalogue(landmarks: list[Landmark]) -> Catalogue:
+    """The landmarks' numbers side by side."""
+    m = landmarks
+    place = np.array([(*k.centre_n, k.roof_d) for k in m]).reshape(-1, 3)
+    colour = [k.colour_bgr or (math.nan,) * 3 for k in m]
+    features = [(math.log(k.width_m), math.log(k.length_m), k.fill_ratio, k.orientation_rad) for k in m]
+    return Catalogue(
+        ids=tuple(k.id for k in m),
+        place_n=place,
+        variance_n=np.array([(k.sigma_m, k.sigma_m, k.height_sigma_m) for k in m]).reshape(-1, 3) ** 2,
+        features=np.array(features).reshape(-1, 4),
+        outline_sigma_m=np.array([k.outline_sigma_m for k in m]),
+        description=np.array([(k.size_m2, k.width_m, k.length_m, k.fill_ratio) for k in m]).reshape(-1, 4),
+        weights=normalised(np.array([k.weights for k in m]).reshape(-1, 4)),
+        chroma=chroma(np.array(colour).reshape(-1, 3)),
+        density_per_m2=_density(place),
+    )
+
+
+def chroma(colour_bgr: Array) -> Array:
+    """(b, g) / (b + g + r) of colours (..., 3): what exposure does not change."""
+    total = np.maximum(colour_bgr.sum(axis=-1, keepdims=True), 1.0)
+    return np.asarray(colour_bgr[..., :2] / total)
+
+
+def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
+    """Eq. 5.5 for each region and landmark (M, J); scale (M, J): by which the region's lengths are to be multiplied."""
+    s = np.array([(r.size_m2, r.width_m, r.length_m, r.fill_ratio) for r in sightings]).reshape(-1, 1, 4)
+    factor = np.stack([scale**2, scale, scale, np.ones_like(scale)], axis=-1)
+    return similarity(s * factor, landmarks.description[None], landmarks.weights[None])
+
+
+def options(
+    sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
+    beliefs: Beliefs,
+) -> Options:  # fmt: skip
+    """All that each region may be: none of the map, and each candidate (M, J) whose place is possible under the prior x ~ N(0,
+    covariance (7, 7)), measured well or badly."""
+    b = beliefs
+    arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
+    own = np.array([r.covariance_n for r in sightings]).reshape(-1, 3, 3)
+    depth = np.array([r.depth_sigma for r in sightings])
+    features = np.array([_features(r) for r in sightings]).reshape(-1, 4)
+    noise = np.array([_feature_noise(r, b) for r in sightings]).reshape(-1, 4, 4)
+    wide = np.array([_bad_noise(r, b) for r in sightings]).reshape(-1, _ROWS)
+    region, landmark, bad, y, A, log_density = _pairs(
+        p_n, arm, depth, own + b.centre_sigma_m**2 * np.eye(3), features, noise, wide, landmarks.place_n, landmarks.variance_n,
+        landmarks.features, landmarks.outline_sigma_m, covariance, candidate, scale,
+    )  # fmt: skip
+    colours = np.array([r.colour_bgr or (math.nan,) * 3 for r in sightings]).reshape(-1, 3)
+    colour, ground_colour = _colour(chroma(colours), landmarks.chroma, b)
+    there = math.log(b.found_fraction * (1.0 - b.gone_fraction))
+    weight = there + np.where(bad, math.log(b.bad_fraction), math.log1p(-b.bad_fraction)) + log_density
+    weight += colour[region, landmark]
+
+    count = len(sightings)
+    noise[:, :2, :2] += depth[:, None, None] ** 2
+    own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
+    clutter_y, clutter_a, clutter_log = _clutter_row(p_n, arm, own, landmarks, b)
+    clutter_log += ground_colour + np.log(_clutter_attributes(features, noise, landmarks, covariance, b))
+    clutter_log += np.log(_clutter_intensity(arm, own, landmarks, covariance, b))
+    order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
+    all_regions = np.concatenate([np.arange(count), region])[order]
+    return Options(
+        start=np.searchsorted(all_regions, np.arange(count + 1)),
+        landmark=np.concatenate([np.full(count, -1), landmark])[order],
+        y=np.concatenate([clutter_y, y])[order],
+        A=np.concatenate([clutter_a, A])[order],
+        log_weight=np.concatenate([clutter_log, weight])[order],
+    )
+
+
+def _features(r: Sighting) -> tuple[float, float, float, float]:
+    return math.log(r.width_m), math.log(r.length_m), r.fill_ratio, r.orientation_rad
+
+
+def _feature_noise(r: Sighting, b: Beliefs) -> Array:
+    fill, turn = r.fill_ratio_sigma**2 + b.fill_ratio_sigma**2, r.orientation_sigma_rad**2
+    if r.length_m < _OBLONG * r.width_m and abs(r.fill_ratio - 0.25 * math.pi) < 0.07:
+        turn += 1.0  # round: it has no orientation
+    noise = np.diag([b.size_sigma**2, b.size_sigma**2, fill, turn])
+    noise[:2, :2] += r.log_size_covariance
+    return noise
+
+
+def _bad_noise(r: Sighting, b: Beliefs) -> list[float]:
+    centre = (b.bad_centre * r.length_m) ** 2
+    return [centre, centre, 1.0, b.bad_log_size**2, b.bad_log_size**2, b.bad_fill_ratio**2, math.radians(b.bad_orientation_deg) ** 2]
+
+
+def _density(place: Array) -> float:
+    """Objects per m^2 around an object."""
+    if len(place) < 2:
+        return 0.0
+    apart = np.hypot(*(place[:, None, :2] - place[None, :, :2]).transpose(2, 0, 1))
+    return float(((apart < _AROUND_M).sum() - len(place)) / len(place) / (math.pi * _AROUND_M**2))
+
+
+def _colour(region: Array, landmark: Array, b: Beliefs, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
+    """Log density of a region's chroma as each landmark (M, J), and as none of them (M,).
+
+    A normal about the map's colour, or (any_colour of the time: paint fades, light is coloured) uniform over the triangle of
+    chromas, whose area is 1/2. Where either colour is unknown it says nothing.
+    """
+    squared = ((region[:, None] - landmark[None]) ** 2).sum(axis=-1) / sigma**2
+    density = (1.0 - any_colour) * np.exp(-0.5 * squared) / (2.0 * math.pi * sigma**2) + any_colour * 2.0
+    known = np.isfinite(density)
+    counted = known.sum(axis=1)
+    population = np.where(known, density, 0.0).sum(axis=1) / np.maximum(counted, 1)
+    none = np.where(counted > 0, b.look_alike_fraction * population + (1.0 - b.look_alike_fraction) * 2.0, 1.0)
+    return np.log(np.where(known, density, none[:, None])), np.log(none)
+
+
+def _clutter_row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Beliefs) -> tuple[Array, Array, Array]:
+    """Something not in the map stands as high as what is: one row, whitened."""
+    count = len(arm)
+    y, A = np.zeros((count, _ROWS)), np.zeros((count, _ROWS, STATES))
+    if not len(landmarks.ids):
+        return y, A, np.zeros(count)
+    roof = landmarks.place_n[:, 2]
+    sigma = np.sqrt(float(np.var(roof)) + b.height_spread_m**2 + own[:, 2, 2])
+    y[:, 0] = (float(np.mean(roof)) - p_n[2] - arm[:, 2]) / sigma
+    A[:, 0, 2] = 1.0 / sigma
+    A[:, 0, 3], A[:, 0, 4], A[:, 0, SCALE] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
+    return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
+
+
+def _clutter_attributes(features: Array, noise: Array, landmarks: Catalogue, covariance: Array, b: Beliefs) -> Array:
+    """Density of (log width, log length, fill ratio, orientation) of an object that is not in the map (M,).
+
+    A kernel estimate over the map around, mixed with: width and length anything from 1 to 100 m, any fill, any orientation.
+    """
+    anything = 1.0 / math.log(100.0) ** 2 / 0.7 / math.pi
+    if not len(landmarks.ids):
+        return np.full(len(features), anything)
+    e = landmarks.features[None] - features[:, None]
+    half_turn = np.where(landmarks.features[:, 1] - landmarks.features[:, 0] > math.log(_OBLONG), math.pi, 0.5 * math.pi)
+    e[..., 3] = (e[..., 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+    kernel = noise + np.diag([0.05**2, 0.05**2, 0.03**2, 0.1**2 + covariance[5, 5]])
+    kernel[:, :2, :2] += covariance[SCALE, SCALE]
+    squared = np.einsum("mja,mab,mjb->mj", e, np.linalg.inv(kernel), e)
+    density = np.exp(-0.5 * squared).mean(axis=1) / np.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
+
+
+def _clutter_intensity(arm: Array, own: Array, landmarks: Catalogue, covariance: Array, b: Beliefs) -> Array:
+    """Objects per m^2 that are not in the map, at the place of each region as seen from the others (M,).
+
+    In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
+    the landmarks at the same displacement from a landmark, not the mean density.
+    """
+    unmapped = b.unmapped_fraction / (1.0 - b.unmapped_fraction)
+    radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
+    turns = math.sqrt(covariance[5, 5]) * np.linspace(-2.0, 2.0, 5)
+    moved = _displacement_density(arm[:, :2].copy(), radius, landmarks.place_n[:, :2].copy(), turns)
+    return np.asarray(unmapped * np.maximum(landmarks.density_per_m2, moved) + b.background_per_m2)
+
+
+@njit(cache=True)
+def _displacement_density(region: Array, radius: Array, place: Array, turns: Array) -> Array:
+    """Density of landmarks at region i's displacement from region r, seen from any landmark; mean over r, greatest over turns.
+
+    One pair of landmarks is left out, for it may be these very regions.
+    """
+    result = np.zeros(region.shape[0])
+    if region.shape[0] < 2 or place.shape[0] < 2:
+        return result
+    for i in range(region.shape[0]):
+        for turn in turns:
+            c, s = math.cos(turn), math.sin(turn)
+            total = 0.0
+            for r in range(region.shape[0]):
+                if r == i:
+                    continue
+                dn, de = region[i, 0] - region[r, 0], region[i, 1] - region[r, 1]
+                vn, ve = c * dn - s * de, s * dn + c * de
+                close = 0
+                for k in range(place.shape[0]):
+                    for m in range(place.shape[0]):
+                        un, ue = place[m, 0] - place[k, 0] - vn, place[m, 1] - place[k, 1] - ve
+                        if k != m and un * un + ue * ue < radius[i] * radius[i]:
+                            close += 1
+                total += max(close - 1, 0)
+            mean = total / (region.shape[0] - 1) / place.shape[0] / (math.pi * radius[i] * radius[i])
+            result[i] = max(result[i], mean)
+    return result
+
+
+@njit(cache=True)
+def _pairs(
+    p_n: Array, arm: Array, depth: Array, own: Array, features: Array, noise: Array, wide: Array, place: Array, place_variance: Array,
+    described: Array, outline_sigma: Array, prior: Array, candidate: NDArray[np.bool_], scale: Array,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
+    """Whitened rows and log density constant of every possible pair, well and badly measured."""
+    most = 2 * int(candidate.sum())
+    region, landmark, bad = np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_)
+    y, A, log_density = np.empty((most, _ROWS)), np.empty((most, _ROWS, STATES)), np.empty(most)
+    turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
+    n = 0
+    for i in range(arm.shape[0]):
+        for j in range(place.shape[0]):
+            if not candidate[i, j]:
+                continue
+            r = arm[i] * scale[i, j]
+            y[n], A[n] = _rows(p_n, r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j])
+            N = np.zeros((_ROWS, _ROWS))
+            N[:3, :3] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
+            # what the linear equations leave out: 1/2 dtheta^2 r and 1/2 s^2 r
+            N[:3, :3] += 0.75 * (turn_variance**2 * (r @ r) * np.eye(3) + prior[SCALE, SCALE] ** 2 * np.outer(r, r))
+            N[3:, 3:] = noise[i]
+            grown = 2.0 * outline_sigma[j] * np.exp(-described[j, :2])
+            N[3:5, 3:5] += np.outer(grown, grown)
+            N += depth[i] ** 2 * np.outer(A[n, :, SCALE], A[n, :, SCALE])
+            spread = A[n, :3] @ prior @ A[n, :3].T + N[:3, :3] + np.diag(wide[i, :3])
+            if y[n, :3] @ np.linalg.solve(spread, y[n, :3]) > _GATE:
+                continue
+            y[n + 1], A[n + 1] = y[n], A[n]
+            for k in range(2):
+                region[n], landmark[n], bad[n] = i, j, k == 1
+                log_density[n] = _whiten(N + k * np.diag(wide[i]), y[n], A[n])
+                n += 1
+    return region[:n], landmark[:n], bad[:n], y[:n], A[:n], log_density[:n]
+
+
+@njit(cache=True)
+def _rows(p_n: Array, r: Array, features: Array, place: Array, described: Array) -> tuple[Array, Array]:
+    y, A = np.empty(_ROWS), np.zeros((_ROWS, STATES))
+    y[:3] = place - p_n - r
+    y[3:] = described - features
+    half_turn = math.pi if described[1] - described[0] > math.log(_OBLONG) else 0.5 * math.pi
+    y[6] = (y[6] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+    for a in range(3):
+        A[a, a] = 1.0
+        A[a, SCALE] = r[a]
+    A[0, 4], A[0, 5] = r[2], -r[1]  # -[r]x
+    A[1, 3], A[1, 5] = -r[2], r[0]
+    A[2, 3], A[2, 4] = r[1], -r[0]
+    A[3, SCALE] = A[4, SCALE] = 1.0
+    A[6, 5] = 1.0
+    return y, A
+
+
+@njit(cache=True)
+def _whiten(N: Array, y: Array, A: Array) -> float:
+    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N)."""
+    L = np.linalg.cholesky(N)
+    total = 0.0
+    for a in range(N.shape[0]):
+        for b in range(a):
+            y[a] -= L[a, b] * y[b]
+            A[a] -= L[a, b] * A[b]
+        y[a] /= L[a, a]
+        A[a] /= L[a, a]
+        total -= math.log(L[a, a])
+    return total - 0.5 * N.shape[0] * math.log(2.0 * math.pi)
