@@ -14,12 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import map_file
 from models import outline as polygon
+from models.colours import Colour
 from models.frames import Origin
-from models.messages import Array
-
-Colour = tuple[int, int, int]
-WEIGHTS = (0.20966, 0.30413, 0.302214, 0.209658)  # size, width, length, fill ratio (thesis eq. 5.5; their sum is 1.0257)
+from models.map_table import WEIGHTS, Columns, Defaults, MapReport, Weights
+from models.messages import Array, Vec3
 
 
 class Landmark(msgspec.Struct, frozen=True, eq=False):
@@ -39,7 +39,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
     sigma_m: float
     height_sigma_m: float
     outline_sigma_m: float
-    weights: tuple[float, float, float, float]
+    weights: Weights
     size_m2: float
     width_m: float
     length_m: float
@@ -59,7 +59,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
         sigma_m: float = 0.0,
         height_sigma_m: float = 0.0,
         outline_sigma_m: float = 0.0,
-        weights: tuple[float, float, float, float] = WEIGHTS,
+        weights: Weights = WEIGHTS,
         name: str = "",
     ) -> Self:
         """A landmark with its description computed; the outline may run either way. Raises ValueError where it has no area."""
@@ -88,36 +88,21 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
         return self.name or self.id
 
 
-class Columns(msgspec.Struct, frozen=True, eq=False):
-    """N landmarks: vertices (V, 2) north, east with offsets (N + 1,), per landmark one entry in the others.
+class LandmarkMap:
+    """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index.
 
-    colour_bgr: (N, 3), -1 = unknown; weights and names: only of those that have their own.
+    report: what was found while reading the file it comes from.
     """
 
-    ids: list[str]
-    vertices: Array
-    offsets: NDArray[np.int64]
-    base_d: Array
-    height_m: Array
-    colour_bgr: NDArray[np.int16]
-    sigma_m: Array
-    height_sigma_m: Array
-    outline_sigma_m: Array
-    weights: dict[int, tuple[float, float, float, float]]
-    names: dict[int, str]
-
-
-class LandmarkMap:
-    """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index."""
-
-    def __init__(self, origin: tuple[float, float, float], columns: Columns) -> None:
+    def __init__(self, origin: Vec3, columns: Columns, report: MapReport | None = None) -> None:
         self.origin = origin
         self.columns = columns
+        self.report = report or MapReport(len(columns.ids))
         self.description = polygon.describe(columns.vertices, columns.offsets)  # (N, 8), columns as named in models/outline.py
         self._index = _Grid(self.description)
 
     @classmethod
-    def from_landmarks(cls, origin: tuple[float, float, float], landmarks: Iterable[Landmark]) -> Self:
+    def from_landmarks(cls, origin: Vec3, landmarks: Iterable[Landmark]) -> Self:
         """A map of these landmarks; equal ids raise ValueError."""
         several = list(landmarks)
         if len({landmark.id for landmark in several}) < len(several):
@@ -137,6 +122,15 @@ class LandmarkMap:
             names={i: landmark.name for i, landmark in enumerate(several) if landmark.name},
         )
         return cls(origin, columns)
+
+    @classmethod
+    def from_geojson(cls, data: bytes, defaults: Defaults | None = None) -> Self:
+        """The map of a GeoJSON file, ours or anybody's (docs/map.md); bad features are in `report`. Raises MapError."""
+        return cls(*map_file.read(data, defaults or Defaults()))
+
+    def to_geojson(self) -> bytes:
+        """The file, with the description of each landmark written in."""
+        return map_file.write(self.origin, self.columns, self.description)
 
     def __len__(self) -> int:
         return len(self.columns.ids)

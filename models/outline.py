@@ -164,3 +164,31 @@ def _centroid(outline: Array, size: float) -> tuple[float, float]:
         north += twice * (n1 + n2)
         east += twice * (e1 + e2)
     return (n0, e0) if size == 0.0 else (n0 + north / (6.0 * size), e0 + east / (6.0 * size))
+
+
+GOOD, FEW, SMALL, MANY, CROSSED = range(5)  # verdicts of repair
+
+
+@njit(cache=True)
+def repair(
+    vertices: Array, offsets: NDArray[np.int64], tolerance_m: float, min_m2: float, max_corners: int
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Cleaned, anticlockwise outlines (vertices, offsets), empty where the verdict (N,) is not GOOD."""
+    kept, ends = np.empty_like(vertices), np.zeros_like(offsets)
+    verdicts = np.empty(len(offsets) - 1, np.int64)
+    for i in range(len(verdicts)):
+        outline, verdict = clean(vertices[offsets[i] : offsets[i + 1]], tolerance_m), GOOD
+        if len(outline) < 3:
+            verdict = FEW
+        elif len(outline) > max_corners:
+            verdict = MANY
+        elif crosses_itself(outline):
+            verdict = CROSSED
+        elif abs(area(outline)) < min_m2:
+            verdict = SMALL
+        ends[i + 1] = ends[i]
+        if verdict == GOOD:
+            ends[i + 1] += len(outline)
+            kept[ends[i] : ends[i + 1]] = outline if area(outline) > 0.0 else outline[::-1]
+        verdicts[i] = verdict
+    return kept[: ends[-1]].copy(), ends, verdicts

@@ -1,0 +1,167 @@
+r"""Properties of a GeoJSON feature -> a landmark's attributes: our own names, and those of public building data.
+
+Own names carry the unit (`height_m`) and win. Read as well: OpenStreetMap's (`height`, `building:levels`, `roof:colour`,
+`building:colour`; "7.5", "7.5 m", "25 ft", "25'6\""), and the plain ones of other open building sets (`num_floors`, ...).
+"""
+
+import math
+import re
+from typing import Any, NamedTuple
+
+import msgspec
+
+from models import colours
+from models.map_table import WEIGHTS, Defaults, Weights
+
+LEVEL_M = 3.0  # height of one storey
+_LENGTH = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(m|metres?|meters?|ft|feet|foot|')?\s*(?:(\d+(?:\.\d+)?)\s*\")?", re.IGNORECASE)
+_FOOT = 0.3048  # m
+
+
+class Properties(
+    msgspec.Struct,
+    rename={
+        "osm_id_at": "@id", "roof_colour": "roof:colour", "roof_color": "roof:color", "building_colour": "building:colour",
+        "building_color": "building:color", "levels": "building:levels", "roof_color_plain": "roof_color",
+    },
+):  # fmt: skip
+    """What is read of a feature; everything else is left alone."""
+
+    id: Any = None
+    osm_id_at: Any = None
+    osm_id: Any = None
+    name: Any = None
+    height_m: Any = None
+    height_sigma_m: Any = None
+    sigma_m: Any = None
+    outline_sigma_m: Any = None
+    ground_alt_m: Any = None
+    colour: Any = None
+    weights: Any = None
+    height: Any = None
+    levels: Any = None
+    num_floors: Any = None
+    color: Any = None
+    roof_colour: Any = None
+    roof_color: Any = None
+    roof_color_plain: Any = None
+    building_colour: Any = None
+    building_color: Any = None
+
+
+class Attributes(NamedTuple):
+    """One landmark without its outline; ground_alt_m is NaN where unknown. missing: properties whose default was taken."""
+
+    name: str
+    height_m: float
+    height_sigma_m: float
+    sigma_m: float
+    outline_sigma_m: float
+    ground_alt_m: float
+    colour_bgr: tuple[int, int, int]
+    weights: Weights | None
+    missing: list[str]
+    remarks: list[str]
+
+
+def read(p: Properties, defaults: Defaults) -> Attributes:
+    """The attributes; what cannot be understood is remarked on and taken as missing."""
+    missing: list[str] = []
+    remarks: list[str] = []
+    height, height_sigma = _height(p, defaults, missing, remarks)
+    sigma = _number("sigma_m", p.sigma_m, 0.0, 1e4, remarks)
+    if sigma is None:
+        missing.append("sigma_m")
+    own_height_sigma = _number("height_sigma_m", p.height_sigma_m, 0.0, 1e4, remarks)
+    outline_sigma = _number("outline_sigma_m", p.outline_sigma_m, 0.0, 1e3, remarks)
+    ground = _number("ground_alt_m", p.ground_alt_m, -1e3, 1e4, remarks)
+    if ground is None:
+        missing.append("ground_alt_m")
+    colour = _colour(p, remarks)
+    if colour is None:
+        missing.append("colour")
+    return Attributes(
+        name=p.name if isinstance(p.name, str) else "",
+        height_m=height,
+        height_sigma_m=height_sigma if own_height_sigma is None else own_height_sigma,
+        sigma_m=defaults.sigma_m if sigma is None else sigma,
+        outline_sigma_m=(0.0 if height == 0.0 else 0.3) if outline_sigma is None else outline_sigma,
+        ground_alt_m=math.nan if ground is None else ground,
+        colour_bgr=(-1, -1, -1) if colour is None else colour,
+        weights=None if p.weights is None else _weights(p.weights, remarks),
+        missing=missing,
+        remarks=remarks,
+    )
+
+
+def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
+    """Identifier of a feature: its own `id` property, the feature's id, the source's; else #number."""
+    for candidate in (p.id, feature_id, p.osm_id_at, p.osm_id):
+        if isinstance(candidate, str) and candidate.strip():
+            return candidate.strip()
+        if isinstance(candidate, (int, float)) and not isinstance(candidate, bool):
+            return f"{candidate:.0f}" if float(candidate).is_integer() else str(candidate)
+    return f"#{number}"
+
+
+def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list[str]) -> tuple[float, float]:
+    """Height and its standard deviation: as measured, from the storeys, or a guess, ever less certain."""
+    height = _number("height_m", p.height_m, 0.0, 1e3, remarks)
+    if height is not None:
+        return height, 0.0 if height == 0.0 else 0.5
+    if p.height is not None and p.height != -1:  # -1: "not known" in machine-made sets
+        height = _number("height", p.height, 0.1, 1e3, remarks)
+        if height is not None:
+            return height, 1.0
+    for name, value in (("building:levels", p.levels), ("num_floors", p.num_floors)):
+        levels = _number(name, value, 0.5, 200.0, remarks)
+        if levels is not None:
+            return LEVEL_M * levels, 1.0 + 0.5 * levels
+    missing.append("height_m")
+    return defaults.height_m, 0.5 * defaults.height_m
+
+
+def _number(name: str, value: Any, low: float, high: float, remarks: list[str]) -> float | None:
+    """A number or a length as text, within bounds."""
+    if value is None:
+        return None
+    number = value if isinstance(value, (int, float)) and not isinstance(value, bool) else _length(value)
+    if number is None:
+        remarks.append(f"{name} {value!r} is not a number")
+    elif low <= number <= high:
+        return float(number)
+    else:
+        remarks.append(f"{name} {number:g} is not between {low:g} and {high:g}")
+    return None
+
+
+def _length(text: Any) -> float | None:
+    r"""Metres of "7", "7,5", "7.5 m", "25 ft", "25'", "25'6\""."""
+    found = _LENGTH.fullmatch(text.strip()) if isinstance(text, str) else None
+    if found is None:
+        return None
+    number, unit, inches = float(found[1].replace(",", ".")), (found[2] or "m").lower(), float(found[3] or 0.0)
+    return number if unit.startswith("m") else _FOOT * (number + inches / 12.0)
+
+
+def _colour(p: Properties, remarks: list[str]) -> tuple[int, int, int] | None:
+    """Own colour, else the roof's, else the building's."""
+    names = (p.colour, p.color, p.roof_colour, p.roof_color, p.roof_color_plain, p.building_colour, p.building_color)
+    for value in names:
+        if value is not None:
+            colour = colours.parse(value) if isinstance(value, str) else None
+            if colour is not None:
+                return colour
+            remarks.append(f"colour {value!r} is neither a CSS name nor #rrggbb")
+    return None
+
+
+def _weights(value: Any, remarks: list[str]) -> Weights | None:
+    try:
+        weights = msgspec.convert(value, Weights)
+    except msgspec.ValidationError:
+        weights = (math.nan,) * 4
+    if all(w >= 0.0 for w in weights) and 0.0 < sum(weights) < math.inf:
+        return None if weights == WEIGHTS else weights
+    remarks.append(f"weights {value!r} are not four numbers >= 0 (size, width, length, fill ratio)")
+    return None

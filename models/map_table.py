@@ -1,0 +1,61 @@
+"""What a map holds, as columns, and what was found while reading it."""
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+Weights = tuple[float, float, float, float]
+WEIGHTS: Weights = (0.20966, 0.30413, 0.302214, 0.209658)  # size, width, length, fill ratio (thesis eq. 5.5; their sum is 1.0257)
+
+
+class Columns(msgspec.Struct, frozen=True, eq=False):
+    """N landmarks: vertices (V, 2) north, east with offsets (N + 1,), per landmark one entry in the others.
+
+    base_d: down of the ground; colour_bgr: (N, 3), -1 = unknown; weights and names: only of those that have their own.
+    """
+
+    ids: list[str]
+    vertices: Array
+    offsets: NDArray[np.int64]
+    base_d: Array
+    height_m: Array
+    colour_bgr: NDArray[np.int16]
+    sigma_m: Array
+    height_sigma_m: Array
+    outline_sigma_m: Array
+    weights: dict[int, Weights]
+    names: dict[int, str]
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """Something about one feature (1 = the first in the file)."""
+
+    feature: int
+    id: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"feature {self.feature} ({self.id}): {self.text}"
+
+
+class MapReport(msgspec.Struct, frozen=True, eq=False):
+    """What reading a file found: rejected features, remarks on kept ones, how many lacked a property and got its default."""
+
+    features: int = 0
+    rejected: tuple[Finding, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+    missing: dict[str, int] = {}
+
+
+class MapError(ValueError):
+    """The file as a whole is not a map; one line says why and what to do."""
+
+
+class Defaults(msgspec.Struct, frozen=True):
+    """What features do not say themselves: height of the roof, horizontal standard deviation; the origin, where known."""
+
+    height_m: float = 6.0
+    sigma_m: float = 0.5
+    origin: tuple[float, float, float] | None = None
