@@ -1,0 +1,190 @@
+"""Correspondence: where each region of the left picture stands in the right one (thesis sections 4.3.2, 4.5 and 5.4).
+
+    coarse   Sobel edges of a reduced picture, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
+             only the region's own pixels and a rim, then back from right to left: the two must agree
+    fine     the region in cells; each cell's disparity maximises the same coefficient to a fraction of a pixel, by
+             Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says how sure it is
+
+Both pictures are rectified and grey, uint8 or uint16.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.messages import Array
+from vision import correlation
+from vision.plane import DisparityPlane, fit_plane
+from vision.rectify import Image
+from vision.regions import Region
+
+Pixels = NDArray[np.int32]  # (N, 2) u, v
+_RIM = 2  # px around a region that belong to it: its edges are what can be matched
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How far and how strictly correspondences are sought."""
+
+    nearest_m: float = 4.0  # nothing is nearer than this
+    least_score: float = 0.55  # of the correlation coefficient of the edges
+    least_lead: float = 0.02  # over the next best place
+    vertical_px: int = 2  # how far from the epipolar line a fine match may lie and still be measured
+    template_px: int = 350  # pixels of a template at the coarse level
+    cells: int = 24  # of a region, about
+    slope_tangent: float = 0.5  # sigma of the surfaces' tilt against the picture plane, tan
+    noise_floor: float = 0.7  # levels: 8-bit quantisation and a little more
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A region found in the right picture. disparity = u_l - u_r.
+
+    points (M, 2), disparities (M,), sigmas (M,)   the cells [px]
+    plane          the disparity plane through them
+    score          correlation coefficient of the edges at the coarse level
+    vertical_px    v_r - v_l that remains, 0 for a calibrated, synchronous pair; vertical_sigma_px
+    """
+
+    region: Region
+    points: Array
+    disparities: Array
+    sigmas: Array
+    plane: DisparityPlane
+    score: float
+    vertical_px: float
+    vertical_sigma_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unmatched:
+    """A region not found in the right picture, and why; behind: found, but on the side where only swapped pictures have it."""
+
+    region: Region
+    reason: str
+    behind: bool = False
+
+
+def correspond(
+    left: Image, right: Image, regions: Sequence[Region], rig: StereoRig, search: Search | None = None
+) -> list[Match | Unmatched]:
+    """One Match or Unmatched per region, in order. left, right: rectified grey pictures; rig: the rectified rig."""
+    search = search or Search()
+    pair = _Pyramid(left, right)
+    return [_match(pair, region, rig, search) for region in regions]
+
+
+def disparity_offset(rig: StereoRig) -> float:
+    """What u_l - u_r is at infinity: cx_l - cx_r."""
+    return rig.left.cx - rig.right.cx
+
+
+class _Pyramid:
+    """Both pictures, halved again and again, and their edges, each made when first asked for."""
+
+    def __init__(self, left: Image, right: Image) -> None:
+        self._grey = [(np.ascontiguousarray(left), np.ascontiguousarray(right))]
+        self._edges: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+
+    def grey(self, level: int) -> tuple[Image, Image]:
+        while len(self._grey) <= level:
+            left, right = self._grey[-1]
+            self._grey.append((cv2.pyrDown(left), cv2.pyrDown(right)))
+        return self._grey[level]
+
+    def edges(self, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if level not in self._edges:
+            left, right = self.grey(level)
+            self._edges[level] = sobel(left), sobel(right)
+        return self._edges[level]
+
+
+def sobel(grey: Image) -> NDArray[np.float32]:
+    """G = sqrt(GX^2 + GY^2) (thesis eq. 4.62-4.64)."""
+    gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.magnitude(gx, gy), dtype=np.float32)
+
+
+def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Match | Unmatched:
+    offset = disparity_offset(rig)
+    reach = rig.left.fx * rig.baseline_m / search.nearest_m
+    found = _coarse(pair, region, offset, reach, search)
+    if isinstance(found, str):
+        return Unmatched(region, found)
+    disparity, score = found
+    rim = correlation.template(region.mask, region.bbox[0], region.bbox[1], 0, _RIM)
+    disparity, vertical = _to_the_pixel(pair, rim, disparity, search)
+    if disparity - offset < -1.5:
+        return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
+    return _fine(pair, region, rig, search, (disparity, vertical, score))
+
+
+def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search: Search) -> tuple[int, float] | str:
+    """Disparity [px, to about one coarse pixel] and score, or why there is none. Sought on both sides of infinity."""
+    level = 1
+    while region.mask.sum() / 4**level > search.template_px and level < 4:
+        level += 1
+    pixels = correlation.template(region.mask, region.bbox[0], region.bbox[1], level, _RIM)
+    left, right = pair.edges(level)
+    size = 2**level
+    low, high = int(np.floor((offset - reach) / size)), int(np.ceil((offset + reach) / size))
+    scores = correlation.scan(left, right, pixels, low, high, 0)
+    best = int(scores.argmax())
+    if scores[best] < search.least_score:
+        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
+    others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
+    if others.max() > scores[best] - search.least_lead:
+        return "ambiguous: two places fit alike"
+    shifted = pixels - np.array([low + best, 0], dtype=np.int32)
+    back = correlation.scan(right, left, shifted, -(low + best) - 6, -(low + best) + 6, 0)
+    if abs(int(back.argmax()) - 6) > 1:
+        return "left-right check: the way back leads elsewhere"
+    return (low + best) * size, float(scores[best])
+
+
+def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int]:
+    """Disparity and vertical offset to one pixel, by the same coefficient of the grey levels at full resolution."""
+    left, right = pair.grey(0)
+    some = rim[:: max(len(rim) // 900, 1)]
+    for reach in (8, 3):
+        scores = correlation.scan(left, right, some, disparity - reach, disparity + reach, 0)
+        disparity += int(scores.argmax()) - reach
+    vertical = 0
+    if search.vertical_px:
+        shifts = range(-search.vertical_px, search.vertical_px + 1)
+        vertical = max(shifts, key=lambda dv: (correlation.scan(left, right, some, disparity, disparity, dv)[0], -abs(dv)))
+    if vertical:
+        scores = correlation.scan(left, right, some, disparity - 3, disparity + 3, vertical)
+        disparity += int(scores.argmax()) - 3
+    return disparity, vertical
+
+
+def _fine(pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float]) -> Match | Unmatched:
+    """Cells and the plane through them, twice: the second time each cell is as inclined as the first plane."""
+    disparity, vertical, score = start
+    left, right = pair.grey(0)
+    u0, v0, _, _ = region.bbox
+    mask = correlation.padded(region.mask, _RIM)
+    cell = max(int(np.sqrt(region.mask.sum() / search.cells)), 8)
+    origin, slope, level = np.array([0.0, 0.0]), np.zeros(2), float(disparity)
+    plane = None
+    for _ in range(2):
+        cells, vertical_step, vertical_information = correlation.cells(
+            left, right, mask, u0 - _RIM, v0 - _RIM, cell, np.array([level, *slope, *origin]), vertical, search.noise_floor
+        )
+        believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
+        plane = fit_plane(cells[:, :2], cells[:, 2], cells[:, 3], np.zeros(2), believed)
+        if plane is None:
+            return Unmatched(region, "no texture that could be matched")
+        origin, level, slope = plane.origin, float(plane.coefficients[0]), plane.coefficients[1:]
+    assert plane is not None
+    if plane.used < 0.5 * len(cells) or plane.covariance[0, 0] > 1.0:
+        return Unmatched(region, "no plane: the cells' disparities disagree")
+    sigma = 1.0 / np.sqrt(vertical_information) if vertical_information > 0 else np.inf
+    return Match(
+        region, cells[:, :2], cells[:, 2], cells[:, 3], plane, score, vertical + vertical_step, float(sigma * plane.scatter)
+    )

@@ -1,0 +1,81 @@
+"""A plane in disparity: what a flat surface is to a rectified pair, fitted robustly.
+
+    n . x_c = h,  d - offset = f b / Z    =>    d(u, v) = c + p (u - u0) + q (v - v0)          exactly affine
+
+Errors of disparities are alike near and far, errors of depths are not, so the fit is done here and turned into metres afterwards.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+
+_TUKEY = 4.685  # sigmas beyond which a point counts nothing (95 % efficiency)
+_PRIOR_DOF = 4.0  # how many points' worth of belief the stated sigmas get against the scatter found
+_ROUNDS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityPlane:
+    """d = coefficients @ (1, u - u0, v - v0); origin (u0, v0); covariance (3, 3), px; scatter: rms of residual / sigma."""
+
+    origin: Array
+    coefficients: Array
+    covariance: Array
+    scatter: float
+    used: int
+
+    def at(self, px: Array) -> Array:
+        """Disparity (N,) at pixels (N, 2)."""
+        return np.asarray(self.coefficients[0] + (px - self.origin) @ self.coefficients[1:])
+
+
+def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, slope_sigma: float) -> DisparityPlane | None:
+    """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2); Tukey's biweight, scale from the residuals.
+
+    slope (2,), slope_sigma: what is believed of (p, q) beforehand [px/px]; at a distance a region's own pixels say nothing about
+    its tilt. The sigmas are multiplied by the scatter found, as far as the points are many enough to know it better:
+    s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3). None without points.
+    """
+    if len(points) == 0:
+        return None
+    weights = 1.0 / sigmas**2
+    origin = (weights[:, None] * points).sum(axis=0) / weights.sum()
+    x, covariance, scatter, used = _fit(points - origin, disparities, sigmas, slope, slope_sigma)
+    if not np.isfinite(x).all():
+        return None
+    return DisparityPlane(origin, x, covariance, scatter, used)
+
+
+@njit(cache=True)
+def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) -> tuple[Array, Array, float, int]:
+    n = d.shape[0]
+    order = np.argsort(d)
+    cumulated = np.cumsum((1.0 / sigma**2)[order])
+    median = d[order[min(np.searchsorted(cumulated, 0.5 * cumulated[-1]), n - 1)]]
+    x = np.array([median, slope[0], slope[1]])
+    tilt = 1.0 / slope_sigma**2
+    scale = 1.0
+    normal = np.eye(3)
+    robust = np.ones(n)
+    for _ in range(_ROUNDS):
+        residual = (d - x[0] - uv[:, 0] * x[1] - uv[:, 1] * x[2]) / sigma
+        spread = max(1.4826 * np.median(np.abs(residual)), 1.0)
+        ratio = residual / (_TUKEY * spread)
+        robust = np.where(np.abs(ratio) < 1.0, (1.0 - ratio * ratio) ** 2, 0.0)
+        normal = np.diag(np.array([1e-12, tilt, tilt]))
+        right = np.array([1e-12 * x[0], tilt * slope[0], tilt * slope[1]])
+        for i in range(n):
+            w = robust[i] / (sigma[i] * sigma[i] * scale)
+            row = np.array([1.0, uv[i, 0], uv[i, 1]])
+            for a in range(3):
+                right[a] += w * row[a] * d[i]
+                for b in range(3):
+                    normal[a, b] += w * row[a] * row[b]
+        x = np.linalg.solve(normal, right).astype(np.float64)
+        residual = (d - x[0] - uv[:, 0] * x[1] - uv[:, 1] * x[2]) / sigma
+        scale = (_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0))
+    covariance: Array = np.linalg.inv(normal)
+    return x, covariance, float(np.sqrt(scale)), int((robust > 0.25).sum())
