@@ -1,0 +1,92 @@
+"""How uncertain the lines of the edges are, from the scatter of their points.
+
+    V_ek = tau s_ek^2 (A^T W A)^-1 + S,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s S
+
+s_ek: scatter of the points of edge e in picture k, shrunk towards the picture's; tau = (1 + rho_1) / (1 - rho_1): what the
+correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two pictures
+(they show the same texture); S: what all points of an edge have in common and no scatter shows (bias of the step fit, unsharp or
+bowed eaves), most of it the same in both pictures. rho_1, rho and s are measured in the pictures at hand and shrunk towards
+what such pictures have, so that one landmark's few edges give a sound value too.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.edge_lines import EdgeLines
+
+Indices = NDArray[np.int64]
+
+
+class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is believed of edge noise before a picture is seen, and for how many points that belief counts."""
+
+    offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge that its scatter does not show, 1 sigma")] = 0.06
+    tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.04
+    both: Annotated[float, Meta(ge=0, lt=1, description="share of that variance that is the same in both pictures")] = 0.7
+    correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
+    neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
+    points: Annotated[float, Meta(gt=0, description="weight of these two, in points")] = 30.0
+    edge_points: Annotated[float, Meta(gt=0, description="weight of the picture's scatter in an edge's, in points")] = 8.0
+    least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
+
+
+def line_covariance(lines: Sequence[EdgeLines], edge: Indices, config: NoiseConfig) -> tuple[Array, float]:
+    """Covariance (K, E, 2, K, 2) px^2 of the lines of E edges in K pictures (edges do not disturb each other), and rho_1's tau.
+
+    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order.
+    """
+    pictures, edges = len(lines), len(lines[0].found)
+    scatter = np.array([_scatter(one, config) for one in lines])
+    inflation = _inflation(lines, edge, scatter, config)
+    system = np.diag([config.offset_px**2, config.tilt_px**2])
+    covariance = np.zeros((edges, pictures, 2, pictures, 2))
+    for k, one in enumerate(lines):
+        covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + system
+    if pictures == 2:
+        rho = _correlation(lines[0], lines[1], edge, scatter, config)
+        outer = lines[0].gain[:, :, None] * lines[1].gain[:, None, :]
+        shared = np.zeros((edges, 2, 2))
+        np.add.at(shared, edge, outer)
+        cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared + config.both * system
+        covariance[:, 0, :, 1, :] = cross
+        covariance[:, 1, :, 0, :] = cross.transpose(0, 2, 1)
+    return covariance, inflation
+
+
+def _scatter(lines: EdgeLines, config: NoiseConfig) -> Array:
+    """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
+    freedom = np.maximum(lines.points - 2.0, 0.0)
+    total = lines.square.sum() / max(freedom.sum(), 1.0)
+    variance = (config.edge_points * total + lines.square) / (config.edge_points + freedom)
+    scatter: Array = np.sqrt(np.maximum(variance, config.least_px**2))
+    return scatter
+
+
+def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
+    """tau of the pooled correlation of neighbours; a fitted line takes about (2 tau + 1) / n of correlation away, so it is given back."""
+    product = square = 0.0
+    taken = 0.0
+    for k, one in enumerate(lines):
+        z = np.where(one.weight > 0.3, one.residual / scatter[k][edge], 0.0)
+        pair = (edge[1:] == edge[:-1]) & (one.weight[1:] > 0.3) & (one.weight[:-1] > 0.3)
+        product += float(np.sum((z[1:] * z[:-1])[pair]))
+        square += float(np.sum(0.5 * (z[1:] ** 2 + z[:-1] ** 2)[pair]))
+        taken += float(np.sum((2.0 / np.maximum(one.points, 3.0))[edge[1:]][pair]))
+    rho = (product + taken + config.points * config.neighbours) / (square + config.points)
+    rho = min(max(rho, 0.0), 0.8)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
+    """rho, pooled over the points seen in both pictures."""
+    both = (left.weight > 0.3) & (right.weight > 0.3)
+    a, b = (left.residual / scatter[0][edge])[both], (right.residual / scatter[1][edge])[both]
+    power = 0.5 * float(a @ a + b @ b)
+    rho = (float(a @ b) + config.points * config.correlation) / (power + config.points)
+    return min(max(rho, 0.0), 0.95)
