@@ -13,6 +13,10 @@ from estimator import strict_toml
 from estimator.fusion import EstimatorConfig, FusionConfig
 from estimator.initialise import InitialiseConfig
 from estimator.publish import OutputConfig
+from estimator.service.clock import ClockConfig
+from estimator.service.daemon import ServiceConfig
+from estimator.service.log_writer import LogConfig
+from estimator.service.zenoh_config import ZenohConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import PoseConfig
 from estimator.strict_toml import ConfigError
@@ -86,6 +90,10 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     estimator: EstimatorConfig = EstimatorConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     coast: Coast = Coast()
+    service: ServiceConfig = ServiceConfig()
+    clock: ClockConfig = ClockConfig()
+    log: LogConfig = LogConfig()
+    zenoh: ZenohConfig = ZenohConfig()
 
     def fusion(self) -> FusionConfig:
         """What the estimator needs."""
@@ -102,9 +110,18 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def decoder(self) -> Decoder:
         """What reads the wire. Raises ConfigError for a topic that is to feed two inputs."""
         try:
-            return Decoder(self.inputs, ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg))
+            return Decoder(self.inputs, self.mounting())
         except ValueError as error:
             raise ConfigError(f"[inputs]: {error}") from None
+
+    def mounting(self) -> ImuMounting:
+        """How the IMU sits in the vehicle."""
+        return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg)
+
+    def files(self) -> dict[str, str]:
+        """Files that belong to the configuration, where given: what they are, and where, seen from its folder."""
+        named = {"calibration": self.rig.file, "map": self.map.landmarks}
+        return {name: file for name, file in named.items() if file}
 
     def toml(self) -> str:
         """All keys with their values, defaults included."""

@@ -10,6 +10,9 @@ from logs.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
 
 
+CONFIG_ATTACHMENT = "config.toml"  # of a log: what the estimator was configured with
+
+
 class OutputConfig(msgspec.Struct, frozen=True):
     """How often what is published."""
 

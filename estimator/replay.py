@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from estimator.fusion import Fusion, FusionConfig
-from estimator.publish import OutputConfig, Publisher
+from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
 from estimator.tally import ReplaySummary, Tally
 from estimator.version import version
 from logs import schemas

@@ -103,6 +103,11 @@ class Decoder:
         except Exception as error:  # bytes from outside: whatever they trip over, the flight goes on
             return Unusable(arrived_ns, arrived_ns, topic, f"{type(error).__name__}: {error}")
 
+    @property
+    def types(self) -> dict[str, str]:
+        """What is read: topic -> type."""
+        return {topic: schema for topic, (schema, _) in self._known.items()}
+
     def _route(self, topics: tuple[str, ...], schema: str, convert: _Convert) -> None:
         for topic in topics:
             if topic in self._known:

@@ -1,0 +1,180 @@
+"""A simulated vehicle as a process of its own: sensors over Zenoh in real time, and a subscriber that times what comes back.
+
+    python -m benchmarks.service_vehicle --seconds 60 [--connect tcp/127.0.0.1:7447] [--imu-hz 400] [--image-hz 10]
+
+It flies a level circle at constant speed, so that every run, however long, is the same work. Stamps are the wall clock's. At the
+end one JSON object says how many messages were sent and received, and the latencies from an IMU sample's stamp to its estimate.
+"""
+
+import argparse
+import json
+import math
+import secrets
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from estimator.service import zenoh_keys
+from estimator.service.clock import stamp_of
+from logs import schemas
+from logs.codec import Encoded, encode_input, type_hash
+from logs.schemas import STORE
+from models import so3
+from models.frames import Origin
+from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, vec3
+
+ORIGIN = Origin(47.3977, 8.5456, 488.0)
+RADIUS_M, SPEED_M_S, HEIGHT_M = 30.0, 6.0, 40.0
+RATE = SPEED_M_S / RADIUS_M
+IMU_SIGMA = np.repeat([2e-3, 3e-2], 3)  # rad/s, m/s^2: white, at 400 Hz
+_VGA = (480, 640)
+TOPICS = {
+    "/imu": schemas.IMU,
+    "/gnss": schemas.NAV_SAT_FIX,
+    "/gnss/velocity": schemas.TWIST,
+    "/pose_fix": schemas.POSE_FIX,
+    "/left/image": schemas.IMAGE,
+    "/right/image": schemas.IMAGE,
+}
+
+
+def truth(t_ns: int) -> tuple[Array, Array, Array]:
+    """p_n, v_n and R_nb on the circle: clockwise, nose forward, level."""
+    a = RATE * (t_ns * 1e-9 % (2.0 * math.pi / RATE))
+    p = np.array([RADIUS_M * math.cos(a), RADIUS_M * math.sin(a), -HEIGHT_M])
+    v = SPEED_M_S * np.array([-math.sin(a), math.cos(a), 0.0])
+    return p, v, so3.matrix(so3.from_euler(0.0, 0.0, a + math.pi / 2))
+
+
+def imu(t_ns: int, rng: np.random.Generator) -> ImuSample:
+    """What the IMU says: the turn, the Earth's rotation, centripetal force, gravity."""
+    gyro_b = np.array([0.0, 0.0, RATE]) + ORIGIN.earth_rate_n @ truth(t_ns)[2]
+    y = np.concatenate([gyro_b, [0.0, SPEED_M_S * RATE, -ORIGIN.gravity]]) + IMU_SIGMA * rng.standard_normal(6)
+    return ImuSample(t_ns, t_ns, vec3(y[:3]), vec3(y[3:]))
+
+
+def gnss(t_ns: int, rng: np.random.Generator) -> list[Input]:
+    """Position and velocity of a receiver."""
+    p, v, _ = truth(t_ns)
+    lla = ORIGIN.to_geodetic(p + rng.normal(0.0, 0.7, 3))
+    velocity = vec3(v + rng.normal(0.0, 0.1, 3))
+    return [GnssFix(t_ns, t_ns, *lla, np.eye(3) * 0.49), GnssVelocity(t_ns, t_ns, velocity, np.eye(3) * 0.01)]
+
+
+def pose_fix(t_ns: int, rng: np.random.Generator) -> PoseFix:
+    """A fix from outside, 0.1 m and 1 degree."""
+    p, _, R_nb = truth(t_ns)
+    q = so3.multiply(so3.quat_exp(rng.normal(0.0, 0.017, 3)), so3.from_matrix(R_nb))
+    covariance = np.diag(np.repeat([0.01, 0.017**2], 3))
+    return PoseFix(t_ns, t_ns, vec3(p + rng.normal(0.0, 0.1, 3)), (q[0], q[1], q[2], q[3]), covariance)
+
+
+def image(topic: str, t_ns: int, pixels: bytes) -> Encoded:
+    """A raw grey VGA picture."""
+    make: Any = STORE.types
+    sec, nanosec = divmod(t_ns, 1_000_000_000)
+    stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    header = make[schemas.HEADER](stamp=stamp, frame_id="camera")
+    height, width = _VGA
+    data = np.frombuffer(pixels, np.uint8)
+    message = make[schemas.IMAGE](
+        header=header, height=height, width=width, encoding="mono8", is_bigendian=0, step=width, data=data
+    )
+    return Encoded(topic, schemas.IMAGE, bytes(STORE.serialize_cdr(message, schemas.IMAGE, little_endian=True)))
+
+
+class Vehicle:
+    """Publishers as rmw_zenoh would declare them, and a subscriber for the estimate."""
+
+    def __init__(self, session: zenoh.Session, seed: int) -> None:
+        self._session, self._rng = session, np.random.default_rng(seed)
+        self._publishers = {topic: self._publisher(topic, schema) for topic, schema in TOPICS.items()}
+        self._sequence, self._gid = 0, secrets.token_bytes(16)
+        self._pixels = self._rng.integers(0, 255, _VGA, np.uint8).tobytes()
+        self.sent: dict[str, int] = {}
+        self.latency_ns: list[int] = []
+        key = zenoh_keys.rmw_key(0, "/landfix/odometry", schemas.ODOMETRY)
+        self._subscriber = session.declare_subscriber(key, self._receive)
+
+    def put(self, encoded: Encoded) -> None:
+        """Send a message."""
+        topic, _, data = encoded
+        self._sequence += 1
+        self._publishers[topic].put(data, attachment=zenoh_keys.attachment(self._sequence, time.time_ns(), self._gid))
+        self.sent[topic] = self.sent.get(topic, 0) + 1
+
+    def _publisher(self, topic: str, schema: str) -> zenoh.Publisher:
+        key = zenoh_keys.rmw_key(0, topic, schema, type_hash(schema))
+        return self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP, express=True)
+
+    def fly(self, seconds: float, imu_hz: float, gnss_hz: float, fix_hz: float, image_hz: float) -> None:
+        """In real time."""
+        period_ns = round(1e9 / imu_hz)
+        time.sleep(0.5)  # until the daemon is known
+        for k, t_ns in enumerate(_paced(seconds, period_ns)):
+            self.put(encode_input(imu(t_ns, self._rng)))
+            if _due(k, gnss_hz, imu_hz):
+                for message in gnss(t_ns, self._rng):
+                    self.put(encode_input(message))
+            if _due(k, fix_hz, imu_hz):
+                self.put(encode_input(pose_fix(t_ns, self._rng)))
+            if _due(k, image_hz, imu_hz):
+                for topic in ("/left/image", "/right/image"):
+                    self.put(image(topic, t_ns, self._pixels))
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        now_ns = time.time_ns()
+        t_ns = stamp_of(sample.payload.to_bytes())
+        if t_ns is not None:
+            self.latency_ns.append(now_ns - t_ns)
+
+
+def _paced(seconds: float, period_ns: int) -> Iterator[int]:
+    """Wall clock stamps, each as soon as it is due."""
+    start_ns = time.time_ns()
+    for k in range(round(seconds * 1e9 / period_ns)):
+        due_ns = start_ns + k * period_ns
+        while (wait_ns := due_ns - time.time_ns()) > 0:
+            time.sleep(wait_ns * 1e-9)
+        yield time.time_ns()
+
+
+def _due(k: int, rate_hz: float, imu_hz: float) -> bool:
+    return rate_hz > 0 and k % max(1, round(imu_hz / rate_hz)) == 0
+
+
+def connected(endpoint: str) -> zenoh.Session:
+    """A client's session."""
+    config = zenoh.Config()
+    settings: dict[str, object] = {"mode": "client", "connect/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return zenoh.open(config)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--imu-hz", type=float, default=400.0)
+    parser.add_argument("--gnss-hz", type=float, default=5.0)
+    parser.add_argument("--fix-hz", type=float, default=1.0)
+    parser.add_argument("--image-hz", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    session = connected(given.connect)
+    vehicle = Vehicle(session, given.seed)
+    vehicle.fly(given.seconds, given.imu_hz, given.gnss_hz, given.fix_hz, given.image_hz)
+    time.sleep(0.5)
+    latency_ms = np.array(vehicle.latency_ns or [math.nan]) * 1e-6
+    names = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
+    latencies = {name: round(float(np.quantile(latency_ms, q)), 3) for name, q in names.items()}
+    print(json.dumps({"sent": vehicle.sent, "received": len(vehicle.latency_ns), "latency_ms": latencies}))
+    session.close()  # type: ignore[no-untyped-call]
+
+
+if __name__ == "__main__":
+    main()

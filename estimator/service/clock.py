@@ -1,0 +1,227 @@
+"""Time in the daemon: a clock that never steps, and what the stamps of others say on it.
+
+    now = wall(start) + steady - steady(start)
+
+A stamp t' of another clock, which is ahead of ours by a:  t = t' - a,  lag = arrival - t >= the least delay of the way.
+From messages that go one way only a is known from above, a <= t' - arrival + delay, and the quickest message of the last seconds
+tells most; from a question and its answer a is known within half the time that both took (Cristian 1989).
+"""
+
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Final
+
+import msgspec
+from msgspec import Meta
+
+SECOND_NS: Final = 1_000_000_000
+_WINDOW_NS: Final = 10 * SECOND_NS  # of which the quickest message counts, and of the window before
+_SLEW: Final = 1e-3  # s/s: how fast an offset that has settled may follow
+_SETTLING_NS: Final = 2 * SECOND_NS
+_STEP_NS: Final = 1_000_000  # the wall clock has stepped, not been read late
+_READING_NS: Final = 100_000  # the two clocks are read together, or not at all
+_OURS: Final = 0
+
+_MINUTE_NS: Final = 60 * SECOND_NS
+_TRIAL_COUNT, _TRIAL_NS = 5, SECOND_NS // 5  # of coherent stamps, before a foreign clock is believed
+_COHERENT_NS: Final = SECOND_NS // 4
+
+
+class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[clock]: what is believed of the stamps of others."""
+
+    foreign: Annotated[
+        tuple[str, ...], Meta(description="topics stamped by a clock that is not set to ours: its offset is always estimated")
+    ] = ()
+    ahead_s: Annotated[float, Meta(gt=0, le=10, description="s: a stamp may be ahead of its arrival by this much")] = 0.5
+    late_s: Annotated[float, Meta(gt=0, le=60, description="s: a message may take this long; more is another clock")] = 6.0
+    quickest_s: Annotated[
+        float, Meta(ge=0, le=1, description="s: what the quickest message of a foreign clock takes on its way")
+    ] = 0.001
+
+
+class Clock:
+    """Nanoseconds since 1970 by the wall clock of the start, carried on by the monotonic clock: it never steps.
+
+    anchor_ns: wall - steady, of an earlier daemon of the same boot; wall and steady are given by tests.
+    """
+
+    def __init__(
+        self,
+        anchor_ns: int | None = None,
+        *,
+        wall: Callable[[], int] = time.time_ns,
+        steady: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._wall, self._steady = wall, steady
+        self.anchor_ns = wall() - steady() if anchor_ns is None else anchor_ns
+
+    def now_ns(self) -> int:
+        """The time."""
+        return self.anchor_ns + self._steady()
+
+    def wall_ahead_ns(self) -> int | None:
+        """How far the wall clock has stepped ahead of this one; None where the reading was interrupted."""
+        before = self._steady()
+        wall = self._wall()
+        after = self._steady()
+        return None if after - before > _READING_NS else wall - self.anchor_ns - (before + after) // 2
+
+
+@dataclass(slots=True)
+class Offset:
+    """How far another clock is ahead of ours, and within which bounds that is known.
+
+    quickest_ns: what the quickest message takes on its way; ahead_ns: None before the first message; bound_ns: of its error.
+    """
+
+    quickest_ns: int
+    ahead_ns: int | None = None
+    bound_ns: int = 0
+    _best: list[tuple[int, int]] = field(default_factory=list)  # -bound, ahead: of the window before, and of this one
+    _since_ns: int = 0
+    _settled_ns: int = 0
+    _seen_ns: int = 0
+
+    def one_way(self, stamp_ns: int, arrived_ns: int) -> None:
+        """A message stamped by the other clock when it was sent arrived now."""
+        self._observe(stamp_ns - arrived_ns + self.quickest_ns, self.quickest_ns, arrived_ns)
+
+    def round_trip(self, asked_ns: int, stamp_ns: int, answered_ns: int) -> None:
+        """A question of ours was answered by the other clock's time."""
+        middle, half = (asked_ns + answered_ns) // 2, (answered_ns - asked_ns) // 2
+        self._observe(stamp_ns - middle, half, answered_ns)
+
+    def ours(self, stamp_ns: int) -> int | None:
+        """A stamp of the other clock on ours."""
+        return None if self.ahead_ns is None else stamp_ns - self.ahead_ns
+
+    def theirs(self, t_ns: int) -> int | None:
+        """A time of ours on the other clock."""
+        return None if self.ahead_ns is None else t_ns + self.ahead_ns
+
+    def _observe(self, ahead_ns: int, bound_ns: int, now_ns: int) -> None:
+        """Of a window the reading with the narrowest bound counts, and of equal ones the quickest: delays have one sign."""
+        reading = (-bound_ns, ahead_ns)
+        if not self._best or now_ns - self._since_ns > _WINDOW_NS:
+            self._best = [*self._best[-1:], reading]
+            self._since_ns = now_ns
+        elif reading > self._best[-1]:
+            self._best[-1] = reading
+        narrow, target = max(self._best)
+        self.bound_ns = -narrow
+        if self.ahead_ns is None:
+            self._settled_ns = now_ns + _SETTLING_NS
+        if self.ahead_ns is None or now_ns < self._settled_ns:
+            self.ahead_ns = target
+        else:
+            most = int(_SLEW * max(0, now_ns - self._seen_ns))
+            self.ahead_ns += min(max(target - self.ahead_ns, -most), most)
+        self._seen_ns = now_ns
+
+
+@dataclass(slots=True)
+class _Trial:
+    """Stamps that fit no known clock, but may be in step among themselves."""
+
+    ahead_ns: int
+    since_ns: int
+    count: int = 1
+
+
+class Stamps:
+    """Times of validity on our clock, from stamps that are believed only where they are plausible.
+
+    Known clocks are our own, the wall clock as it is now and as it was before its last step, and foreign ones, whose stamps are
+    more than a minute off (a boot-time clock, a computer whose clock was never set) but in step with their arrivals. Of those
+    that make a stamp plausible, 0 <= lag <= late_s or nearly so, the one counts that gives the lag most like the topic's last. A stamp
+    that none makes plausible, but that is off by less than a minute, stays as it is: the estimator refuses it and says why.
+    """
+
+    def __init__(self, clock: Clock, config: ClockConfig) -> None:
+        self._clock = clock
+        self._forced = frozenset(config.foreign)
+        self._ahead_ns, self._late_ns = round(config.ahead_s * SECOND_NS), round(config.late_s * SECOND_NS)
+        self._quickest_ns = round(config.quickest_s * SECOND_NS)
+        self._wall: list[int] = [_OURS]  # ahead of ours: at the start, before the last step, now
+        self._foreign: list[Offset] = []
+        self._trials: dict[str, _Trial] = {}
+        self._lags: dict[str, int] = {}
+        self.steps = 0  # of the wall clock
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        values: dict[str, Any] = {"wall_ahead_s": f"{self._wall[-1] * 1e-9:.3f}", "wall_steps": self.steps}
+        for k, clock in enumerate(self._foreign):
+            values |= {
+                f"foreign_{k}_ahead_s": f"{(clock.ahead_ns or 0) * 1e-9:.6f}",
+                f"foreign_{k}_bound_ms": clock.bound_ns * 1e-6,
+            }
+        return values
+
+    def validity_ns(self, topic: str, stamp_ns: int, arrived_ns: int) -> int | None:
+        """The stamp of a message on our clock; None: it is of no clock that we know (yet)."""
+        self._watch_wall()
+        raw = arrived_ns - stamp_ns
+        forced = topic in self._forced
+        walls = [] if forced else [(ahead, None) for ahead in self._wall]
+        clocks = walls + [(f.ahead_ns, f) for f in self._foreign if f.ahead_ns is not None]
+        plausible = [(raw + ahead, f) for ahead, f in clocks if -self._ahead_ns <= raw + ahead <= self._late_ns]
+        if not plausible:
+            return self._unknown(topic, stamp_ns, arrived_ns, forced=forced)
+        usual = self._lags.get(topic)
+        lag, foreign = plausible[0] if usual is None else min(plausible, key=lambda p: abs(p[0] - usual))
+        self._lags[topic] = lag
+        self._trials.pop(topic, None)
+        if foreign is not None:
+            foreign.one_way(stamp_ns, arrived_ns)
+            return foreign.ours(stamp_ns)
+        return arrived_ns - lag
+
+    def _watch_wall(self) -> None:
+        """Has the wall clock stepped? It is slewed together with the monotonic clock, so any difference is a step."""
+        ahead = self._clock.wall_ahead_ns()
+        if ahead is None or abs(ahead - self._wall[-1]) < _STEP_NS:
+            return
+        self._wall = [_OURS, *self._wall[1:][-1:], ahead]
+        self.steps += 1
+
+    def _unknown(self, topic: str, stamp_ns: int, arrived_ns: int, *, forced: bool) -> int | None:
+        """No known clock made this stamp: is it one of a clock to be known?"""
+        ahead = stamp_ns - arrived_ns
+        if abs(ahead) < _MINUTE_NS and not forced:
+            return stamp_ns
+        trial = self._trials.get(topic)
+        if trial is None or abs(ahead - trial.ahead_ns) > _COHERENT_NS:
+            self._trials[topic] = _Trial(ahead, arrived_ns)
+            return None
+        trial.count += 1
+        trial.ahead_ns = max(trial.ahead_ns, ahead)
+        if trial.count < _TRIAL_COUNT or arrived_ns - trial.since_ns < _TRIAL_NS:
+            return None
+        offset = Offset(self._quickest_ns)
+        offset.one_way(arrived_ns + trial.ahead_ns, arrived_ns)
+        self._foreign = [*self._foreign[-3:], offset]
+        self._lags[topic] = 0
+        del self._trials[topic]
+        return offset.ours(stamp_ns)
+
+
+_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
+_HEAD: Final = 4  # bytes of encapsulation; a std_msgs/Header begins right behind
+
+
+def stamp_of(data: bytes) -> int | None:
+    """header.stamp of a CDR message that begins with a std_msgs/Header, ns; None where there is none."""
+    if len(data) < _HEAD + _LITTLE.size:
+        return None
+    sec, nanosec = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, _HEAD)
+    return None if nanosec >= SECOND_NS else sec * SECOND_NS + nanosec
+
+
+def restamped(data: bytes, t_ns: int) -> bytes:
+    """The same message with another header.stamp."""
+    stamp = (_LITTLE if data[1] & 1 else _BIG).pack(*divmod(t_ns, SECOND_NS))
+    return data[:_HEAD] + stamp + data[_HEAD + _LITTLE.size :]

@@ -1,0 +1,150 @@
+"""The loop: one message after the other through Fusion.handle, its outputs to the links and the log.
+
+Everything else (links, log, state file) has threads of its own and never makes the loop wait. What the loop gives to Fusion is
+decoded from the very bytes that are logged, stamps translated before, so a replay of the log says the same, to the bit.
+"""
+
+import queue
+from collections.abc import Callable, Sequence
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+from estimator.fusion import Fusion
+from estimator.publish import Publisher
+from estimator.service.clock import SECOND_NS, Clock, Stamps, restamped, stamp_of
+from estimator.service.ports import Arrival, Log, Outbox
+from estimator.service.status import Status
+from logs.codec import Decoder, ImuMounting, encode_input
+from models.messages import Input, Tick
+
+_ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
+REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
+_GRACE_S: Final = 0.1  # to read what has piled up meanwhile
+
+
+class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[service]: the daemon's life."""
+
+    tick_hz: Annotated[float, Meta(gt=0, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
+
+
+class Mailbox:
+    """The Inbox of ports.py: any thread puts, the loop gets. Pictures go straight to the log."""
+
+    def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
+        self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
+        self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
+
+    def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
+        """A message on the wire's own bytes."""
+        arrival = Arrival(topic, schema, data, self._clock.now_ns())
+        if topic in self._images:
+            self._log.put_image(arrival)
+        else:
+            self._queue.put(arrival)
+
+    def put(self, message: Input) -> None:
+        """A measurement of a link that speaks no CDR."""
+        self._queue.put(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
+
+    def get(self, timeout_s: float) -> Arrival | None:
+        """The next message; None when there is none in time, or after wake()."""
+        try:
+            return self._queue.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def wake(self) -> None:
+        """Let get() return at once; safe in a signal handler."""
+        self._queue.put(None)
+
+    def __len__(self) -> int:
+        return self._queue.qsize()
+
+
+class Daemon:
+    """The loop and what it drives. alive(): called at every tick, for the watchdog."""
+
+    def __init__(
+        self,
+        *,
+        fusion: Fusion,
+        decoder: Decoder,
+        publisher: Publisher,
+        mailbox: Mailbox,
+        outboxes: Sequence[Outbox],
+        log: Log,
+        stamps: Stamps,
+        clock: Clock,
+        status: Status,
+        tick_hz: float,
+        alive: Callable[[], None],
+    ) -> None:
+        self._fusion, self._decoder, self._publisher = fusion, decoder, publisher
+        self._mailbox, self._outboxes, self._log = mailbox, outboxes, log
+        self._stamps, self._clock, self._status, self._alive = stamps, clock, status, alive
+        self._tick_ns = round(SECOND_NS / tick_hz)
+        self._stopping = False
+
+    def stop(self) -> None:
+        """Let run() return after the message in hand; safe in a signal handler."""
+        self._stopping = True
+        self._mailbox.wake()
+
+    def run(self) -> None:
+        """Until stop()."""
+        next_tick_ns = self._clock.now_ns() + self._tick_ns
+        while not self._stopping:
+            wait_ns = next_tick_ns - self._clock.now_ns()
+            if wait_ns > 0:
+                arrival = self._mailbox.get(wait_ns * 1e-9)
+                if arrival is not None:
+                    self.take(arrival)
+                continue
+            if -wait_ns > _ASLEEP_NS:
+                next_tick_ns = self._clock.now_ns() + round(_GRACE_S * SECOND_NS)
+                continue
+            self._tick()
+            next_tick_ns += self._tick_ns
+
+    def take(self, arrival: Arrival) -> None:
+        """One message: to the log, through Fusion, out."""
+        arrival = self._on_our_clock(arrival)
+        self._log.put_input(arrival)
+        topic, schema, data, arrived_ns = arrival
+        message = self._decoder.decode(topic, schema, data, arrived_ns)
+        if message is None:
+            return
+        outputs = self._fusion.handle(message)
+        encoded = list(self._publisher.encoded(outputs)) if outputs else []
+        if outputs:
+            for outbox in self._outboxes:
+                outbox.send(outputs, encoded)
+        self._status.note(message, outputs, self._clock.now_ns())
+        for message_out in encoded:
+            self._log.put_output(message_out, arrived_ns)
+
+    def _on_our_clock(self, arrival: Arrival) -> Arrival:
+        """The message with its stamp translated; on another topic, that feeds nothing, where its clock is not known."""
+        topic, _, data, arrived_ns = arrival
+        stamp_ns = stamp_of(data)
+        if stamp_ns is None:
+            return arrival
+        t_ns = self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
+        if t_ns is None:
+            self._status.unbelieved += 1
+            return arrival._replace(topic=REFUSED_PREFIX + topic)
+        return arrival if t_ns == stamp_ns else arrival._replace(data=restamped(data, t_ns))
+
+    def _tick(self) -> None:
+        """Tell the estimator the time, unless messages wait that came before it; and everybody how we are."""
+        now_ns = self._clock.now_ns()
+        self._alive()
+        if not len(self._mailbox):
+            self.take(Arrival(*encode_input(Tick(now_ns, now_ns)), now_ns))
+        if report := self._status.report(now_ns):
+            for outbox in self._outboxes:
+                outbox.send((), [report])
+            self._log.put_output(report, now_ns)

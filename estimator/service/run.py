@@ -1,0 +1,170 @@
+"""`landfix run`: the daemon put together, from the first to the last second of its life."""
+
+import gc
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Final, Protocol
+
+from estimator.fusion import Fusion, FusionConfig
+from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
+from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
+from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
+from estimator.service.log_writer import LogConfig, LogWriter
+from estimator.service.ports import Log, Outbox
+from estimator.service.recovery import recover_in_background
+from estimator.service.status import Status
+from estimator.service.warm_up import warm_up
+from estimator.service.watchdog import Notifier
+from estimator.service.zenoh_bus import ZenohBus
+from estimator.service.zenoh_config import ZenohConfig
+from estimator.strict_toml import ConfigError
+from estimator.version import version
+from logs.codec import TICK_TOPIC, Decoder, ImuMounting, Topics
+from logs.reader import Attachment
+
+_SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop must not wait 5 ms for the log
+
+
+class RunConfig(Protocol):
+    """What the daemon needs of the configuration (estimator.config.Config has it)."""
+
+    @property
+    def service(self) -> ServiceConfig: ...  # noqa: D102
+    @property
+    def clock(self) -> ClockConfig: ...  # noqa: D102
+    @property
+    def log(self) -> LogConfig: ...  # noqa: D102
+    @property
+    def zenoh(self) -> ZenohConfig: ...  # noqa: D102
+    @property
+    def output(self) -> OutputConfig: ...  # noqa: D102
+    @property
+    def inputs(self) -> Topics: ...  # noqa: D102
+    def files(self) -> dict[str, str]: ...  # noqa: D102
+    def mounting(self) -> ImuMounting: ...  # noqa: D102
+    def fusion(self) -> FusionConfig: ...  # noqa: D102
+    def decoder(self) -> Decoder: ...  # noqa: D102
+    def toml(self) -> str: ...  # noqa: D102
+
+
+def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
+    """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count.
+
+    Raises ConfigError or BusError when it cannot start; once it has started it raises nothing.
+    """
+    clock = clock or Clock()
+    notifier = Notifier()
+    attachments = _attachments(config, folder)
+    warm_up()
+    if config.log.enabled:
+        recover_in_background(Path(config.log.folder))
+    with _log(config, clock, attachments) as log:
+        bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), _images(config)) if config.zenoh.enabled else None
+        outboxes: list[Outbox] = [bus] if bus else []
+        stamps = Stamps(clock, config.clock)
+        parts = {"clock": stamps.report}
+        if isinstance(log, LogWriter):
+            parts["log"] = log.report
+        if bus:
+            parts["zenoh"] = bus.report
+        status = Status(clock.now_ns(), parts)
+        mailbox = Mailbox(clock, log, _images(config), config.mounting())
+        daemon = Daemon(
+            fusion=Fusion(config.fusion()),
+            decoder=config.decoder(),
+            publisher=Publisher(config.output),
+            mailbox=mailbox,
+            outboxes=outboxes,
+            log=log,
+            stamps=stamps,
+            clock=clock,
+            status=status,
+            tick_hz=config.service.tick_hz,
+            alive=notifier.alive,
+        )
+        if bus:
+            _serve(bus, status, attachments)
+            bus.open_inputs(mailbox)
+        with _until_signalled(daemon):
+            notifier.ready("running")
+            daemon.run()
+        notifier.stopping()
+        for outbox in outboxes:
+            outbox.close()
+
+
+def _subscriptions(config: RunConfig) -> dict[str, str]:
+    """topic -> type of the inputs that others may feed: all but the time."""
+    return {topic: schema for topic, schema in config.decoder().types.items() if topic != TICK_TOPIC}
+
+
+def _images(config: RunConfig) -> tuple[str, ...]:
+    return config.inputs.left_image + config.inputs.right_image
+
+
+def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
+    """The configuration, and the files it names. Raises ConfigError."""
+    kept = [Attachment(CONFIG_ATTACHMENT, "application/toml", config.toml().encode())]
+    for name, given in config.files().items():
+        try:
+            kept.append(Attachment(f"{name}/{Path(given).name}", "application/octet-stream", (folder / given).read_bytes()))
+        except OSError as error:
+            raise ConfigError(f"{folder / given}: {(error.strerror or 'cannot be read').lower()}") from None
+    return kept
+
+
+def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None:
+    """Queryables: landfix/status, landfix/config, landfix/calibration, landfix/map."""
+    bus.serve("status", status.json, "application/json")
+    content = {a.name.partition("/")[0]: a.data for a in attachments}
+    bus.serve("config", lambda: content[CONFIG_ATTACHMENT], "application/toml")
+    bus.serve("calibration", lambda: content.get("calibration"), "application/octet-stream")
+    bus.serve("map", lambda: content.get("map"), "application/geo+json")
+
+
+class _NoLog:
+    """The Log when nothing is recorded."""
+
+    def put_input(self, *_: object) -> None:
+        """Keep nothing."""
+
+    put_output = put_image = put_input
+
+
+@contextmanager
+def _log(config: RunConfig, clock: Clock, attachments: list[Attachment]) -> Iterator[Log]:
+    if not config.log.enabled:
+        yield _NoLog()
+        return
+    folder = Path(config.log.folder)
+    digest = sha256(config.toml().encode()).hexdigest()
+    began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
+    stem = f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
+    metadata = {"version": version(), "config_sha256": digest}
+    log = LogWriter(config.log, lambda n: folder / f"{stem}-{n:03d}.mcap", metadata, attachments)
+    try:
+        yield log
+    finally:
+        log.close()
+
+
+@contextmanager
+def _until_signalled(daemon: Daemon) -> Iterator[None]:
+    """SIGTERM and SIGINT stop the daemon; threads give way quickly, and what lives as long as we do is not garbage."""
+    before = {s: signal.signal(s, lambda *_: daemon.stop()) for s in (signal.SIGTERM, signal.SIGINT)}
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(interval)
+        for number, handler in before.items():
+            signal.signal(number, handler)

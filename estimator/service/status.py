@@ -1,0 +1,104 @@
+"""How the daemon itself is doing: latencies, rates, drops. Sent as /landfix/daemon, and as JSON to whoever asks."""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from estimator.service.clock import SECOND_NS
+from logs import schemas
+from logs.codec import Encoded
+from logs.schemas import STORE
+from models.messages import AidStatus, Estimate, Health, Input, Output, Tick, Unusable
+
+TOPIC: Final = "/landfix/daemon"
+_PERIOD_NS: Final = SECOND_NS
+_RECENT: Final = 4096  # estimates whose latency is remembered
+_OK, _WARN = 0, 1
+
+
+class Status:
+    """Counts what passes. parts: more to report, by name, asked for at each report."""
+
+    def __init__(self, began_ns: int, parts: Mapping[str, Callable[[], Mapping[str, Any]]]) -> None:
+        self._began_ns, self._parts = began_ns, parts
+        self._next_ns = began_ns
+        self._counts: dict[str, int] = {}  # by topic, since the last report
+        self._totals: dict[str, int] = {}
+        self._latency_ns: deque[tuple[int, int]] = deque(maxlen=_RECENT)  # since validity, since arrival
+        self.unbelieved = 0  # messages whose stamps are of no known clock
+        self._health: Health | None = None
+        self._values: dict[str, str] = {}
+
+    @property
+    def health(self) -> Health | None:
+        """The newest."""
+        return self._health
+
+    def note(self, message: Input, outputs: Sequence[Output], now_ns: int) -> None:
+        """One input was handled, and what it led to is sent."""
+        topic = message.topic
+        self._counts[topic] = self._counts.get(topic, 0) + 1
+        if isinstance(message, Unusable):
+            self._totals["unusable"] = self._totals.get("unusable", 0) + 1
+        for output in outputs:
+            if isinstance(output, Estimate):
+                if not isinstance(message, Tick):
+                    self._latency_ns.append((now_ns - output.t_ns, now_ns - output.arrived_ns))
+            elif isinstance(output, Health):
+                self._health = output
+            elif isinstance(output, AidStatus):
+                reason = f"{output.topic} {output.reason}"
+                self._totals[reason] = self._totals.get(reason, 0) + 1
+
+    def report(self, now_ns: int) -> Encoded | None:
+        """What became of the last second, if it is over."""
+        if now_ns < self._next_ns:
+            return None
+        period_s = (now_ns - self._next_ns + _PERIOD_NS) * 1e-9
+        self._next_ns = now_ns + _PERIOD_NS
+        values: dict[str, Any] = {"uptime_s": f"{(now_ns - self._began_ns) * 1e-9:.0f}"}
+        values |= {f"rate_hz {topic}": f"{n / period_s:.1f}" for topic, n in sorted(self._counts.items())}
+        values["unbelieved_stamps"] = self.unbelieved
+        values |= self._latencies()
+        for name, part in self._parts.items():
+            values |= {f"{name} {key}": value for key, value in part().items()}
+        self._counts = dict.fromkeys(self._counts, 0)
+        self._values = {key: str(value) for key, value in values.items()}
+        return _diagnostics(now_ns, self._values)
+
+    def json(self) -> bytes:
+        """The newest report, the newest health, and what was counted since the start."""
+        totals = dict(sorted(self._totals.items()))
+        return msgspec.json.encode({"daemon": self._values, "counts": totals, "health": self._health})
+
+    def _latencies(self) -> dict[str, str]:
+        """From validity, and from arrival, to the estimate sent: median, 99 %, largest of the last few seconds."""
+        if not self._latency_ns:
+            return {}
+        ms = np.array(self._latency_ns) * 1e-6
+        named = {"latency_ms": ms[:, 0], "handling_ms": ms[:, 1]}
+        return {
+            f"{name} {kind}": f"{value:.2f}"
+            for name, column in named.items()
+            for kind, value in zip(("p50", "p99", "max"), np.percentile(column, [50, 99, 100]), strict=True)
+        }
+
+
+def _diagnostics(t_ns: int, values: Mapping[str, str]) -> Encoded:
+    types = STORE.types
+    make: Any = types["diagnostic_msgs/msg/KeyValue"]
+    pairs = [make(key=key, value=value) for key, value in values.items()]
+    lost = any(key.endswith("lost_inputs") and value != "0" for key, value in values.items())
+    failing = values.get("log state", "recording") not in {"recording", "off"}
+    status: Any = types["diagnostic_msgs/msg/DiagnosticStatus"]
+    header: Any = types[schemas.HEADER]
+    stamp: Any = types["builtin_interfaces/msg/Time"]
+    array: Any = types[schemas.DIAGNOSTICS]
+    level, text = (_WARN, values.get("log state", "")) if lost or failing else (_OK, "running")
+    entry = status(level=level, name="landfix daemon", message=text, hardware_id="", values=pairs)
+    sec, nanosec = divmod(t_ns, SECOND_NS)
+    message = array(header=header(stamp=stamp(sec=sec, nanosec=nanosec), frame_id=""), status=[entry])
+    return Encoded(TOPIC, schemas.DIAGNOSTICS, bytes(STORE.serialize_cdr(message, schemas.DIAGNOSTICS, little_endian=True)))

@@ -1,0 +1,36 @@
+"""Everything once before the flight: kernels loaded or compiled, tables made, so that the first messages are not late."""
+
+import numpy as np
+
+from estimator.fusion import Fusion, FusionConfig
+from estimator.publish import OutputConfig, Publisher
+from logs.codec import Decoder, encode_input
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
+
+_STEP_NS = 5_000_000
+_PLACE = (47.0, 8.0, 400.0)
+_LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+def warm_up() -> None:
+    """A flight of two seconds, with a late fix and a gap, through decoder, estimator and encoders."""
+    decoder, fusion, publisher = Decoder(), Fusion(FusionConfig(origin=_PLACE)), Publisher(OutputConfig())
+    for message in _flight():
+        topic, schema, data = encode_input(message)
+        read = decoder.decode(topic, schema, data, message.arrived_ns)
+        assert read is not None
+        list(publisher.encoded(fusion.handle(read)))
+
+
+def _flight() -> list[Input]:
+    messages: list[Input] = []
+    for k in range(400):
+        t_ns = (k + 1) * _STEP_NS
+        messages.append(ImuSample(t_ns, t_ns, (0.0, 0.0, 1e-3 * (k % 7)), (1e-2 * (k % 5), 0.0, -9.81)))
+        if k % 20 == 0:
+            validity_ns = max(_STEP_NS, t_ns - 10 * _STEP_NS)
+            messages.append(PoseFix(validity_ns, t_ns, (0.0, 0.0, 0.0), _LEVEL, np.eye(6) * 1e-2))
+            messages.append(GnssFix(t_ns, t_ns, *_PLACE, np.eye(3)))
+            messages.append(GnssVelocity(t_ns, t_ns, (0.0, 0.0, 0.0), np.eye(3)))
+    end_ns = messages[-1].t_ns + 300_000_000
+    return [*messages, Tick(end_ns, end_ns)]

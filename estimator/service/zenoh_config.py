@@ -1,0 +1,173 @@
+"""The Zenoh session: closed by default, opened by the configuration, never open by accident.
+
+Zenoh itself listens on every interface and answers multicast; here nothing but loopback is listened to, nobody is scouted for,
+and an endpoint beyond loopback needs a name for everybody who may come: user and password, certificate, or network interface.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from estimator.strict_toml import ConfigError
+
+if TYPE_CHECKING:
+    import zenoh
+
+_LOOPBACK = ("127.", "localhost", "[::1]")
+_LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe")
+_DROP = "transport/link/tx/queue/congestion_control/drop"
+
+
+class SecurityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[zenoh.security]: who may come, and what they may do. Files count from the configuration's folder."""
+
+    users_file: Annotated[str | None, Meta(description="file of user:password lines; whoever is not in it is refused")] = None
+    user: Annotated[str | None, Meta(description="who we are to others")] = None
+    password_file: Annotated[str | None, Meta(description="file with our password")] = None
+    ca_file: Annotated[str | None, Meta(description="certificate of the authority that signs everybody's certificate")] = None
+    certificate_file: Annotated[str | None, Meta(description="our certificate; others must show theirs (mutual TLS)")] = None
+    key_file: Annotated[str | None, Meta(description="key of our certificate")] = None
+    names_are: Annotated[
+        Literal["users", "certificates", "interfaces"],
+        Meta(description="what feeders and listeners names: users, common names of certificates, or network interfaces"),
+    ] = "users"
+    feeders: Annotated[tuple[str, ...], Meta(description="names that may feed the inputs")] = ()
+    listeners: Annotated[tuple[str, ...], Meta(description="names that may read what we publish, and ask the queryables")] = ()
+    insecure: Annotated[bool, Meta(description="true: endpoints beyond loopback are opened to everybody")] = False
+
+
+class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[zenoh]: the bus."""
+
+    enabled: Annotated[bool, Meta(description="false: no Zenoh")] = True
+    mode: Annotated[Literal["peer", "client", "router"], Meta(description="role in the Zenoh network")] = "peer"
+    listen: Annotated[tuple[str, ...], Meta(description="endpoints to listen on, such as tcp/127.0.0.1:7447; []: none")] = (
+        "tcp/127.0.0.1:7447",
+    )
+    connect: Annotated[tuple[str, ...], Meta(description="endpoints of routers or peers, such as that of rmw_zenohd")] = ()
+    domain: Annotated[int, Meta(ge=0, le=232, description="ROS_DOMAIN_ID")] = 0
+    node: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", description="our name in the ROS graph")] = "landfix"
+    rmw: Annotated[bool, Meta(description="keys of rmw_zenoh: ROS 2 Jazzy and newer")] = True
+    ros2dds: Annotated[bool, Meta(description="plain keys beside them, for zenoh-bridge-ros2dds")] = False
+    px4: Annotated[bool, Meta(description="keys of PX4's zenoh module: vehicle_visual_odometry, aux_global_position")] = False
+    largest_kb: Annotated[int, Meta(ge=1, description="kB: a larger message, pictures apart, is refused")] = 64
+    largest_image_mb: Annotated[int, Meta(ge=1, le=1024, description="MB: a larger picture is refused")] = 32
+    security: SecurityConfig = SecurityConfig()
+
+
+def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> "zenoh.Config":
+    """The session's configuration; inputs and outputs: key expressions of both, for the access control. Raises ConfigError."""
+    import zenoh  # noqa: PLC0415  (every command reads the configuration, few open a session)
+
+    check(config)
+    made = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": config.mode,
+        "listen/endpoints": config.listen,
+        "connect/endpoints": config.connect,
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/rx/max_message_size": config.largest_image_mb * 1_000_000,
+        f"{_DROP}/wait_before_drop": 100,  # us; the estimate is newer than what waits
+        f"{_DROP}/max_wait_before_drop_fragments": 1000,
+        **_security(config.security, folder, inputs, outputs),
+    }
+    for key, value in settings.items():
+        made.insert_json5(key, json.dumps(value))
+    return made
+
+
+def check(config: ZenohConfig) -> None:
+    """Raises ConfigError for an endpoint beyond loopback that is open to everybody, or names that nobody checks."""
+    security = config.security
+    known = bool(security.users_file or security.certificate_file or security.feeders or security.listeners)
+    for endpoint in config.listen:
+        if not (is_local(endpoint) or known or security.insecure):
+            raise ConfigError(
+                f"zenoh.listen = {endpoint}: is open to everybody in reach; set [zenoh.security] users_file, certificate_file, "
+                "or feeders and listeners by interface (insecure = true if that is meant)"
+            )
+    named = bool(security.feeders or security.listeners)
+    if named and security.names_are == "users" and not security.users_file:
+        raise ConfigError("zenoh.security.users_file: is needed where feeders and listeners are users")
+    if named and security.names_are == "certificates" and not security.certificate_file:
+        raise ConfigError("zenoh.security.certificate_file: is needed where feeders and listeners are certificates")
+    if security.certificate_file and not (security.key_file and security.ca_file):
+        raise ConfigError("zenoh.security: certificate_file needs key_file and ca_file beside it")
+    if security.user and not security.password_file:
+        raise ConfigError("zenoh.security.password_file: is needed beside user")
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine can reach it."""
+    protocol, _, address = endpoint.partition("/")
+    return protocol in _LOCAL_PROTOCOLS or address.startswith(_LOOPBACK)
+
+
+def _security(security: SecurityConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
+    settings: dict[str, Any] = {}
+    if security.users_file:
+        settings["transport/auth/usrpwd/dictionary_file"] = _file(folder, security.users_file)
+    if security.user and security.password_file:
+        settings["transport/auth/usrpwd/user"] = security.user
+        settings["transport/auth/usrpwd/password"] = Path(_file(folder, security.password_file)).read_text().strip()
+    if security.certificate_file and security.key_file and security.ca_file:
+        certificate, key = _file(folder, security.certificate_file), _file(folder, security.key_file)
+        settings |= {
+            "transport/link/tls/root_ca_certificate": _file(folder, security.ca_file),
+            "transport/link/tls/listen_certificate": certificate,
+            "transport/link/tls/listen_private_key": key,
+            "transport/link/tls/connect_certificate": certificate,
+            "transport/link/tls/connect_private_key": key,
+            "transport/link/tls/enable_mtls": True,
+        }
+    if security.feeders or security.listeners:
+        settings["access_control"] = access_control(security, inputs, outputs)
+        settings["transport/shared_memory/enabled"] = False  # a way around the access control
+    return settings
+
+
+def access_control(security: SecurityConfig, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
+    """Zenoh's access control: everything is denied but what feeders and listeners need.
+
+    A feeder must hear of our subscription (egress) before it sends anything (ingress); a listener's subscription comes in.
+    """
+    rules = [
+        _rule("feed", "ingress", ["put", "liveliness_token"], [*inputs, "@ros2_lv/**"]),
+        _rule("ask-for-input", "egress", ["declare_subscriber"], inputs),
+        _rule("publish", "egress", ["put", "reply", "declare_queryable", "liveliness_token"], [*outputs, "@ros2_lv/**", "@/**"]),
+        _rule(
+            "listen",
+            "ingress",
+            ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"],
+            [*outputs, "@ros2_lv/**", "@/**"],
+        ),
+    ]
+    kind = {"users": "usernames", "certificates": "cert_common_names", "interfaces": "interfaces"}[security.names_are]
+    subjects, policies = [], []
+    for name, members, allowed in (
+        ("feeders", security.feeders, ["feed", "ask-for-input"]),
+        ("listeners", security.listeners, ["publish", "listen"]),
+    ):
+        if members:
+            subjects.append({"id": name, kind: list(members)})
+            policies.append({"rules": allowed, "subjects": [name]})
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def _rule(name: str, flow: str, messages: list[str], keys: Iterable[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": list(keys)}
+
+
+def _file(folder: Path, name: str) -> str:
+    path = folder / name
+    if not path.is_file():
+        raise ConfigError(f"[zenoh.security] {path}: no such file; paths count from the configuration's folder")
+    return str(path)
