@@ -4,10 +4,9 @@ Outlines are roof edges in WGS-84 longitude and latitude, or in the system a `cr
 a bad one gets its reason and the others go on.
 """
 
-import json
 import math
 import re
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -15,10 +14,10 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from models import colours, map_properties, projection
+from models import colours, projection
 from models import outline as polygon
-from models.map_properties import Attributes, Properties
-from models.map_table import Columns, Defaults, Finding, MapError, MapReport, Weights
+from models.map_features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features
+from models.map_table import Columns, Defaults, MapError, MapReport
 from models.messages import Array, Vec3
 
 TOLERANCE_M = 0.005  # corners nearer than this to the line between their neighbours are none
@@ -28,115 +27,23 @@ MAX_LENGTH_M = 2000.0
 MAX_DISTANCE_M = 100_000.0  # further out, "down" is 1 degree off the origin's
 
 _VERDICTS = {
-    polygon.FEW: "fewer than 3 corners",
+    polygon.FEW: FEW,
     polygon.SMALL: f"smaller than {MIN_M2:g} m2",
     polygon.MANY: f"more than {MAX_CORNERS} corners: simplify the outline",
     polygon.CROSSED: "the outline crosses itself",
 }
 
-_Ring = list[list[float]]
-
-
-class _Polygon(msgspec.Struct, tag_field="type", tag="Polygon"):
-    coordinates: list[_Ring]
-
-
-class _MultiPolygon(msgspec.Struct, tag_field="type", tag="MultiPolygon"):
-    coordinates: list[list[_Ring]]
-
-
-class _Feature(msgspec.Struct):
-    geometry: _Polygon | _MultiPolygon | None = None
-    properties: Properties | None = None
-    id: str | float | None = None
-
-
-class _Own(msgspec.Struct):
-    origin: Vec3 | None = None
-
-
-class _File(msgspec.Struct):
-    type: str = ""
-    features: list[msgspec.Raw] | None = None
-    crs: Any = None
-    landfix: _Own | None = None
-
-
-_decode_feature = msgspec.json.Decoder(_Feature).decode
-_decode_file = msgspec.json.Decoder(_File).decode
-
-
-class _Parts:
-    """Outlines gathered one by one, before they become columns."""
-
-    def __init__(self, defaults: Defaults) -> None:
-        self.defaults = defaults
-        self.features: list[int] = []
-        self.ids: list[str] = []
-        self.attributes: list[Attributes] = []
-        self.flat: list[float] = []
-        self.counts: list[int] = []
-        self.rejected: list[Finding] = []
-        self.remarks: list[Finding] = []
-        self.missing: dict[str, int] = {"height_m": 0, "sigma_m": 0, "ground_alt_m": 0, "colour": 0}
-
-    def add(self, number: int, raw: msgspec.Raw) -> None:
-        """One feature; several polygons in it become landmarks of their own, id/1, id/2, ..."""
-        try:
-            feature = _decode_feature(raw)
-        except msgspec.ValidationError as error:
-            self.rejected.append(Finding(number, f"#{number}", _why(raw, str(error))))
-            return
-        properties = feature.properties or Properties()
-        name = map_properties.identity(properties, feature.id, number)
-        if feature.geometry is None:
-            self.rejected.append(Finding(number, name, "it has no geometry"))
-            return
-        one = isinstance(feature.geometry, _Polygon)
-        polygons = [feature.geometry.coordinates] if isinstance(feature.geometry, _Polygon) else feature.geometry.coordinates
-        attributes = map_properties.read(properties, self.defaults)
-        self.remarks += [Finding(number, name, text) for text in attributes.remarks]
-        for k, rings in enumerate(polygons):
-            self._outline(number, name if one or len(polygons) == 1 else f"{name}/{k + 1}", rings, attributes)
-
-    def _outline(self, number: int, name: str, rings: list[_Ring], attributes: Attributes) -> None:
-        ring = rings[0] if rings else []
-        if any(len(position) < 2 for position in ring):
-            self.rejected.append(Finding(number, name, "a position has fewer than two coordinates"))
-            return
-        if len(ring) > 1 and ring[0] == ring[-1]:
-            ring.pop()
-        if len(ring) < 3:
-            self.rejected.append(Finding(number, name, _VERDICTS[polygon.FEW]))
-            return
-        if len(rings) > 1:
-            self.remarks.append(Finding(number, name, f"{len(rings) - 1} holes are left out: the outer edge is the landmark"))
-        for text in attributes.missing:
-            self.missing[text] += 1
-        self.features.append(number)
-        self.ids.append(name)
-        self.attributes.append(attributes)
-        self.counts.append(len(ring))
-        self.flat.extend(chain.from_iterable(position[:2] for position in ring))
-
-    def reject(self, bad: NDArray[np.bool_], text: str | list[str]) -> None:
-        """Findings for the parts that are bad."""
-        for k, i in enumerate(np.flatnonzero(bad).tolist()):
-            self.rejected.append(Finding(self.features[i], self.ids[i], text if isinstance(text, str) else text[k]))
-
 
 def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
     """Origin (lat_deg, lon_deg, alt_m), landmarks and findings of a GeoJSON file. Raises MapError."""
-    head, features = _features(data.removeprefix(b"\xef\xbb\xbf"))
-    parts = _Parts(defaults)
-    for number, raw in enumerate(features, 1):
+    head, raw_features = features(data.removeprefix(b"\xef\xbb\xbf"))
+    parts = Parts(defaults)
+    for number, raw in enumerate(raw_features, 1):
         parts.add(number, raw)
-    lonlat = _lonlat(head.crs, np.array(parts.flat).reshape(-1, 2))
-    offsets = np.concatenate(([0], np.cumsum(parts.counts, dtype=np.int64)))
+    lonlat = _lonlat(head.crs, np.array(parts.coordinates).reshape(-1, 2))
+    offsets = np.concatenate(([0], np.cumsum(np.array(parts.counts, dtype=np.int64))))
     good = _in_range(parts, lonlat, offsets)
-    table = np.array([a[1:6] for a in parts.attributes]).reshape(
-        -1, 5
-    )  # height, its sigma, sigma, outline sigma, ground altitude
+    table = np.array(parts.numbers).reshape(-1, 5)  # as in Attributes.numbers
     origin = defaults.origin or (head.landfix and head.landfix.origin) or _middle(lonlat, offsets, good, table[:, 4])
     if not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0 and math.isfinite(origin[2])):
         raise MapError(f"the origin {origin} is not a latitude, longitude and height")
@@ -149,7 +56,6 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
         parts.reject(good & (verdicts == verdict), text)
     good &= (verdicts == polygon.GOOD) & _unique(parts, good & (verdicts == polygon.GOOD))
     kept = np.flatnonzero(good)
-    attributes = [parts.attributes[i] for i in kept.tolist()]
     columns = Columns(
         ids=[parts.ids[i] for i in kept.tolist()],
         vertices=vertices[np.repeat(good, np.diff(ends))],
@@ -159,53 +65,12 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
         height_sigma_m=table[kept, 1],
         sigma_m=table[kept, 2],
         outline_sigma_m=table[kept, 3],
-        colour_bgr=np.array([a.colour_bgr for a in attributes], dtype=np.int16).reshape(-1, 3),
-        weights={i: a.weights for i, a in enumerate(attributes) if a.weights},
-        names={i: a.name for i, a in enumerate(attributes) if a.name},
+        colour_bgr=np.array(parts.colours, dtype=np.int16).reshape(-1, 3)[kept],
+        weights={row: parts.weights[i] for row, i in enumerate(kept.tolist()) if i in parts.weights},
+        names={row: parts.names[i] for row, i in enumerate(kept.tolist()) if i in parts.names},
     )
     rejected = tuple(sorted(parts.rejected, key=lambda finding: finding.feature))
-    return origin, columns, MapReport(len(features), rejected, tuple(parts.remarks), parts.missing)
-
-
-def _features(data: bytes) -> tuple[_File, list[msgspec.Raw]]:
-    """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
-    try:
-        head = _decode_file(data)
-    except msgspec.DecodeError as error:
-        if isinstance(error, msgspec.ValidationError):
-            raise MapError(f"not a GeoJSON map: {error}") from None
-        return _File(), _otherwise(data, str(error))
-    if head.features is not None:
-        return head, head.features
-    if head.type == "Feature":
-        return head, [msgspec.Raw(data)]
-    raise MapError("not a GeoJSON map: it has no features (expected a FeatureCollection)")
-
-
-def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
-    """Features of a file that is not one JSON text: one a line, or with the NaN that some programs write (read as null)."""
-    try:
-        lines = msgspec.json.Decoder(msgspec.Raw).decode_lines(data)
-        if len(lines) > 1:
-            return lines
-    except msgspec.DecodeError:
-        pass
-    try:
-        whole = json.loads(data)
-        return [msgspec.Raw(msgspec.json.encode(feature)) for feature in whole["features"]]
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise MapError(f"not a GeoJSON map: {error}") from None
-
-
-def _why(raw: msgspec.Raw, error: str) -> str:
-    """Why a feature could not be decoded, in terms of its geometry if that is the reason."""
-    try:
-        kind = msgspec.json.decode(raw)["geometry"]["type"]
-    except (msgspec.DecodeError, KeyError, TypeError, RecursionError):
-        kind = None
-    if isinstance(kind, str) and kind not in ("Polygon", "MultiPolygon"):
-        return f"its geometry is a {kind}, not a Polygon"
-    return error.replace("`", "'")
+    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missing)
 
 
 def _lonlat(crs: Any, xy: Array) -> Array:
@@ -225,7 +90,7 @@ def _any(condition: NDArray[np.bool_], offsets: NDArray[np.int64]) -> NDArray[np
     return np.logical_or.reduceat(condition, offsets[:-1]) if len(offsets) > 1 else np.empty(0, bool)
 
 
-def _in_range(parts: _Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _in_range(parts: Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which outlines lie on the Earth."""
     lon, lat = lonlat.T
     bad = _any(~((np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)), offsets)
@@ -255,7 +120,7 @@ def _to_ned(origin: Vec3, lonlat: Array, offsets: NDArray[np.int64], ground: Arr
 
 
 def _in_reach(
-    parts: _Parts, origin: Vec3, lonlat: Array, vertices: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_]
+    parts: Parts, origin: Vec3, lonlat: Array, vertices: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Which outlines are of a landmark's size and near enough for one flat frame."""
     counts = np.diff(offsets)
@@ -275,7 +140,7 @@ def _in_reach(
     return near
 
 
-def _unique(parts: _Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _unique(parts: Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The first of those with one id."""
     first: dict[str, int] = {}
     unique = np.ones(len(good), bool)
@@ -288,31 +153,6 @@ def _unique(parts: _Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return unique
 
 
-class _Ours(msgspec.Struct, omit_defaults=True):
-    """The properties of a written feature; the last five are computed, for people, and not read back."""
-
-    height_m: float
-    ground_alt_m: float
-    sigma_m: float
-    height_sigma_m: float
-    outline_sigma_m: float
-    size_m2: float
-    width_m: float
-    length_m: float
-    fill_ratio: float
-    orientation_deg: float
-    name: str = ""
-    colour: str = ""
-    weights: Weights | None = None
-
-
-class _Written(msgspec.Struct):
-    id: str
-    geometry: _Polygon
-    properties: _Ours
-    type: str = "Feature"
-
-
 def write(origin: Vec3, columns: Columns, description: Array) -> bytes:
     """The file of a map; one feature a line. Places to 0.1 mm, lengths to 1 mm."""
     counts = np.diff(columns.offsets)
@@ -321,15 +161,17 @@ def write(origin: Vec3, columns: Columns, description: Array) -> bytes:
     lonlat = np.column_stack((lon, lat)).round(9).tolist()
     first = columns.vertices[columns.offsets[:-1]]
     _, _, ground = pymap3d.ned2geodetic(first[:, 0], first[:, 1], columns.base_d, *origin)
-    uncertain = (columns.sigma_m, columns.height_sigma_m, columns.outline_sigma_m)
+    known = (columns.height_m, columns.height_sigma_m, columns.sigma_m, columns.outline_sigma_m, ground)
     shape = np.column_stack((description[:, :4], np.degrees(description[:, polygon.ORIENTATION])))
-    numbers = np.column_stack((columns.height_m, ground, *uncertain, shape)).round(3).tolist()
+    numbers = np.column_stack((*known, shape)).round(3).tolist()
     colours_bgr = columns.colour_bgr.tolist()
     encode = msgspec.json.Encoder().encode
     lines = []
     for i, (a, b) in enumerate(pairwise(columns.offsets.tolist())):
-        colour = colours.to_hex(colours_bgr[i]) if colours_bgr[i][0] >= 0 else ""
-        ours = _Ours(*numbers[i], columns.names.get(i, ""), colour, columns.weights.get(i))
-        lines.append(encode(_Written(columns.ids[i], _Polygon([[*lonlat[a:b], lonlat[a]]]), ours)))
+        properties = OurProperties(*numbers[i])
+        properties.name = columns.names.get(i, "")
+        properties.colour = colours.to_hex(colours_bgr[i]) if colours_bgr[i][0] >= 0 else ""
+        properties.weights = columns.weights.get(i)
+        lines.append(encode(OurFeature(columns.ids[i], OurPolygon([[*lonlat[a:b], lonlat[a]]]), properties)))
     head = encode({"origin": origin, "version": 1})
     return b'{"type":"FeatureCollection","landfix":' + head + b',"features":[\n' + b",\n".join(lines) + b"\n]}\n"

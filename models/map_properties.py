@@ -6,6 +6,7 @@ Own names carry the unit (`height_m`) and win. Read as well: OpenStreetMap's (`h
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -14,6 +15,8 @@ from models import colours
 from models.map_table import WEIGHTS, Defaults, Weights
 
 LEVEL_M = 3.0  # height of one storey
+EAVE_SIGMA_M = 0.3  # of the roof's edge about the walls' outline
+UNKNOWN = (-1, -1, -1)  # colour
 _LENGTH = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(m|metres?|meters?|ft|feet|foot|')?\s*(?:(\d+(?:\.\d+)?)\s*\")?", re.IGNORECASE)
 _FOOT = 0.3048  # m
 
@@ -50,18 +53,17 @@ class Properties(
 
 
 class Attributes(NamedTuple):
-    """One landmark without its outline; ground_alt_m is NaN where unknown. missing: properties whose default was taken."""
+    """One landmark without its outline. missing: properties whose default was taken.
 
-    name: str
-    height_m: float
-    height_sigma_m: float
-    sigma_m: float
-    outline_sigma_m: float
-    ground_alt_m: float
+    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN where unknown).
+    """
+
+    numbers: tuple[float, float, float, float, float]
     colour_bgr: tuple[int, int, int]
-    weights: Weights | None
-    missing: list[str]
-    remarks: list[str]
+    name: str = ""
+    weights: Weights | None = None
+    missing: Sequence[str] = ()
+    remarks: Sequence[str] = ()
 
 
 def read(p: Properties, defaults: Defaults) -> Attributes:
@@ -69,29 +71,22 @@ def read(p: Properties, defaults: Defaults) -> Attributes:
     missing: list[str] = []
     remarks: list[str] = []
     height, height_sigma = _height(p, defaults, missing, remarks)
-    sigma = _number("sigma_m", p.sigma_m, 0.0, 1e4, remarks)
-    if sigma is None:
-        missing.append("sigma_m")
     own_height_sigma = _number("height_sigma_m", p.height_sigma_m, 0.0, 1e4, remarks)
+    sigma = _number("sigma_m", p.sigma_m, 0.0, 1e4, remarks)
     outline_sigma = _number("outline_sigma_m", p.outline_sigma_m, 0.0, 1e3, remarks)
     ground = _number("ground_alt_m", p.ground_alt_m, -1e3, 1e4, remarks)
-    if ground is None:
-        missing.append("ground_alt_m")
     colour = _colour(p, remarks)
-    if colour is None:
-        missing.append("colour")
-    return Attributes(
-        name=p.name if isinstance(p.name, str) else "",
-        height_m=height,
-        height_sigma_m=height_sigma if own_height_sigma is None else own_height_sigma,
-        sigma_m=defaults.sigma_m if sigma is None else sigma,
-        outline_sigma_m=(0.0 if height == 0.0 else 0.3) if outline_sigma is None else outline_sigma,
-        ground_alt_m=math.nan if ground is None else ground,
-        colour_bgr=(-1, -1, -1) if colour is None else colour,
-        weights=None if p.weights is None else _weights(p.weights, remarks),
-        missing=missing,
-        remarks=remarks,
+    missing += [name for name, value in (("sigma_m", sigma), ("ground_alt_m", ground), ("colour", colour)) if value is None]
+    numbers = (
+        height,
+        height_sigma if own_height_sigma is None else own_height_sigma,
+        defaults.sigma_m if sigma is None else sigma,
+        (0.0 if height == 0.0 else EAVE_SIGMA_M) if outline_sigma is None else outline_sigma,
+        math.nan if ground is None else ground,
     )
+    name = p.name if isinstance(p.name, str) else ""
+    weights = None if p.weights is None else _weights(p.weights, remarks)
+    return Attributes(numbers, UNKNOWN if colour is None else colour, name, weights, missing, remarks)
 
 
 def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
