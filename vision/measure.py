@@ -1,13 +1,48 @@
-"""From a region and its disparities to metres: a plane through the region, distance, width, length, size, fill ratio."""
+"""From a region and its disparities to metres: a plane through the region, distance, width, length, size, fill ratio.
+
+    Z = f b / (d - offset)                                                       (thesis eq. 3.128; offset = cx_l - cx_r)
+    1 / Z = A x + B y + C  for  d = c + p (u - u0) + q (v - v0):  A = p / b, B = q / b, C = (c - offset + ...) / (f b)
+    fill ratio = size / (width length)                                                         (thesis section 5.4)
+
+What is uncertain: the plane (from the scatter of the cells, and a part that no scatter shows), each side of the outline, all
+sides together (a picture too sharp or too blurred), the rig. Each is moved a little, and what moves with it is the covariance.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
+from models import outline as polygon
+from models.camera import StereoRig
 from models.messages import Array
+from vision.correspond import Match, disparity_offset
+from vision.plane import DisparityPlane
 from vision.regions import Region
 
 QUANTITIES = ("distance_m", "width_m", "length_m", "size_m2", "fill_ratio")  # the order of Measured.covariance
+
+_CENTRE, _SIZES, _ORIENTATION = slice(0, 3), slice(3, 8), 8  # of a row of _quantities
+_ARCS = 8  # a contour that is no polygon is uncertain in so many pieces, one by one
+_CORRELATED_PX = 4.0  # along an edge: its points err together over so far
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """What the pictures' scatter does not show, and how far it is worth measuring."""
+
+    disparity_px: float = 0.03  # of a region as a whole: interpolation, edges that hide what is behind them
+    edge_px: float = 0.05  # of a side of an outline
+    all_edges_px: float = 0.06  # of all sides alike, outwards
+    most_depth_sigma: float = 0.25  # relative; beyond it a distance is no distance
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """What is known of the surface's normal from elsewhere (a roof is level, and the filter knows the attitude)."""
+
+    normal_c: Array  # (3,) unit
+    sigma_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +57,11 @@ class Measured:
     width_m, length_m sides of the smallest rectangle around the outline on the plane, width <= length
     size_m2           area inside the outline on the plane
     fill_ratio        size / (width length), thesis section 5.4
-    orientation_rad   angle of axis_c from x_c towards y_c, in [0, pi);  orientation_sigma_rad
+    orientation_rad   angle of axis_c from x_c towards y_c on the plane, in [0, pi);  orientation_sigma_rad
     covariance        (5, 5) of (distance, width, length, size, fill ratio): all but the last share the error of the depth
-    disparity_px      at the centre;  disparity_sigma_px
+    disparity_px      f b / Z at the centre;  disparity_sigma_px its own error
+    rig_sigma_px      the error of the disparity that the rig's calibration makes, the same in all regions
+    Covariances hold both.
     """
 
     region: Region
@@ -43,6 +80,7 @@ class Measured:
     covariance: Array
     disparity_px: float
     disparity_sigma_px: float
+    rig_sigma_px: float
 
     def sigma(self, quantity: str) -> float:
         """Standard deviation of one of QUANTITIES."""
@@ -56,3 +94,190 @@ class Unmeasured:
 
     region: Region
     reason: str
+
+
+def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, level: Level | None = None) -> Measured | Unmeasured:
+    """A matched region in metres. rig: the rectified rig the match was made with."""
+    accuracy = accuracy or Accuracy()
+    outline = match.region.outline
+    plane = match.plane if level is None else _levelled(match.plane, level, rig)
+    centre = outline.mean(axis=0)
+    disparity = float(plane.at(centre[None])[0]) - disparity_offset(rig)
+    own = plane.covariance.copy()
+    own[0, 0] += accuracy.disparity_px**2
+    row = np.concatenate(([1.0], centre - plane.origin))
+    sigma = float(np.sqrt(row @ own @ row))
+    if disparity <= 0.0:
+        return Unmeasured(match.region, f"disparity {disparity:.1f} px: behind the camera")
+    if sigma > accuracy.most_depth_sigma * disparity:
+        return Unmeasured(match.region, f"too far: disparity {disparity:.2f} +- {sigma:.2f} px")
+    from_rig = _rig_error(rig, plane, outline, disparity)
+    values, jacobian, sides = _derivatives(match.region, plane, rig)
+    if not np.isfinite(jacobian).all():
+        return Unmeasured(match.region, "the plane stands on edge")
+    of_sides = _side_sigmas(match.region, accuracy)
+    covariance = jacobian[:, :3] @ (own + from_rig) @ jacobian[:, :3].T
+    covariance += (sides * of_sides**2) @ sides.T + accuracy.all_edges_px**2 * np.outer(sides.sum(axis=1), sides.sum(axis=1))
+    inverse_depth = _inverse_depth(plane, rig)
+    normal = -inverse_depth / np.linalg.norm(inverse_depth)
+    e1, e2 = _axes(normal)
+    turn = float(values[_ORIENTATION])
+    rays = np.column_stack(((outline - (rig.left.cx, rig.left.cy)) / (rig.left.fx, rig.left.fy), np.ones(len(outline))))
+    return Measured(
+        region=match.region,
+        centre_c=values[_CENTRE],
+        covariance_c=covariance[_CENTRE, _CENTRE],
+        normal_c=normal,
+        axis_c=np.cos(turn) * e1 + np.sin(turn) * e2,
+        outline_c=rays / (rays @ inverse_depth)[:, None],
+        distance_m=float(values[3]),
+        width_m=float(values[4]),
+        length_m=float(values[5]),
+        size_m2=float(values[6]),
+        fill_ratio=float(values[7]),
+        orientation_rad=turn,
+        orientation_sigma_rad=float(np.sqrt(covariance[_ORIENTATION, _ORIENTATION])),
+        covariance=covariance[_SIZES, _SIZES],
+        disparity_px=disparity,
+        disparity_sigma_px=sigma,
+        rig_sigma_px=float(np.sqrt(row @ from_rig @ row)),
+    )
+
+
+def _inverse_depth(plane: DisparityPlane, rig: StereoRig) -> Array:
+    """(A, B, C): 1 / Z = A x + B y + C on the plane, x = X / Z, y = Y / Z."""
+    camera = rig.left
+    c, p, q = plane.coefficients
+    middle = c - disparity_offset(rig) + p * (camera.cx - plane.origin[0]) + q * (camera.cy - plane.origin[1])
+    return np.array([p * camera.fx, q * camera.fy, middle]) / (camera.fx * rig.baseline_m)
+
+
+def _axes(normal: Array) -> tuple[Array, Array]:
+    """Two unit vectors on a plane seen from the front: e1 as near to x_c as can be, e2 = e1 turned from x_c towards y_c."""
+    e1 = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    e1 /= np.linalg.norm(e1)
+    return e1, np.cross(e1, normal)
+
+
+def _levelled(plane: DisparityPlane, level: Level, rig: StereoRig) -> DisparityPlane:
+    """The plane with what is known of its normal: p = b A, q = b B and (A, B, C) along -n; a Kalman update of (p, q)."""
+    camera = rig.left
+    ray = np.array([(plane.origin[0] - camera.cx) / camera.fx, (plane.origin[1] - camera.cy) / camera.fy, 1.0])
+    depth_of_disparity = (plane.coefficients[0] - disparity_offset(rig)) / camera.fx
+    facing = -level.normal_c @ ray
+    if abs(facing) < 0.1:
+        return plane
+    expected = -level.normal_c[:2] / facing * depth_of_disparity
+    H = np.eye(3)[1:]
+    R = np.eye(2) * (level.sigma_rad * depth_of_disparity / facing**2) ** 2
+    gain = plane.covariance @ H.T @ np.linalg.inv(H @ plane.covariance @ H.T + R)
+    coefficients = plane.coefficients + gain @ (expected - plane.coefficients[1:])
+    covariance = (np.eye(3) - gain @ H) @ plane.covariance
+    return DisparityPlane(plane.origin, coefficients, 0.5 * (covariance + covariance.T), plane.scatter, plane.used)
+
+
+def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity: float) -> Array:
+    """(3, 3) covariance of the plane's coefficients from the covariance of the right camera's pose and of the lenses.
+
+    x_r = exp(theta) x_r0 + dt moves a point's right pixel by
+    du = f / Z (dt_x - x dt_z + (1 + x^2) Z theta_y - x y Z theta_x - y Z theta_z),  x, y in the right camera: an error of d.
+    """
+    camera, extent = rig.left, max(float(np.ptp(outline, axis=0).max()), 1.0)
+    offsets = np.array([[0.0, 0.0], [extent, 0.0], [0.0, extent]])
+    px = plane.origin + offsets - (disparity + disparity_offset(rig), 0.0)
+    x, y = (px[:, 0] - rig.right.cx) / camera.fx, (px[:, 1] - rig.right.cy) / camera.fy
+    f_z = disparity / rig.baseline_m
+    f = camera.fx
+    by_pose = np.column_stack((np.full(3, f_z), np.zeros(3), -x * f_z, -x * y * f, (1.0 + x * x) * f, -y * f))
+    to_plane = np.linalg.inv(np.column_stack((np.ones(3), offsets)))
+    error = np.zeros((3, 3))
+    if rig.covariance_rc is not None:
+        error += by_pose @ rig.covariance_rc @ by_pose.T
+    for lens in (rig.left, rig.right):
+        if lens.covariance is not None:
+            by_lens = np.column_stack((x, np.ones(3)))  # of fx, cx
+            error += by_lens @ lens.covariance[np.ix_((0, 2), (0, 2))] @ by_lens.T
+    return np.asarray(to_plane @ error @ to_plane.T)
+
+
+def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
+    """Standard deviation of each side of the outline, px: a fitted side averages its points, an arc of a contour does not."""
+    if region.corners is None:
+        return np.full(_ARCS, np.hypot(region.edge_sigma_px, accuracy.edge_px))
+    length = np.linalg.norm(np.roll(region.corners, -1, axis=0) - region.corners, axis=1)
+    return np.sqrt(region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0) + accuracy.edge_px**2)
+
+
+def _derivatives(region: Region, plane: DisparityPlane, rig: StereoRig) -> tuple[Array, Array, Array]:
+    """Centre, distance, width, length, size, fill ratio, orientation; d/d(c, p, q) (9, 3); d/d(each side, outwards) (9, S)."""
+    outline = region.outline
+    moves = _side_moves(outline) if region.corners is not None else _arc_moves(outline)
+    extent = max(float(np.ptp(outline, axis=0).max()), 1.0)
+    step = 1e-4 * max(abs(plane.coefficients[0] - disparity_offset(rig)), 1e-3)
+    steps = np.array([step, step / extent, step / extent])
+    outlines = np.concatenate((np.repeat(outline[None], 4, axis=0), outline + 1e-3 * moves))
+    planes = np.repeat(plane.coefficients[None], len(outlines), axis=0)
+    planes[1:4] += np.diag(steps)
+    camera = np.array([rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy, rig.baseline_m, disparity_offset(rig)])
+    table = _quantities(outlines, planes, plane.origin, camera)
+    change = table[1:] - table[0]
+    quarter = 0.5 * np.pi  # a square's length may become its width
+    change[:, _ORIENTATION] = (change[:, _ORIENTATION] + 0.5 * quarter) % quarter - 0.5 * quarter
+    return table[0], change[:3].T / steps, change[3:].T / 1e-3
+
+
+def _side_moves(corners: Array) -> Array:
+    """(K, K, 2): how the corners move when side i (from corner i to i + 1) moves outwards by one."""
+    along = np.roll(corners, -1, axis=0) - corners
+    normals = np.column_stack((-along[:, 1], along[:, 0])) / np.linalg.norm(along, axis=1)[:, None]
+    moves = np.zeros((len(corners), len(corners), 2))
+    for i in range(len(corners)):
+        before, after = i - 1, (i + 1) % len(corners)
+        moves[i, i] = np.linalg.solve(np.stack((normals[before], normals[i])), (0.0, 1.0))
+        moves[i, after] = np.linalg.solve(np.stack((normals[i], normals[after])), (1.0, 0.0))
+    return moves
+
+
+def _arc_moves(contour: Array) -> Array:
+    """(_ARCS, N, 2): how the points move when one arc of the contour moves outwards by one."""
+    along = np.roll(contour, -2, axis=0) - np.roll(contour, 2, axis=0)
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    normals = np.column_stack((-along[:, 1], along[:, 0])) / length[:, None]
+    arc = np.arange(len(contour)) * _ARCS // len(contour)
+    return np.asarray(np.where((arc == np.arange(_ARCS)[:, None])[..., None], normals, 0.0))
+
+
+@njit(cache=True)
+def _quantities(outlines: Array, planes: Array, origin: Array, camera: Array) -> Array:
+    """(M, 9) of M outlines (M, K, 2) on M planes (M, 3); camera: fx fy cx cy baseline offset. NaN where one is behind."""
+    fx, fy, cx, cy, baseline, offset = camera
+    count, corners = outlines.shape[0], outlines.shape[1]
+    table = np.full((count, 9), np.nan)
+    for m in range(count):
+        c, p, q = planes[m]
+        n = np.array([p * fx, q * fy, c - offset + p * (cx - origin[0]) + q * (cy - origin[1])]) / (fx * baseline)
+        normal = -n / np.sqrt((n * n).sum())
+        e1 = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+        e1 /= np.sqrt((e1 * e1).sum())
+        e2 = np.array([e1[1] * normal[2] - e1[2] * normal[1], e1[2] * normal[0] - e1[0] * normal[2],
+                       e1[0] * normal[1] - e1[1] * normal[0]])  # fmt: skip
+        flat = np.empty((corners, 2))
+        foot = n / (n * n).sum()  # the plane's nearest point to the camera
+        behind = False
+        for k in range(corners):
+            ray = np.array([(outlines[m, k, 0] - cx) / fx, (outlines[m, k, 1] - cy) / fy, 1.0])
+            inverse = (ray * n).sum()
+            if inverse <= 0.0:
+                behind = True
+                break
+            x = ray / inverse - foot
+            flat[k, 0], flat[k, 1] = (x * e1).sum(), (x * e2).sum()
+        if behind:
+            continue
+        row = polygon.describe(flat, np.array([0, corners]))[0]
+        centre = foot + row[polygon.NORTH] * e1 + row[polygon.EAST] * e2
+        table[m, 0], table[m, 1], table[m, 2] = centre
+        table[m, 3] = np.sqrt((centre * centre).sum())
+        table[m, 4], table[m, 5] = row[polygon.WIDTH], row[polygon.LENGTH]
+        table[m, 6], table[m, 7], table[m, 8] = row[polygon.SIZE], row[polygon.FILL], row[polygon.ORIENTATION]
+    return table

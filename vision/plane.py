@@ -77,5 +77,5 @@ def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) ->
         x = np.linalg.solve(normal, right).astype(np.float64)
         residual = (d - x[0] - uv[:, 0] * x[1] - uv[:, 1] * x[2]) / sigma
         scale = (_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0))
-    covariance: Array = np.linalg.inv(normal)
+    covariance = np.linalg.inv(normal).astype(np.float64)
     return x, covariance, float(np.sqrt(scale)), int((robust > 0.25).sum())
