@@ -33,17 +33,19 @@ def coverage(polygon_px: Array, width: int, height: int) -> Grid:
 
 @njit(cache=True)
 def bounds(polygon_px: Array, width: int, height: int) -> Box:
-    """The pixels a polygon may touch: rows [r0, r1), columns [c0, c1); empty where r0 >= r1 or c0 >= c1."""
-    u0 = v0 = np.inf
-    u1 = v1 = -np.inf
-    for k in range(len(polygon_px)):
+    """The pixels a polygon may touch: rows [r0, r1), columns [c0, c1); all 0 where there are none."""
+    if len(polygon_px) == 0:
+        return 0, 0, 0, 0
+    u0, v0 = polygon_px[0]
+    u1, v1 = u0, v0
+    for k in range(1, len(polygon_px)):
         u, v = polygon_px[k, 0], polygon_px[k, 1]
         u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-    r0, r1 = max(0.0, math.floor(v0 + 0.5)), min(height, math.floor(v1 + 0.5) + 1)
-    c0, c1 = max(0.0, math.floor(u0 + 0.5)), min(width, math.floor(u1 + 0.5) + 1)
-    if not (r0 < r1 and c0 < c1):  # written so that NaN is empty too
+    if not (u1 > -0.5 and u0 < width - 0.5 and v1 > -0.5 and v0 < height - 0.5):  # so that NaN is empty too
         return 0, 0, 0, 0
-    return int(r0), int(r1), int(c0), int(c1)
+    r0, r1 = int(max(v0 + 0.5, 0.0)), min(int(min(v1 + 0.5, float(height))) + 1, height)
+    c0, c1 = int(max(u0 + 0.5, 0.0)), min(int(min(u1 + 0.5, float(width))) + 1, width)
+    return r0, r1, c0, c1
 
 
 @njit(cache=True)
@@ -107,11 +109,11 @@ def _add_edge(x0: float, y0: float, x1: float, y1: float, differences: Grid) -> 
 @njit(cache=True)
 def _add_inside(x0: float, y0: float, x1: float, y1: float, sign: float, differences: Grid) -> None:
     """An edge inside the grid, y0 < y1, row by row: what lies to its right gains its height `dy`, its own pixels a part."""
-    slope = (x1 - x0) / (y1 - y0)
+    slope, least, most = (x1 - x0) / (y1 - y0), min(x0, x1), max(x0, x1)
     row, y, x = int(y0), y0, x0
     while y < y1 and row < differences.shape[0]:
         y_next = min(row + 1.0, y1)
-        x_next = x1 if y_next == y1 else x0 + (y_next - y0) * slope
+        x_next = x1 if y_next == y1 else min(max(x0 + (y_next - y0) * slope, least), most)  # rounding stays on the grid
         dy = sign * (y_next - y)
         left, right = min(x, x_next), max(x, x_next)
         first, last = int(left), int(right)

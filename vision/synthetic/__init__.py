@@ -1,0 +1,28 @@
+"""Rendered stereo pictures of worlds whose truth is known: world, ground, camera effects, scenes from a seed."""
+
+from vision.synthetic.camera_effects import IDEAL, Conditions, Image, blur_of_motion
+from vision.synthetic.ground import Ground
+from vision.synthetic.render import render, render_labels, render_pair
+from vision.synthetic.rigs import draw_rig, make_rig
+from vision.synthetic.scenes import Scene, WorldSpec, make_world
+from vision.synthetic.world import Look, Solid, Sun, World
+
+__all__ = [
+    "IDEAL",
+    "Conditions",
+    "Ground",
+    "Image",
+    "Look",
+    "Scene",
+    "Solid",
+    "Sun",
+    "World",
+    "WorldSpec",
+    "blur_of_motion",
+    "draw_rig",
+    "make_rig",
+    "make_world",
+    "render",
+    "render_labels",
+    "render_pair",
+]

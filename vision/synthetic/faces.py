@@ -1,0 +1,290 @@
+"""The faces of the solids that a camera sees, nearest first, as polygons on the normalised plane and maps to their textures.
+
+    (s w, t w, w) = H @ (x/z, y/z, 1),      range along the ray = k |(x/z, y/z, 1)| / w
+
+H takes a ray of the camera to a place on the face [m]: with a face through q of axes a, b and normal m, seen from p along r,
+s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to a little more than the picture, and cut again
+into short pieces, so that a lens may bend them.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.synthetic.world import Columns
+
+Indices = NDArray[np.int64]
+
+_NEAR = 0.05  # m before the camera
+_CUTS = 5  # planes of the frustum; each adds at most as many corners as a polygon has
+_APART = 1e-6  # m; outlines that touch are apart
+
+CONTRAST, RIDGE, RANGE, SHIFT_S, SHIFT_T, FLAT = range(6)  # columns of Faces.parameters
+
+
+class View(NamedTuple):
+    """Camera pose, and the part of the normalised plane it shows: least and greatest x/z, least and greatest y/z."""
+
+    p_nc: Array
+    R_nc: Array
+    limits: Array
+    piece: float  # longest piece of an edge on the normalised plane
+
+
+class Faces(NamedTuple):
+    """F faces of S solids, nearest solid first; faces of a solid nearest first. Vertices are rays (V, 3) of z = 1."""
+
+    vertices: Array
+    offsets: Indices  # (F + 1,) into vertices
+    solids: Indices  # (S,) which solid
+    solid_offsets: Indices  # (S + 1,) into faces
+    H: Array  # (F, 3, 3)
+    colour: Array  # (F, 3), lit
+    texture: Indices  # (F,)
+    parameters: Array  # (F, 6)
+
+
+def visible_faces(columns: Columns, view: View, sun_n: Array, ambient: float) -> Faces:
+    """What may be seen of the solids. Walls are lit by the sun's angle to them, relative to level ground."""
+    return Faces(*_collect(*_plain(columns), *view, sun_n, ambient))
+
+
+def _plain(c: Columns) -> tuple[Array | Indices, ...]:
+    return (
+        c.vertices, c.offsets, c.base_d, c.height_m, c.centre_n, c.radius_m, c.roof_bgr, c.wall_bgr, c.textures,
+        c.contrasts, c.ridge, c.orientation_rad,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def in_frustum(centre: Array, radius: float, p_nc: Array, R_nc: Array, limits: Array) -> bool:
+    """Whether a sphere (centre in n) may touch what the camera shows."""
+    x, y, z = R_nc.T @ (centre - p_nc)
+    if z + radius < _NEAR:
+        return False
+    for c, low, high in ((x, limits[0], limits[1]), (y, limits[2], limits[3])):
+        if (c - low * z) / math.sqrt(1.0 + low * low) < -radius or (high * z - c) / math.sqrt(1.0 + high * high) < -radius:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _collect(
+    vertices: Array, offsets: Indices, base_d: Array, height_m: Array, centre_n: Array, radius_m: Array, roof_bgr: Array,
+    wall_bgr: Array, textures: Indices, contrasts: Array, ridge: Array, orientation: Array,
+    p_nc: Array, R_nc: Array, limits: Array, piece: float, sun_n: Array, ambient: float,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    n = len(base_d)
+    seen = np.empty(n, dtype=np.int64)
+    count = 0
+    for i in range(n):
+        middle = np.array([centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]])
+        if in_frustum(middle, math.hypot(radius_m[i], 0.5 * height_m[i]), p_nc, R_nc, limits):
+            seen[count] = i
+            count += 1
+    solids = nearest_first(seen[:count], vertices, offsets, height_m, centre_n, radius_m, p_nc)
+    most = count
+    for i in solids:
+        most += offsets[i + 1] - offsets[i]
+    H, colour = np.empty((most, 3, 3)), np.empty((most, 3))
+    texture, parameters = np.empty(most, dtype=np.int64), np.zeros((most, 6))
+    face_offsets, solid_offsets = np.zeros(most + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
+    points = np.empty((4096, 3))
+    level_light = ambient - (1.0 - ambient) * sun_n[2]
+    face = 0
+    for place, i in enumerate(solids):
+        outline, roof_d = vertices[offsets[i] : offsets[i + 1]], base_d[i] - height_m[i]
+        k = len(outline)
+        shift = np.array([(i * 7919) % 509, (i * 104729) % 503]) * 0.02  # so that no two roofs are laid alike
+        for wall in _order_of_walls(outline, p_nc, height_m[i] > 0.0):
+            if wall < 0:  # the roof
+                if p_nc[2] >= roof_d:
+                    continue
+                polygon = np.empty((k, 3))
+                polygon[:, :2], polygon[:, 2] = outline, roof_d
+                along = np.array([math.cos(orientation[i]), math.sin(orientation[i]), 0.0])
+                across, normal = np.array([-along[1], along[0], 0.0]), np.array([0.0, 0.0, 1.0])
+                origin = np.array([centre_n[i, 0], centre_n[i, 1], roof_d])
+                light, which, paint = 1.0, 0, roof_bgr[i]
+            else:
+                a, b = outline[wall], outline[(wall + 1) % k]
+                polygon = np.empty((4, 3))
+                polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b, a
+                polygon[0, 2], polygon[1, 2], polygon[2, 2], polygon[3, 2] = roof_d, roof_d, base_d[i], base_d[i]
+                length = math.hypot(b[0] - a[0], b[1] - a[1])
+                along = np.array([(b[0] - a[0]) / length, (b[1] - a[1]) / length, 0.0])
+                across, normal = np.array([0.0, 0.0, 1.0]), np.array([along[1], -along[0], 0.0])  # inwards, away from the camera
+                origin = np.array([a[0], a[1], base_d[i]])
+                lit = max(0.0, -(normal[0] * sun_n[0] + normal[1] * sun_n[1]))
+                light, which, paint = (0.7 * ambient + (1.0 - ambient) * lit) / level_light, 1, wall_bgr[i]
+            start = face_offsets[face]
+            points, end = append(points, start, clip((polygon - p_nc) @ R_nc, limits), piece)
+            if end == start:
+                continue
+            H[face] = _to_plane(origin, along, across, normal, p_nc) @ R_nc
+            colour[face], texture[face] = paint * light, textures[i, which]
+            parameters[face, CONTRAST] = contrasts[i, which]
+            parameters[face, RIDGE] = ridge[i] if which == 0 else 0.0
+            parameters[face, RANGE] = np.dot(normal, origin - p_nc)
+            parameters[face, SHIFT_S], parameters[face, SHIFT_T] = shift[0], shift[1] if which == 0 else 0.0
+            parameters[face, FLAT] = 1.0 if height_m[i] == 0.0 else 0.0
+            face += 1
+            face_offsets[face] = end
+        solid_offsets[place + 1] = face
+    return (
+        points[: face_offsets[face]], face_offsets[: face + 1], solids, solid_offsets, H[:face], colour[:face], texture[:face],
+        parameters[:face],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _order_of_walls(outline: Array, p_nc: Array, stands: bool) -> Indices:
+    """The roof (-1), then the walls that face the camera, nearest first."""
+    k = len(outline)
+    order, far = np.full(k + 1, -1, dtype=np.int64), np.full(k + 1, -1.0)
+    count = 1
+    if stands:
+        for i in range(k):
+            a, b = outline[i], outline[(i + 1) % k]
+            if _outside(a, b, p_nc) > 0.0:
+                order[count] = i
+                far[count] = math.hypot(0.5 * (a[0] + b[0]) - p_nc[0], 0.5 * (a[1] + b[1]) - p_nc[1])
+                count += 1
+    return order[:count][np.argsort(far[:count])]
+
+
+@njit(cache=True, inline="always")
+def _outside(a: Array, b: Array, x: Array) -> float:
+    """How far x lies outside the edge from a to b of an outline that runs anticlockwise seen from above, times the edge's length."""
+    return (b[0] - a[0]) * (x[1] - a[1]) - (b[1] - a[1]) * (x[0] - a[0])
+
+
+@njit(cache=True)
+def _to_plane(origin: Array, along: Array, across: Array, normal: Array, p: Array) -> Array:
+    """Rows of the map from a ray in n to (s w, t w, w)."""
+    H, reach = np.empty((3, 3)), np.dot(normal, origin - p)
+    H[0] = np.dot(along, p - origin) * normal + reach * along
+    H[1] = np.dot(across, p - origin) * normal + reach * across
+    H[2] = normal
+    return H
+
+
+@njit(cache=True)
+def clip(polygon_c: Array, limits: Array) -> Array:
+    """The part of a polygon (K, 3) before the camera and within its limits (Sutherland and Hodgman 1974)."""
+    kept = polygon_c
+    for plane in range(_CUTS):
+        n = len(kept)
+        if n == 0:
+            break
+        side = np.empty(n)
+        for i in range(n):
+            x, y, z = kept[i]
+            if plane == 0:
+                side[i] = z - _NEAR
+            elif plane < 3:
+                side[i] = x - limits[0] * z if plane == 1 else limits[1] * z - x
+            else:
+                side[i] = y - limits[2] * z if plane == 3 else limits[3] * z - y
+        cut, count = np.empty((2 * n, 3)), 0
+        for i in range(n):
+            j = i + 1 if i + 1 < n else 0
+            if side[i] >= 0.0:
+                cut[count] = kept[i]
+                count += 1
+            if (side[i] >= 0.0) != (side[j] >= 0.0):
+                cut[count] = kept[i] + side[i] / (side[i] - side[j]) * (kept[j] - kept[i])
+                count += 1
+        kept = cut[:count]
+    return kept
+
+
+@njit(cache=True)
+def append(points: Array, start: int, polygon_c: Array, piece: float) -> tuple[Array, int]:
+    """The polygon's corners and points between them as rays of z = 1, from row `start`; the table (grown if need be), its end."""
+    n, end = len(polygon_c), start
+    for i in range(n if n >= 3 else 0):
+        j = i + 1 if i + 1 < n else 0
+        x0, y0 = polygon_c[i, 0] / polygon_c[i, 2], polygon_c[i, 1] / polygon_c[i, 2]
+        x1, y1 = polygon_c[j, 0] / polygon_c[j, 2], polygon_c[j, 1] / polygon_c[j, 2]
+        pieces = max(1, math.ceil(max(abs(x1 - x0), abs(y1 - y0)) / piece))
+        if end + pieces > len(points):
+            grown = np.empty((2 * (end + pieces), 3))
+            grown[:end] = points[:end]
+            points = grown
+        for k in range(pieces):
+            points[end, 0], points[end, 1], points[end, 2] = x0 + (x1 - x0) * k / pieces, y0 + (y1 - y0) * k / pieces, 1.0
+            end += 1
+    return points, end
+
+
+@njit(cache=True)
+def nearest_first(
+    seen: Indices, vertices: Array, offsets: Indices, height_m: Array, centre_n: Array, radius_m: Array, p_nc: Array
+) -> Indices:
+    """Standing solids such that none hides one before it, then what lies flat, the last laid first.
+
+    Of two outlines with a straight line between them the one on the camera's side cannot be hidden by the other.
+    """
+    n = len(seen)
+    order, distance = np.empty(n, dtype=np.int64), np.empty(n)
+    for k in range(n):
+        i = seen[k]
+        distance[k] = math.hypot(centre_n[i, 0] - p_nc[0], centre_n[i, 1] - p_nc[1]) if height_m[i] > 0.0 else 1e9 - i
+    ranked = seen[np.argsort(distance)]
+    standing = 0
+    while standing < n and height_m[ranked[standing]] > 0.0:
+        standing += 1
+    waits, hides = np.zeros(n, dtype=np.int64), np.zeros((standing, standing), dtype=np.bool_)
+    for a in range(standing):
+        for b in range(a + 1, standing):
+            i, j = ranked[a], ranked[b]
+            if _shadows_meet(centre_n[i], radius_m[i], centre_n[j], radius_m[j], p_nc):
+                if _in_front(vertices[offsets[i] : offsets[i + 1]], vertices[offsets[j] : offsets[j + 1]], p_nc):
+                    hides[a, b] = True
+                    waits[b] += 1
+                else:
+                    hides[b, a] = True
+                    waits[a] += 1
+    done = np.zeros(n, dtype=np.bool_)
+    for place in range(standing):
+        best = -1
+        for a in range(standing):  # the nearest that nothing hides; three in a circle: the nearest
+            if not done[a] and (best < 0 or (waits[a] == 0 and waits[best] > 0)):
+                best = a
+        order[place], done[best] = ranked[best], True
+        for b in range(standing):
+            waits[b] -= hides[best, b]
+    order[standing:] = ranked[standing:]
+    return order
+
+
+@njit(cache=True)
+def _shadows_meet(a: Array, radius_a: float, b: Array, radius_b: float, p: Array) -> bool:
+    """Whether two circles lie in one direction from the camera."""
+    an, ae, bn, be = a[0] - p[0], a[1] - p[1], b[0] - p[0], b[1] - p[1]
+    far_a, far_b = math.hypot(an, ae), math.hypot(bn, be)
+    if far_a <= radius_a or far_b <= radius_b:
+        return True
+    apart = math.acos(max(-1.0, min(1.0, (an * bn + ae * be) / (far_a * far_b))))
+    return apart < math.asin(radius_a / far_a) + math.asin(radius_b / far_b)
+
+
+@njit(cache=True)
+def _in_front(first: Array, second: Array, p: Array) -> bool:
+    """Whether the first outline is on the camera's side of a line that separates the two; else whether it is nearer."""
+    for a, b, nearer_inside in ((first, second, True), (second, first, False)):
+        for k in range(len(a)):
+            start, end = a[k], a[(k + 1) % len(a)]
+            separates = True
+            for i in range(len(a)):
+                separates = separates and _outside(start, end, a[i]) <= _APART
+            for i in range(len(b)):
+                separates = separates and _outside(start, end, b[i]) >= -_APART
+            if separates:
+                return (_outside(start, end, p) <= 0.0) == nearer_inside
+    return True

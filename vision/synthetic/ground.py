@@ -1,0 +1,148 @@
+"""The ground: level, textured from centimetres to hundreds of metres, or a picture.
+
+    colour(n, e) = tint * cover(n, e) (1 + contrast * detail(n, e))
+
+`cover` holds fields, paths and bushes in colour (0.2 m a texel), `detail` grass, soil and stones in grey (1.5 cm a texel). Both
+repeat, with periods of 205 m and 31 m that have nothing to do with each other; each world turns and shifts them.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.synthetic.texture import Bytes, Field, noise, pyramid, to_bytes
+
+DETAIL_SIZE, DETAIL_TEXEL_M = 2048, 0.015
+COVER_SIZE, COVER_TEXEL_M = 1024, 0.2
+
+# What grows on a field, and how it looks in the sun (B, G, R): the ground is dull, which is what lets painted roofs stand out.
+_COVERS = np.array(
+    [(58, 98, 92), (66, 112, 104), (48, 88, 78), (88, 126, 134), (78, 104, 122), (96, 132, 148), (54, 84, 88), (70, 118, 98)],
+    dtype=np.float64,
+)
+_PATH = np.array([118.0, 140.0, 152.0])
+_BUSH = np.array([34.0, 62.0, 46.0])
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A level ground at down = `down_m`, and how the textures lie on it.
+
+    turn_rad, shift_m: of the textures against north and east; tint_bgr: factors; detail_contrast: relative, per unit of `detail`.
+    """
+
+    cover: Bytes = field(repr=False)
+    detail: Bytes = field(repr=False)
+    cover_texel_m: float = COVER_TEXEL_M
+    down_m: float = 0.0
+    turn_rad: float = 0.0
+    shift_m: tuple[float, float] = (0.0, 0.0)
+    tint_bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    detail_contrast: float = 0.22
+
+    @classmethod
+    def procedural(cls, rng: np.random.Generator) -> Self:
+        """Countryside: where the textures lie, and the season's tint, are drawn."""
+        turn, shift = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, 200.0, 2)
+        tint = rng.uniform(0.92, 1.12) * rng.uniform(0.93, 1.07, 3)
+        return cls(
+            _cover(),
+            _detail(),
+            turn_rad=turn,
+            shift_m=(float(shift[0]), float(shift[1])),
+            tint_bgr=(float(tint[0]), float(tint[1]), float(tint[2])),
+        )
+
+    @classmethod
+    def of_picture(cls, image: NDArray[np.uint8], metres_per_px: float, detail_contrast: float = 0.0) -> Self:
+        """A picture (H, W, 3) taken from above, its middle square mirrored on all sides, north up."""
+        side = min(image.shape[:2])
+        top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
+        size = 1 << (side - 1).bit_length()
+        square = cv2.resize(image[top : top + side, left : left + side], (size, size), interpolation=cv2.INTER_CUBIC)
+        mirrored = np.vstack([np.hstack([square, square[:, ::-1]]), np.hstack([square[::-1], square[::-1, ::-1]])])
+        # Texture axes are north and east, picture rows run south.
+        laid = np.ascontiguousarray(np.transpose(mirrored[::-1], (1, 0, 2)))
+        return cls(pyramid(laid), _detail(), metres_per_px * side / size, detail_contrast=detail_contrast)
+
+    @property
+    def cover_size(self) -> int:
+        """Texels a side of the cover's finest level: sum of 4^k = (4 n^2 - 1) / 3."""
+        return math.isqrt(3 * len(self.cover) // 4 + 1)
+
+    @property
+    def axes_n(self) -> Array:
+        """Directions of the textures' s and t on the ground, rows of (2, 3)."""
+        c, s = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        return np.array([[c, s, 0.0], [-s, c, 0.0]])
+
+
+@cache
+def _detail() -> Bytes:
+    """Grass and soil: noise of all wavelengths, tufts of 10 to 40 cm, stones."""
+    rng = np.random.default_rng(20141)
+    n = DETAIL_SIZE
+    tufts = np.tanh(1.5 * noise(n, 0.6, rng, finest=6.0, coarsest=40.0))
+    texture = 0.45 * noise(n, 1.0, rng) + 0.3 * noise(n, 0.2, rng) + 0.55 * tufts
+    return pyramid(to_bytes(_stones(texture, 6000, rng)))
+
+
+def _stones(texture: Field, count: int, rng: np.random.Generator) -> Field:
+    """Pale and dark spots of 3 to 30 cm, few of them large."""
+    n = len(texture)
+    spots = np.zeros((n, n), dtype=np.float32)
+    for s, t, radius, shade in zip(
+        *rng.integers(0, n, (2, count)), _sizes(1.0, 10.0, count, rng), rng.normal(0.3, 1.2, count), strict=True
+    ):
+        cv2.circle(spots, (int(s), int(t)), round(radius), float(shade), -1, cv2.LINE_AA)
+    return texture + spots
+
+
+def _sizes(least: float, most: float, count: int, rng: np.random.Generator) -> Array:
+    """Radii whose density falls as 1 / r^2."""
+    u = rng.random(count)
+    return np.asarray(1.0 / (1.0 / least + u * (1.0 / most - 1.0 / least)))
+
+
+@cache
+def _cover() -> Bytes:
+    """Fields of different growth, paths along some of their borders, single bushes; everything uneven."""
+    rng = np.random.default_rng(20142)
+    n = COVER_SIZE
+    owner, border = _fields(26, rng)
+    colour = _COVERS[rng.integers(0, len(_COVERS), 26)][owner]
+    shade = 1.0 + 0.11 * noise(n, 1.3, rng) + 0.05 * noise(n, 0.3, rng)
+    colour = colour * shade[:, :, None]
+    earthy = np.clip(noise(n, 1.6, rng, coarsest=200.0) - 1.0, 0.0, 1.0)[:, :, None]
+    colour += earthy * (_PATH * 0.8 - colour)
+    path = np.clip(2.2 - border + 0.6 * noise(n, 1.0, rng), 0.0, 1.0)[:, :, None] * (owner % 3 == 0)[:, :, None]
+    colour += 0.8 * path * (_PATH - colour)
+    bushes = np.zeros((n, n), dtype=np.float32)
+    for s, t, radius in zip(*rng.integers(0, n, (2, 1100)), _sizes(1.0, 7.0, 1100, rng), strict=True):
+        cv2.circle(bushes, (int(s), int(t)), round(radius), float(rng.uniform(0.35, 0.9)), -1, cv2.LINE_AA)
+    cover = np.clip(bushes * (1.0 + 0.4 * noise(n, 0.3, rng)), 0.0, 1.0)[:, :, None]
+    colour += cover * (_BUSH - colour)
+    return pyramid(np.clip(np.rint(colour), 0, 255).astype(np.uint8))
+
+
+def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Field]:
+    """A periodic Voronoi division with ragged borders: the field each texel belongs to, and its distance to the border."""
+    n = COVER_SIZE
+    places = rng.uniform(0, n, (count, 2))
+    wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])
+    at = np.mgrid[:n, :n] + wander
+    nearest, second = np.full((n, n), np.inf), np.full((n, n), np.inf)
+    owner = np.zeros((n, n), dtype=np.int64)
+    for k, place in enumerate(places):
+        d = np.abs(at - place[:, None, None]) % n
+        distance = np.hypot(*np.minimum(d, n - d))
+        closer = distance < nearest
+        second = np.where(closer, nearest, np.minimum(second, distance))
+        nearest, owner = np.where(closer, distance, nearest), np.where(closer, k, owner)
+    return owner, second - nearest

@@ -1,0 +1,193 @@
+"""Worlds from a seed: what truly stands there, the map somebody made of it, the rig as it is and as it was calibrated.
+
+    make_world(seed, spec) -> Scene(world, map, rig, rig_believed)
+
+The map is drawn first and the truth around it: each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by
+N(0, outline_sigma_m), its roof raised by N(0, height_sigma_m). Errors are drawn once a world, as they are in life.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from models.camera import StereoRig
+from models.landmarks import Landmark, LandmarkMap
+from models.messages import Array
+from vision.synthetic.ground import Ground
+from vision.synthetic.rigs import draw_rig, make_rig
+from vision.synthetic.shapes import car, grow, house, lookalike, patch, road, tree
+from vision.synthetic.world import Look, Solid, Sun, World
+
+Layout = Literal["village", "grid", "lookalikes"]
+
+_PAINTS = (
+    (38, 40, 205), (205, 110, 25), (30, 190, 225), (25, 125, 235), (70, 165, 35), (170, 40, 160), (190, 190, 40), (235, 235, 235),
+)  # fmt: skip
+_GAP_M = 3.0  # between any two things
+
+
+@dataclass(frozen=True)
+class WorldSpec:
+    """What kind of world.
+
+    area_m: side of the square around the origin; spacing_m: between buildings; painted: share of landmarks in strong colours, the
+    others are pale and textured; flat: share painted on the ground; unmapped: share of buildings that no map has; gone: share of
+    the map that no longer stands. cars, trees, patches: per hectare. The sigmas are written into the map, and the truth is drawn
+    from them. Look-alikes: one outline and colour, +-10 % in size, 25 m apart.
+    """
+
+    layout: Layout = "village"
+    area_m: float = 300.0
+    spacing_m: float = 25.0
+    painted: float = 0.5
+    flat: float = 0.1
+    unmapped: float = 0.0
+    gone: float = 0.0
+    cars: float = 10.0
+    trees: float = 25.0
+    patches: float = 8.0
+    sigma_m: float = 0.0
+    height_sigma_m: float = 0.0
+    outline_sigma_m: float = 0.0
+    origin: tuple[float, float, float] = (47.3977, 8.5456, 488.0)
+    rig: StereoRig = field(default_factory=make_rig)
+
+
+class Scene(NamedTuple):
+    """The truth and what is believed of it."""
+
+    world: World
+    map: LandmarkMap
+    rig: StereoRig
+    rig_believed: StereoRig
+
+
+def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None = None) -> Scene:
+    """A world of the spec (default: a village with a perfect map), on procedural ground unless told otherwise."""
+    spec = spec or WorldSpec()
+    for_ground, for_layout, for_errors, for_clutter, for_rig = np.random.default_rng(seed).spawn(5)
+    taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
+    streets = _streets(spec) if spec.layout == "grid" else []
+    built = [_landmark(str(k + 1), place, spec, for_layout) for k, place in enumerate(_places(spec, for_layout))]
+    believed, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
+    for mark, look in built:
+        taken.append((*mark.centre_n, _radius(mark.outline_n, np.array(mark.centre_n))))
+        mapped, stands = for_errors.random() >= spec.unmapped, for_errors.random() >= spec.gone
+        true = _err(mark, for_errors)
+        if mapped:
+            believed.append(mark)
+            if stands:
+                marks.append(true)
+                looks.append(look)
+        else:
+            clutter.append(Solid(mark.outline_n, mark.base_d, mark.height_m, look))
+    clutter += _clutter(spec, taken, for_clutter)
+    sun = Sun(for_clutter.uniform(-math.pi, math.pi), math.radians(for_clutter.uniform(30.0, 65.0)))
+    world = World(tuple(marks), tuple(looks), tuple(clutter), ground or Ground.procedural(for_ground), sun)
+    return Scene(world, LandmarkMap.from_landmarks(spec.origin, believed), draw_rig(spec.rig, for_rig), spec.rig)
+
+
+def _places(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    """North, east and direction of buildings: on a grid of the spacing, shaken (village, look-alikes) or along streets."""
+    n = max(1, int(spec.area_m / spec.spacing_m))
+    steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
+    places = []
+    for north in steps:
+        for east in steps:
+            if spec.layout == "village":
+                shake = rng.uniform(-0.22, 0.22, 2) * spec.spacing_m
+                places.append((north + shake[0], east + shake[1], rng.uniform(0.0, math.pi)))
+            elif spec.layout == "lookalikes":
+                shake = rng.uniform(-0.06, 0.06, 2) * spec.spacing_m
+                places.append((north + shake[0], east + shake[1], rng.normal(0.0, 0.05)))
+            else:
+                places.append((north + rng.normal(0.0, 0.4), east + rng.normal(0.0, 0.8), rng.integers(2) * 0.5 * math.pi))
+    return places
+
+
+def _streets(spec: WorldSpec) -> list[tuple[Array, Look]]:
+    """Roads both ways after every second row of houses."""
+    half, every = 0.5 * spec.area_m, 2.0 * spec.spacing_m
+    lines = np.arange(-half, half + 1.0, every)
+    roads = []
+    for line in lines:
+        roads += road((line, -half), (line, half)) + road((-half, line), (half, line))
+    return roads
+
+
+def _landmark(name: str, place: tuple[float, float, float], spec: WorldSpec, rng: np.random.Generator) -> tuple[Landmark, Look]:
+    """A building (or a painted place) as the map will have it, and how it looks."""
+    if spec.layout == "lookalikes":
+        outline, height, paint = lookalike(rng), 4.0, _PAINTS[0]
+        painted, flat = spec.painted > 0.0, False
+    else:
+        outline, height = house(rng, 0.62 * spec.spacing_m)
+        paint = _PAINTS[rng.integers(len(_PAINTS))]
+        painted, flat = rng.random() < spec.painted, rng.random() < spec.flat
+    c, s = math.cos(place[2]), math.sin(place[2])
+    outline = outline @ np.array([[c, s], [-s, c]]) + place[:2]
+    mark = Landmark.of(
+        name,
+        outline,
+        0.0,
+        0.0 if flat else height,
+        paint if painted or flat else None,
+        spec.sigma_m,
+        spec.height_sigma_m,
+        spec.outline_sigma_m,
+    )
+    return mark, _painted(paint, rng) if painted or flat else _pale(rng)
+
+
+def _painted(paint: tuple[int, int, int], rng: np.random.Generator) -> Look:
+    b, g, r = (np.array(paint) * rng.uniform(0.92, 1.05) * rng.uniform(0.96, 1.04, 3)).tolist()
+    return Look((b, g, r), _wall(rng), "paint", rng.uniform(0.03, 0.08), rng.uniform(0.0, 0.05))
+
+
+def _pale(rng: np.random.Generator) -> Look:
+    """Grey or brown, textured, hardly lighter than the ground; mostly gabled."""
+    grey, brown = np.array([122.0, 126.0, 128.0]), np.array([84.0, 102.0, 132.0])
+    b, g, r = ((grey + rng.random() * (brown - grey)) * rng.uniform(0.75, 1.2)).tolist()
+    texture = str(rng.choice(["shingles", "shingles", "gravel", "metal"]))
+    ridge = 0.0 if texture == "gravel" else rng.uniform(0.0, 0.12)
+    return Look((b, g, r), _wall(rng), texture, rng.uniform(0.08, 0.16), ridge)
+
+
+def _wall(rng: np.random.Generator) -> tuple[float, float, float]:
+    b, g, r = (np.array([158.0, 172.0, 180.0]) * rng.uniform(0.7, 1.15) * rng.uniform(0.93, 1.07, 3)).tolist()
+    return b, g, r
+
+
+def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
+    """The true landmark of a mapped one. Numbers are drawn whatever the sigmas, so that a better map is of the same world."""
+    north, east, growth, rise = rng.standard_normal(4)
+    outline = grow(mark.outline_n, growth * mark.outline_sigma_m) + mark.sigma_m * np.array([north, east])
+    height, base = mark.height_m + rise * mark.height_sigma_m, mark.base_d
+    if mark.height_m == 0.0:  # painted on the ground, which is lower or higher than believed
+        height, base = 0.0, mark.base_d - rise * mark.height_sigma_m
+    return Landmark.of(
+        mark.id, outline, base, max(height, 0.0), mark.colour_bgr, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m
+    )
+
+
+def _clutter(spec: WorldSpec, taken: list[tuple[float, float, float]], rng: np.random.Generator) -> list[Solid]:
+    """Cars, trees and patches of colour wherever nothing stands."""
+    hectares = spec.area_m**2 * 1e-4
+    solids = []
+    for make, per_hectare in ((car, spec.cars), (tree, spec.trees), (patch, spec.patches)):
+        for _ in range(rng.poisson(per_hectare * hectares)):
+            solid = make(rng)
+            radius = _radius(solid.outline_n, np.zeros(2))
+            for _ in range(20):
+                place = rng.uniform(-0.5 * spec.area_m, 0.5 * spec.area_m, 2)
+                if all(math.hypot(place[0] - n, place[1] - e) > radius + r + _GAP_M for n, e, r in taken):
+                    taken.append((float(place[0]), float(place[1]), radius))
+                    solids.append(Solid(solid.outline_n + place, solid.base_d, solid.height_m, solid.look))
+                    break
+    return solids
+
+
+def _radius(outline_n: Array, centre_n: Array) -> float:
+    return float(np.hypot(*(outline_n - centre_n).T).max())

@@ -1,0 +1,78 @@
+"""Shadows that standing solids cast on level ground.
+
+A prism's shadow is its footprint swept along s = height * (horizontal direction away from the sun) / tan(elevation): the union
+of footprint, shifted roof and one quadrilateral per edge. All run the same way round, so their areas add up to at least 1
+inside the union, and 1 is where coverage ends.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+from vision.synthetic.coverage import Grid, add_polygon, bounds, integrate
+from vision.synthetic.faces import Indices, View, append, clip, in_frustum
+from vision.synthetic.world import Columns, Sun
+
+
+def shadow_polygons(columns: Columns, view: View, sun: Sun, ground_d: float) -> tuple[Array, Indices, Indices]:
+    """Rays (V, 3) of z = 1, offsets of polygons into them, offsets of solids into the polygons."""
+    away = -sun.direction_n[:2] / math.tan(sun.elevation_rad) / math.cos(sun.elevation_rad)
+    c = columns
+    return _collect(c.vertices, c.offsets, c.height_m, c.centre_n, c.radius_m, away, ground_d, *view)
+
+
+@njit(cache=True)
+def _collect(
+    vertices: Array, offsets: Indices, height_m: Array, centre_n: Array, radius_m: Array, away: Array, ground_d: float,
+    p_nc: Array, R_nc: Array, limits: Array, piece: float,
+) -> tuple[Array, Indices, Indices]:  # fmt: skip
+    points, end = np.empty((4096, 3)), 0
+    polygons, n_polygons = np.zeros(len(vertices) + 2 * len(height_m) + 1, dtype=np.int64), 0
+    groups, n_groups = np.zeros(len(height_m) + 1, dtype=np.int64), 0
+    for i in range(len(height_m)):
+        fall = away * height_m[i]
+        middle = np.array([centre_n[i, 0] + 0.5 * fall[0], centre_n[i, 1] + 0.5 * fall[1], ground_d])
+        reach = radius_m[i] + 0.5 * math.hypot(fall[0], fall[1])
+        if height_m[i] <= 0.0 or p_nc[2] >= ground_d or not in_frustum(middle, reach, p_nc, R_nc, limits):
+            continue
+        outline = vertices[offsets[i] : offsets[i + 1]]
+        k = len(outline)
+        for part in range(k + 2):
+            polygon = np.full((k if part < 2 else 4, 3), ground_d)
+            if part < 2:
+                polygon[:, :2] = outline + part * fall
+            else:
+                a, b = outline[part - 2], outline[(part - 1) % k]
+                # Which way round a, b, b + fall, a + fall runs depends on whether the edge faces the sun.
+                if (b[1] - a[1]) * fall[0] - (b[0] - a[0]) * fall[1] < 0.0:
+                    a, b = b, a
+                polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b + fall, a + fall
+            points, end = append(points, end, clip((polygon - p_nc) @ R_nc, limits), piece)
+            n_polygons += 1
+            polygons[n_polygons] = end
+        n_groups += 1
+        groups[n_groups] = n_polygons
+    return points[:end], polygons[: n_polygons + 1], groups[: n_groups + 1]
+
+
+@njit(cache=True)
+def cast(shadow: Grid, vertices_px: Array, polygons: Indices, groups: Indices) -> None:
+    """Share of each pixel's ground that lies in shadow, into `shadow` (h, w)."""
+    height, width = shadow.shape
+    differences = np.zeros((height, width + 2), dtype=np.float32)
+    covered = np.zeros((height, width), dtype=np.float32)
+    for g in range(len(groups) - 1):
+        r0, r1, c0, c1 = height, 0, width, 0
+        for p in range(groups[g], groups[g + 1]):
+            polygon = vertices_px[polygons[p] : polygons[p + 1]]
+            box = bounds(polygon, width, height)
+            if box[0] < box[1]:
+                add_polygon(polygon, differences)
+                r0, r1, c0, c1 = min(r0, box[0]), max(r1, box[1]), min(c0, box[2]), max(c1, box[3])
+        if r0 < r1:
+            integrate(differences, (r0, r1, c0, c1), covered)
+            for r in range(r0, r1):
+                for c in range(c0, c1):
+                    shadow[r, c] = max(shadow[r, c], covered[r, c])

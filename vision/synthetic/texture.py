@@ -1,0 +1,125 @@
+"""Periodic textures and their mip pyramids, and the compiled lookup that neither aliases far away nor breaks up close by.
+
+    value(s, t) = (1 - f) bilinear(level l; s, t) + f bilinear(level l + 1; s, t),   l + f = log2(texels per pixel)
+
+(Williams 1983.) Level l + 1 is the 2 x 2 mean of level l, so the bilinear footprint follows the pixel. Textures are made once
+a process from fixed seeds; worlds differ by where and how they lay them.
+"""
+
+from functools import cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Field = NDArray[np.float64]
+
+SURFACES: Final = ("paint", "shingles", "gravel", "metal", "wall", "leaves")  # the textures of roofs and sides
+SURFACE_SIZE: Final = 512  # texels
+SURFACE_TEXEL_M: Final = 0.02
+
+
+def pyramid(image: Bytes) -> Bytes:
+    """All levels of a square picture of 2^k texels a side (n, n, channels), level after level: (sum of n^2, channels)."""
+    n = image.shape[0]
+    if image.ndim != 3 or image.shape[1] != n or n & (n - 1):
+        raise ValueError(f"a texture must be square, with a power of two of texels a side: {image.shape}")
+    levels, level = [image.reshape(n * n, -1)], image.astype(np.float32)
+    while level.shape[0] > 1:
+        level = 0.25 * (level[0::2, 0::2] + level[1::2, 0::2] + level[0::2, 1::2] + level[1::2, 1::2])
+        levels.append(np.rint(level).astype(np.uint8).reshape(-1, image.shape[2]))
+    return np.ascontiguousarray(np.concatenate(levels))
+
+
+@njit(cache=True, inline="always")
+def level_of(size: int, lod: float) -> tuple[int, int, float]:
+    """Where the level below `lod` begins in a pyramid, its size, and the share of the next level."""
+    level = 0
+    start = 0
+    while lod >= 1.0 and size > 2:
+        start += size * size
+        size >>= 1
+        level += 1
+        lod -= 1.0
+    return start, size, min(max(lod, 0.0), 1.0)
+
+
+@njit(cache=True, inline="always")
+def bilinear(data: Bytes, start: int, size: int, channel: int, s: float, t: float) -> float:
+    """One channel of a level at (s, t) in its own texels, texel i being centred at i + 1/2."""
+    s, t = s - 0.5, t - 0.5
+    si, ti = int(np.floor(s)), int(np.floor(t))
+    a, b = np.float32(s - si), np.float32(t - ti)
+    mask = size - 1
+    s0, s1 = si & mask, (si + 1) & mask
+    row0, row1 = start + (ti & mask) * size, start + ((ti + 1) & mask) * size
+    top = data[row0 + s0, channel] * (np.float32(1.0) - a) + data[row0 + s1, channel] * a
+    low = data[row1 + s0, channel] * (np.float32(1.0) - a) + data[row1 + s1, channel] * a
+    return top * (np.float32(1.0) - b) + low * b
+
+
+def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0, coarsest: float = np.inf) -> Field:
+    """Periodic Gaussian noise of spectrum f^-slope between two wavelengths [texels]; mean 0, variance 1."""
+    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    f[0, 0] = 1.0
+    gain = np.where((f * finest <= 1.0) & (f * coarsest >= 1.0), f**-slope, 0.0)
+    gain[0, 0] = 0.0
+    field: Field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((size, size))) * gain, s=(size, size))
+    return field / field.std()
+
+
+@cache
+def surfaces() -> Bytes:
+    """The pyramids of SURFACES (len, texels, 1); 128 is the surface's own colour."""
+    rng = np.random.default_rng(20140)
+    made = {
+        "paint": 0.5 * noise(SURFACE_SIZE, 1.2, rng) + 0.25 * noise(SURFACE_SIZE, 0.0, rng),
+        "shingles": _shingles(rng),
+        "gravel": _gravel(rng),
+        "metal": _metal(rng),
+        "wall": _wall(rng),
+        "leaves": 0.9 * noise(SURFACE_SIZE, 0.8, rng, finest=6.0, coarsest=90.0),
+    }
+    return np.stack([pyramid(to_bytes(made[name])) for name in SURFACES])
+
+
+def to_bytes(field: Field) -> Bytes:
+    """A field of contrast, 0 +- about 1, as (n, n, 1): 128 +- 48."""
+    return np.clip(np.rint(128.0 + 48.0 * field), 0, 255).astype(np.uint8)[:, :, None]
+
+
+def _shingles(rng: np.random.Generator) -> Field:
+    """Staggered rows of tiles 0.32 m wide and 0.32 m high, each of its own shade, with a dark line under every row."""
+    n, width, height = SURFACE_SIZE, 16, 16
+    row, column = np.mgrid[:n, :n]
+    course = row // height
+    tile = (column + (course % 2) * (width // 2)) // width % (n // width)
+    shade = rng.normal(0.0, 0.55, (n // height, n // width))[course, tile]
+    shade -= 1.1 * (row % height < 2) + 0.5 * ((column + (course % 2) * (width // 2)) % width < 1)
+    return shade + 0.35 * noise(n, 0.3, rng) + 0.4 * noise(n, 1.5, rng)
+
+
+def _gravel(rng: np.random.Generator) -> Field:
+    """A flat roof: gravel, darker where water stood, with the seams of its sheets every 2.56 m."""
+    n = SURFACE_SIZE
+    row = np.arange(n)[:, None] % 128
+    return 0.7 * noise(n, 0.2, rng) + 0.7 * noise(n, 1.6, rng, finest=16.0) - 0.8 * (row < 3)
+
+
+def _metal(rng: np.random.Generator) -> Field:
+    """Sheet metal: a rib every 0.32 m, streaks along the ribs."""
+    n = SURFACE_SIZE
+    rib = np.cos(2 * np.pi * np.arange(n) / 16)[None, :] ** 3
+    streaks = cv2.blur(np.tile(noise(n, 0.5, rng), (3, 1)), (1, 129))[n : 2 * n]
+    return 0.5 * rib + 0.5 * streaks / streaks.std() + 0.2 * noise(n, 0.0, rng)
+
+
+def _wall(rng: np.random.Generator) -> Field:
+    """Plaster with dark windows: 1.1 m wide every 2.56 m, 1.3 m high every 2.56 m."""
+    n = SURFACE_SIZE
+    row, column = np.mgrid[:n, :n]
+    window = (row % 128 > 40) & (row % 128 < 105) & (column % 128 > 36) & (column % 128 < 92)
+    return 0.3 * noise(n, 1.0, rng) - 1.6 * window
