@@ -74,7 +74,7 @@ class Hypotheses:
     unexplored: float
 
 
-def search(options: Options, expected: Expected, covariance: Array, breadth: int = 600, drop: float = 28.0) -> Hypotheses:
+def search(options: Options, expected: Expected, covariance: Array, breadth: int = 300, drop: float = 20.0) -> Hypotheses:
     """The most probable joint assignments under x ~ N(0, covariance (7, 7)).
 
     breadth: hypotheses kept after each region; drop: those worse than the best by a factor exp(drop) are not followed.
@@ -123,6 +123,15 @@ def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
 
 
 @njit(cache=True)
+def _first(x: Array, cov: Array, y: float, A: Array) -> float:
+    """What the first row alone adds to the log density: enough to refuse most."""
+    s = 1.0 + _variance(A, cov)
+    for a in range(STATES):
+        y -= A[a] * x[a]
+    return -0.5 * (y * y / s + math.log(s))
+
+
+@njit(cache=True)
 def _search(
     start: NDArray[np.int64], order: NDArray[np.int64], landmark: NDArray[np.int64], y: Array, A: Array, log_weight: Array,
     prior: Array, breadth: int, drop: float,
@@ -143,9 +152,11 @@ def _search(
                 o = start[i] + k
                 if _taken(chosen[h], landmark, o):
                     continue
+                base = weight[h] + log_weight[o]
+                if base + _first(x[h], cov[h], y[o, 0], A[o, 0]) < best - drop:
+                    continue
                 x_new[:] = x[h]
                 cov_new[:] = cov[h]
-                base = weight[h] + log_weight[o]
                 children[h * choices + k] = base + _update(x_new, cov_new, y[o], A[o], best - drop - base)
                 best = max(best, children[h * choices + k])
         ranked = np.argsort(-children)
@@ -211,18 +222,26 @@ def _missed(
             if assigned[j]:
                 continue
             place = x_c[j] + A[j] @ x[h]
-            depth = place[2]
-            if depth <= 1.0:
+            u, v = place[0] / place[2], place[1] / place[2]
+            if not (place[2] > 1.0 and view[0] < u < view[1] and view[2] < v < view[3]):
                 continue
-            spread = A[j] @ cov[h] @ A[j].T
-            sigma = math.sqrt(max(spread[0, 0], spread[1, 1]))
-            margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / depth
-            u, v = place[0] / depth, place[1] / depth
+            sigma = math.sqrt(max(_variance(A[j, 0], cov[h]), _variance(A[j, 1], cov[h])))
+            margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / place[2]
             if sigma < radius[j] and _occupied(clutter[h], place_c, A_region, x[h], place, 0.5 * radius[j]):
                 result[h] += log_gone
             elif view[0] + margin < u < view[1] - margin and view[2] + margin < v < view[3] - margin:
                 result[h] += log_missed[j]
     return result
+
+
+@njit(cache=True)
+def _variance(a: Array, cov: Array) -> float:
+    """a' cov a."""
+    total = 0.0
+    for i in range(STATES):
+        for k in range(STATES):
+            total += a[i] * cov[i, k] * a[k]
+    return total
 
 
 @njit(cache=True)

@@ -40,11 +40,13 @@ class Prior:
 
 
 class IdentifyConfig(msgspec.Struct, frozen=True):
-    """min_similarity: to be a candidate at all; accept_posterior: to be identified; breadth: joint hypotheses followed."""
+    """min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the place that the identities
+    say together; breadth: joint hypotheses followed."""
 
     min_similarity: float = 0.75
     accept_posterior: float = 0.999
-    breadth: int = 600
+    fix_posterior: float = 0.9999
+    breadth: int = 300
     beliefs: Beliefs = Beliefs()
 
 
@@ -54,8 +56,9 @@ class Identification:
 
     landmark, posterior: the most probable identity of each and its probability;  accepted: identified
     best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate)
-    joint_posterior: that all accepted identities are right;  x (7,), covariance (7, 7): error of the prior (position, attitude,
-    log scale) if they are.
+    joint_posterior: that all accepted identities are right;  place_posterior: that one of them is and none is another landmark
+    instead, so that the place is right (0 where nothing is identified)
+    x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
     """
 
     landmark: NDArray[np.int64]
@@ -65,6 +68,7 @@ class Identification:
     similarity: Array
     candidates: NDArray[np.int64]
     joint_posterior: float
+    place_posterior: float
     x: Array
     covariance: Array
 
@@ -94,6 +98,7 @@ def identify(
     found = search(choice, _expected(several, landmarks, prior, rig, config.beliefs), covariance, config.breadth)
     landmark, posterior = _marginals(choice.landmark[found.option], found.probability, len(landmarks.ids))
     accepted, joint, agree = _accept(choice.landmark[found.option], found, landmark, posterior, config.accept_posterior)
+    place = _place_posterior(choice.landmark[found.option][:, accepted], found.probability, landmark[accepted])
     x, cov = _moments(found, agree)
     possible = np.zeros_like(candidate)
     region = np.repeat(np.arange(len(several)), np.diff(choice.start))
@@ -102,7 +107,7 @@ def identify(
     ranked = np.where(possible, like, 0.0) if len(landmarks.ids) else np.zeros((len(several), 1))
     return Identification(
         landmark, posterior, accepted, np.where(ranked.max(axis=1) > 0.0, ranked.argmax(axis=1), NONE), ranked.max(axis=1),
-        possible.sum(axis=1), joint, x, cov,
+        possible.sum(axis=1), joint, place, x, cov,
     )  # fmt: skip
 
 
@@ -187,6 +192,12 @@ def _accept(
         if joint >= threshold or not accepted.any():
             return accepted, joint if accepted.any() else 0.0, agree
         accepted[np.flatnonzero(accepted)[posterior[accepted].argmin()]] = False
+
+
+def _place_posterior(landmark: NDArray[np.int64], probability: Array, accepted: NDArray[np.int64]) -> float:
+    """Probability of the hypotheses (H, A) that have one of the accepted identities (A,) and contradict none."""
+    same, contrary = landmark == accepted, (landmark != accepted) & (landmark != NONE)
+    return float(probability[same.any(axis=1) & ~contrary.any(axis=1)].sum())
 
 
 def _moments(found: Hypotheses, agree: NDArray[np.bool_]) -> tuple[Array, Array]:

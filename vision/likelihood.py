@@ -184,7 +184,15 @@ def _feature_noise(r: Sighting, b: Beliefs) -> Array:
 
 def _bad_noise(r: Sighting, b: Beliefs) -> list[float]:
     centre = (b.bad_centre * r.length_m) ** 2
-    return [centre, centre, 1.0, b.bad_log_size**2, b.bad_log_size**2, b.bad_fill_ratio**2, math.radians(b.bad_orientation_deg) ** 2]
+    return [
+        centre,
+        centre,
+        1.0,
+        b.bad_log_size**2,
+        b.bad_log_size**2,
+        b.bad_fill_ratio**2,
+        math.radians(b.bad_orientation_deg) ** 2,
+    ]
 
 
 def _density(place: Array) -> float:
@@ -301,7 +309,9 @@ def _pairs(
             if not candidate[i, j]:
                 continue
             r = arm[i] * scale[i, j]
-            y[n], A[n] = _rows(p_n, r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j])
+            y[n], A[n] = _rows(
+                p_n, r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j]
+            )
             N = np.zeros((_ROWS, _ROWS))
             N[:3, :3] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
             # what the linear equations leave out: 1/2 dtheta^2 r and 1/2 s^2 r
