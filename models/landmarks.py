@@ -21,6 +21,8 @@ from models.frames import Origin
 from models.map_table import WEIGHTS, Columns, Defaults, MapReport, Weights
 from models.messages import Array, Vec3
 
+__all__ = ["WEIGHTS", "Columns", "Landmark", "LandmarkMap"]
+
 
 class Landmark(msgspec.Struct, frozen=True, eq=False):
     """One landmark; lengths in metres, n = local NED at the map's origin.

@@ -87,6 +87,7 @@ _decode_ours = msgspec.json.Decoder(OurFeature).decode
 _decode_feature = msgspec.json.Decoder(_Feature).decode
 _decode_file = msgspec.json.Decoder(File).decode
 _parse_colour = functools.lru_cache(4096)(colours.parse)
+_UNDECODABLE = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class Parts:
@@ -110,20 +111,23 @@ class Parts:
         """One feature: as we write it, which is quick, or as anybody does."""
         try:
             ours = _decode_ours(raw)
-        except msgspec.ValidationError:
+        except _UNDECODABLE:
             self._add_any(number, raw)
             return
         p = ours.properties
-        numbers = (p.height_m, p.height_sigma_m, p.sigma_m, p.outline_sigma_m, p.ground_alt_m)
         colour = _parse_colour(p.colour)
-        attributes = Attributes(numbers, colour or UNKNOWN, p.name, p.weights, () if colour else ("colour",))
+        if (p.colour and not colour) or p.weights or not ours.id.strip():
+            self._add_any(number, raw)
+            return
+        numbers = (p.height_m, p.height_sigma_m, p.sigma_m, p.outline_sigma_m, p.ground_alt_m)
+        attributes = Attributes(numbers, colour or UNKNOWN, p.name, missing=() if colour else ("colour",))
         self._outline(number, ours.id, ours.geometry.coordinates, attributes)
 
     def _add_any(self, number: int, raw: msgspec.Raw) -> None:
         """Several polygons in one feature become landmarks of their own, id/1, id/2, ..."""
         try:
             feature = _decode_feature(raw)
-        except msgspec.ValidationError as error:
+        except _UNDECODABLE as error:
             self.rejected.append(Finding(number, f"#{number}", _why(raw, str(error))))
             return
         properties = feature.properties or Properties()
@@ -173,7 +177,7 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
     try:
         head = _decode_file(data)
-    except msgspec.DecodeError as error:
+    except _UNDECODABLE as error:
         if isinstance(error, msgspec.ValidationError):
             raise MapError(f"not a GeoJSON map: {error}") from None
         return File(), _otherwise(data, str(error))
@@ -190,7 +194,7 @@ def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
         lines = msgspec.json.Decoder(msgspec.Raw).decode_lines(data)
         if len(lines) > 1:
             return lines
-    except msgspec.DecodeError:
+    except _UNDECODABLE:
         pass
     try:
         whole = json.loads(data)
@@ -203,7 +207,7 @@ def _why(raw: msgspec.Raw, error: str) -> str:
     """Why a feature could not be decoded, in terms of its geometry if that is the reason."""
     try:
         kind = msgspec.json.decode(raw)["geometry"]["type"]
-    except (msgspec.DecodeError, KeyError, TypeError, RecursionError):
+    except (*_UNDECODABLE, KeyError, TypeError):
         kind = None
     if isinstance(kind, str) and kind not in ("Polygon", "MultiPolygon"):
         return f"its geometry is a {kind}, not a Polygon"

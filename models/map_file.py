@@ -40,7 +40,8 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
     parts = Parts(defaults)
     for number, raw in enumerate(raw_features, 1):
         parts.add(number, raw)
-    lonlat = _lonlat(head.crs, np.array(parts.coordinates).reshape(-1, 2))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no place is rejected next
+        lonlat = _lonlat(head.crs, np.array(parts.coordinates).reshape(-1, 2))
     offsets = np.concatenate(([0], np.cumsum(np.array(parts.counts, dtype=np.int64))))
     good = _in_range(parts, lonlat, offsets)
     table = np.array(parts.numbers).reshape(-1, 5)  # as in Attributes.numbers
@@ -162,7 +163,7 @@ def write(origin: Vec3, columns: Columns, description: Array) -> bytes:
     first = columns.vertices[columns.offsets[:-1]]
     _, _, ground = pymap3d.ned2geodetic(first[:, 0], first[:, 1], columns.base_d, *origin)
     known = (columns.height_m, columns.height_sigma_m, columns.sigma_m, columns.outline_sigma_m, ground)
-    shape = np.column_stack((description[:, :4], np.degrees(description[:, polygon.ORIENTATION])))
+    shape = np.column_stack((description[:, :4], np.degrees(description[:, polygon.ORIENTATION]).round(3) % 180.0))
     numbers = np.column_stack((*known, shape)).round(3).tolist()
     colours_bgr = columns.colour_bgr.tolist()
     encode = msgspec.json.Encoder().encode

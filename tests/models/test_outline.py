@@ -22,7 +22,8 @@ def turned(points: Array, angle: float, shift: tuple[float, float] = (0.0, 0.0))
 
 
 def described(points: Array) -> Array:
-    return outline.describe(points, np.array([0, len(points)]))[0]
+    row: Array = outline.describe(points, np.array([0, len(points)]))[0]
+    return row
 
 
 def test_area_is_positive_when_anticlockwise_seen_from_above() -> None:
