@@ -21,6 +21,7 @@ from models.imu import Coast, ImuNoise
 from models.messages import (
     AidStatus,
     Array,
+    Checkpoint,
     Baro,
     Estimate,
     GnssFix,
@@ -96,7 +97,7 @@ class Fusion:
             self._detail = f"internal error: {type(error).__name__}: {error}"
             return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
 
-    def _begin(self) -> History:
+    def _begin(self, checkpoint: Checkpoint | None = None) -> History:
         config = self._config
         tracker = Tracker(
             TrackerConfig(
@@ -107,6 +108,8 @@ class Fusion:
                 dead_reckoning_after_s=config.estimator.dead_reckoning_after_s,
             )
         )
+        if checkpoint is not None:
+            tracker.resume(checkpoint)
         return History(tracker, config.estimator.history_s)
 
     # --- inputs ---------------------------------------------------------------------------------------------------------
@@ -134,6 +137,8 @@ class Fusion:
                 return self._aid(message, velocity_aid(message, self._config.gnss))
             case Tick():
                 return self._tick(message)
+            case Checkpoint():
+                return self._resume(message)
             case Unusable():
                 return [self._refuse(message, Refusal(Reason.MALFORMED, message.detail))]
             case Baro():
@@ -160,6 +165,21 @@ class Fusion:
         tracker = self._history.advance(tick.t_ns, coast=True).copy()
         tracker.propagate(samples, tick.t_ns)
         return self._publish(tracker, tick.t_ns, tick.arrived_ns, vec3(samples.u[samples.count - 1]))
+
+    def _resume(self, checkpoint: Checkpoint) -> list[Output]:
+        """Go on from where an earlier run was interrupted; nothing else may have come before."""
+        refusal = None
+        if self._history.samples.count:
+            refusal = Refusal(Reason.TOO_OLD, "the estimate has begun already")
+        elif not state.sound(checkpoint.nav, checkpoint.covariance):
+            refusal = Refusal(Reason.NOT_FINITE)
+        elif self._config.origin not in {None, checkpoint.origin}:
+            refusal = Refusal(Reason.NO_ORIGIN, "the map had another origin")
+        if refusal is not None:
+            return [self._refuse(checkpoint, refusal)]
+        self._history = self._begin(checkpoint)
+        self._reset_counter = checkpoint.reset_counter
+        return []
 
     def _future(self, message: Input) -> Refusal | None:
         """A stamp that runs ahead of the clock by more than future_s: the clock is the newest stamp plus the time since."""

@@ -48,13 +48,15 @@ class History:
 
     def insert_sample(self, sample: ImuSample) -> Reason | None:
         """Put an IMU sample in its place; the reason where it is not taken."""
+        if sample.t_ns <= self._checkpoint_times[0]:
+            return Reason.TOO_OLD
         if sample.t_ns > self.samples.newest_ns:
             before_ns = self.samples.newest_ns
             self.samples.insert(sample)
             if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
                 self._rewind_to(before_ns + 1)
             return None
-        if sample.t_ns <= self._checkpoint_times[0] or sample.t_ns < self.samples.newest_ns - self._span_ns:
+        if sample.t_ns < self.samples.newest_ns - self._span_ns:
             return Reason.TOO_OLD
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
         before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1

@@ -20,10 +20,9 @@ from logs.codec import Decoder
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
 
-CONFIG_ATTACHMENT = "config.toml"
 TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
-OWN_INPUTS = frozenset({"/landfix/fix", "/landfix/tick"})  # inputs although they stand under our own prefix
+OWN_INPUTS = frozenset({"/landfix/fix", "/landfix/tick", "/landfix/checkpoint"})  # inputs although they stand under our own prefix
 _PROGRESS_EVERY = 2000  # records
 
 

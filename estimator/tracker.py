@@ -11,7 +11,8 @@ import numpy as np
 from msgspec import Meta
 
 from estimator import initialise
-from estimator.hypotheses import Hypotheses
+from estimator.eskf import Eskf
+from estimator.hypotheses import Hypotheses, Hypothesis
 from estimator.initialise import InitialiseConfig, Level
 from estimator.samples import ImuBuffer
 from estimator.sources.imu import Plausibility, stream_plausibility
@@ -20,7 +21,7 @@ from models import imu
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
 from models.measurements import Measurement, Pose, Position
-from models.messages import Array, LastGnss, Mode, Reason
+from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
 _NEVER = -(2**62)
@@ -99,6 +100,20 @@ class Tracker:
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.sources = self.sources.copy()
         return other
+
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Begin aligned, in the state in which an earlier run was interrupted."""
+        self.t_ns, self.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
+        if checkpoint.origin is not None:
+            self.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
+            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+        lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), self.constants)
+        since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
+        self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, established_ns=since_ns)])
+        self.is_aligned = True
+        if (last := checkpoint.last_gnss) is not None:
+            place, fixed_ns = (last.lat_deg, last.lon_deg, last.alt_m), checkpoint.t_ns - round(last.age_s * 1e9)
+            self.anchor = GnssAnchor(place, fixed_ns, last.sigma_m, float(np.linalg.norm(lead.x[X.V])))
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""

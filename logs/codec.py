@@ -6,11 +6,21 @@ unit length) pass through as they came, for the estimator to judge.
 """
 
 from logs.axes import ImuMounting
-from logs.decoding import TICK_TOPIC, Decoder, Odometry, Topics, decode_aid_status, decode_odometry, is_own_transform
+from logs.decoding import (
+    CHECKPOINT_TOPIC,
+    TICK_TOPIC,
+    Decoder,
+    Odometry,
+    Topics,
+    decode_aid_status,
+    decode_odometry,
+    is_own_transform,
+)
 from logs.encoding import Encoded, encode, encode_input, encode_slow, encode_truth
 from logs.schemas import SCHEMAS, type_hash
 
 __all__ = [
+    "CHECKPOINT_TOPIC",
     "SCHEMAS",
     "TICK_TOPIC",
     "Decoder",

@@ -15,11 +15,13 @@ from models.messages import (
     AidStatus,
     Array,
     Baro,
+    Checkpoint,
     GnssFix,
     GnssVelocity,
     ImuSample,
     Input,
     LandmarkFix,
+    LastGnss,
     PoseFix,
     Quat,
     Reason,
@@ -28,8 +30,10 @@ from models.messages import (
     Vec3,
     vec3,
 )
+from models.state import E
 
 LANDMARK_FIX_TOPIC: Final = "/landfix/fix"
+CHECKPOINT_TOPIC: Final = "/landfix/checkpoint"
 TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the time it tells
 
 _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
@@ -87,6 +91,7 @@ class Decoder:
         self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
         self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)
         self._route((TICK_TOPIC,), schemas.HEADER, _tick)
+        self._route((CHECKPOINT_TOPIC,), schemas.CHECKPOINT, _checkpoint)
 
     def decode(self, topic: str, schema: str, data: bytes, arrived_ns: int) -> Input | None:
         """The input a message is; None for a topic that feeds none; Unusable for torn or foreign bytes. Never raises."""
@@ -232,6 +237,20 @@ def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
 
 def _tick(topic: str, message: Any, arrived_ns: int) -> Tick:
     return Tick(_t_ns(message.stamp), arrived_ns, topic)
+
+
+def _checkpoint(topic: str, message: Any, arrived_ns: int) -> Checkpoint:
+    return Checkpoint(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        nav=message.nav,
+        covariance=message.covariance.reshape(E.SIZE, E.SIZE),
+        last_absolute_ns=message.last_absolute_ns,
+        reset_counter=message.reset_counter,
+        origin=vec3(message.origin) if len(message.origin) else None,
+        last_gnss=LastGnss(*message.last_gnss.tolist()) if len(message.last_gnss) else None,
+        topic=topic,
+    )
 
 
 def _pose(message: Any) -> tuple[Vec3, Quat, Array]:

@@ -13,6 +13,7 @@ from models.messages import (
     AidStatus,
     Array,
     Baro,
+    Checkpoint,
     Estimate,
     GnssFix,
     GnssVelocity,
@@ -119,6 +120,8 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
             )
         case Tick():
             return _encoded(message.topic, schemas.HEADER, stamp=_time(message.t_ns), frame_id="")
+        case Checkpoint():
+            return _encoded(message.topic, schemas.CHECKPOINT, **_checkpoint(message))
         case Unusable():
             raise ValueError(f"{message.topic}: a message that could not be read ({message.detail}) cannot be written")
 
@@ -204,6 +207,18 @@ def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
         "landmarks": list(fix.landmarks),
         "similarity": fix.similarity,
         "residual_px": fix.residual_px,
+    }
+
+
+def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
+    return {
+        "header": _header(checkpoint.t_ns, _MAP),
+        "nav": checkpoint.nav,
+        "covariance": checkpoint.covariance.ravel(),
+        "last_absolute_ns": checkpoint.last_absolute_ns,
+        "reset_counter": checkpoint.reset_counter,
+        "origin": np.array(checkpoint.origin or (), dtype=np.float64),
+        "last_gnss": np.array(msgspec.structs.astuple(checkpoint.last_gnss) if checkpoint.last_gnss else (), dtype=np.float64),
     }
 
 

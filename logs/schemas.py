@@ -26,6 +26,7 @@ LANDMARK_FIX: Final = "landfix_msgs/msg/LandmarkFix"
 AID_STATUS: Final = "landfix_msgs/msg/AidStatus"
 VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
 RESET: Final = "landfix_msgs/msg/Reset"
+CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
 LANDFIX_MSGS: Final = {
     LANDMARK_FIX: """\
@@ -95,6 +96,22 @@ geometry_msgs/Vector3 delta_position
 geometry_msgs/Vector3 delta_velocity
 # rad, about the axes of map
 geometry_msgs/Vector3 delta_rotation
+""",
+    CHECKPOINT: """\
+# Where the estimator was interrupted: the first message of a log whose estimate goes on from an earlier one.
+# header.stamp: validity; header.frame_id: map. Numbers in the estimator's own axes, NED and FRD.
+std_msgs/Header header
+# Position n, velocity n, quaternion wxyz body -> n, gyro bias, accelerometer bias; SI.
+float64[16] nav
+# Of position, velocity, attitude (about the axes of the body), gyro bias, accelerometer bias; row by row.
+float64[225] covariance
+# When an absolute position was last fused, ns since 1970; negative: never.
+int64 last_absolute_ns
+uint32 reset_counter
+# Latitude and longitude in degrees, ellipsoid height in m; empty: a map that is nowhere on Earth.
+float64[] origin
+# Last trusted GNSS: latitude, longitude, height, age in s, sigma in m; empty: none.
+float64[] last_gnss
 """,
 }
 

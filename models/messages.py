@@ -108,6 +108,23 @@ class Tick(msgspec.Struct, frozen=True, eq=False):
     topic: str = "/landfix/tick"
 
 
+class Checkpoint(msgspec.Struct, frozen=True, eq=False):
+    """Where an earlier run of the estimator was interrupted, for the next one to go on from; the first message, or refused.
+
+    nav, covariance, last_absolute_ns, reset_counter and origin as in Estimate, last_gnss as in Health.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    nav: Array
+    covariance: Array
+    last_absolute_ns: int
+    reset_counter: int
+    origin: tuple[float, float, float] | None = None
+    last_gnss: "LastGnss | None" = None
+    topic: str = "/landfix/checkpoint"
+
+
 class Unusable(msgspec.Struct, frozen=True, eq=False):
     """A message that could not become a measurement (torn, wrong type, nonsense), kept so that it gets its reason."""
 
@@ -117,7 +134,7 @@ class Unusable(msgspec.Struct, frozen=True, eq=False):
     detail: str
 
 
-Input: TypeAlias = ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | Tick | Unusable
+Input: TypeAlias = ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | Tick | Checkpoint | Unusable
 
 
 class Mode(StrEnum):

@@ -136,8 +136,9 @@ class Stamps:
 
     Known clocks are our own, the wall clock as it is now and as it was before its last step, and foreign ones, whose stamps are
     more than a minute off (a boot-time clock, a computer whose clock was never set) but in step with their arrivals. Of those
-    that make a stamp plausible, 0 <= lag <= late_s or nearly so, the one counts that gives the lag most like the topic's last. A stamp
-    that none makes plausible, but that is off by less than a minute, stays as it is: the estimator refuses it and says why.
+    that make a stamp plausible, 0 <= lag <= late_s or nearly so, the one counts that gives the lag most like the topic's last.
+    A stamp that none makes plausible, but that is off by less than a minute, stays as it is: the estimator refuses it and says
+    why.
     """
 
     def __init__(self, clock: Clock, config: ClockConfig) -> None:

@@ -17,7 +17,7 @@ from estimator.service.clock import SECOND_NS, Clock, Stamps, restamped, stamp_o
 from estimator.service.ports import Arrival, Log, Outbox
 from estimator.service.status import Status
 from logs.codec import Decoder, ImuMounting, encode_input
-from models.messages import Input, Tick
+from models.messages import Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
 REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
@@ -28,6 +28,10 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[service]: the daemon's life."""
 
     tick_hz: Annotated[float, Meta(gt=0, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
+    state_file: Annotated[
+        str, Meta(description="where the last state is kept for a restart; relative to [log] folder; '': not")
+    ] = "landfix.state"
+    warm_restart_s: Annotated[float, Meta(ge=0, le=50, description="s: an older state is not gone on from")] = 10.0
 
 
 class Mailbox:
@@ -65,7 +69,7 @@ class Mailbox:
 
 
 class Daemon:
-    """The loop and what it drives. alive(): called at every tick, for the watchdog."""
+    """The loop and what it drives. alive(): called at every tick, for the watchdog; remember(output): for a restart."""
 
     def __init__(
         self,
@@ -81,10 +85,11 @@ class Daemon:
         status: Status,
         tick_hz: float,
         alive: Callable[[], None],
+        remember: Callable[[Output], None],
     ) -> None:
         self._fusion, self._decoder, self._publisher = fusion, decoder, publisher
         self._mailbox, self._outboxes, self._log = mailbox, outboxes, log
-        self._stamps, self._clock, self._status, self._alive = stamps, clock, status, alive
+        self._stamps, self._clock, self._status, self._alive, self._remember = stamps, clock, status, alive, remember
         self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
 
@@ -123,6 +128,8 @@ class Daemon:
             for outbox in self._outboxes:
                 outbox.send(outputs, encoded)
         self._status.note(message, outputs, self._clock.now_ns())
+        for output in outputs:
+            self._remember(output)
         for message_out in encoded:
             self._log.put_output(message_out, arrived_ns)
 

@@ -12,11 +12,13 @@ from typing import Final, Protocol
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
+from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
 from estimator.service.log_writer import LogConfig, LogWriter
-from estimator.service.ports import Log, Outbox
+from estimator.service.ports import Arrival, Log, Outbox
 from estimator.service.recovery import recover_in_background
+from estimator.service.state_file import StateKeeper
 from estimator.service.status import Status
 from estimator.service.warm_up import warm_up
 from estimator.service.watchdog import Notifier
@@ -24,8 +26,10 @@ from estimator.service.zenoh_bus import ZenohBus
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.strict_toml import ConfigError
 from estimator.version import version
-from logs.codec import TICK_TOPIC, Decoder, ImuMounting, Topics
+from logs import schemas
+from logs.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 from logs.reader import Attachment
+from models.messages import Output
 
 _SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop must not wait 5 ms for the log
 
@@ -57,13 +61,16 @@ def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
 
     Raises ConfigError or BusError when it cannot start; once it has started it raises nothing.
     """
-    clock = clock or Clock()
     notifier = Notifier()
     attachments = _attachments(config, folder)
+    digest = sha256(config.toml().encode()).hexdigest()
     warm_up()
+    state_path = Path(config.log.folder) / config.service.state_file if config.service.state_file else None
+    saved = state_file.load(state_path) if state_path else None
+    clock = clock or state_file.clock_of(saved)
     if config.log.enabled:
         recover_in_background(Path(config.log.folder))
-    with _log(config, clock, attachments) as log:
+    with _log(config, clock, attachments, digest) as log, _state(state_path, clock, digest) as keeper:
         bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), _images(config)) if config.zenoh.enabled else None
         outboxes: list[Outbox] = [bus] if bus else []
         stamps = Stamps(clock, config.clock)
@@ -86,7 +93,10 @@ def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
             status=status,
             tick_hz=config.service.tick_hz,
             alive=notifier.alive,
+            remember=keeper.note if keeper else _forget,
         )
+        if last := state_file.usable(saved, clock.now_ns(), digest, config.service.warm_restart_s):
+            daemon.take(Arrival(CHECKPOINT_TOPIC, schemas.CHECKPOINT, last.checkpoint, clock.now_ns()))
         if bus:
             _serve(bus, status, attachments)
             bus.open_inputs(mailbox)
@@ -99,8 +109,8 @@ def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
 
 
 def _subscriptions(config: RunConfig) -> dict[str, str]:
-    """topic -> type of the inputs that others may feed: all but the time."""
-    return {topic: schema for topic, schema in config.decoder().types.items() if topic != TICK_TOPIC}
+    """topic -> type of the inputs that others may feed: neither the time nor a state."""
+    return {topic: schema for topic, schema in config.decoder().types.items() if topic not in {TICK_TOPIC, CHECKPOINT_TOPIC}}
 
 
 def _images(config: RunConfig) -> tuple[str, ...]:
@@ -136,13 +146,29 @@ class _NoLog:
     put_output = put_image = put_input
 
 
+def _forget(_: Output) -> None:
+    """Keep no state."""
+
+
 @contextmanager
-def _log(config: RunConfig, clock: Clock, attachments: list[Attachment]) -> Iterator[Log]:
+def _state(path: Path | None, clock: Clock, digest: str) -> Iterator[StateKeeper | None]:
+    if path is None:
+        yield None
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    keeper = StateKeeper(path, clock, digest)
+    try:
+        yield keeper
+    finally:
+        keeper.close()
+
+
+@contextmanager
+def _log(config: RunConfig, clock: Clock, attachments: list[Attachment], digest: str) -> Iterator[Log]:
     if not config.log.enabled:
         yield _NoLog()
         return
     folder = Path(config.log.folder)
-    digest = sha256(config.toml().encode()).hexdigest()
     began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
     stem = f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
     metadata = {"version": version(), "config_sha256": digest}
