@@ -1,19 +1,19 @@
 """Bundle adjustment of one or two cameras that see a board in several poses: least squares, marginal covariance.
 
-    x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera, k = each camera)
+    x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera)
 
-Shared unknowns s: each camera's (fx fy cx cy *distortion), then for each further camera (t_k, rotation). Own to a view: (t, rotation).
-Rotations are corrected about the axes of the frame they lead to, R <- exp(dtheta) R. The views are eliminated (Schur complement):
+Shared unknowns s: each camera's (fx fy cx cy *distortion), then for each further camera (t_k, rotation). Own to a view: (t,
+rotation). Rotations are corrected about the axes of the frame they lead to, R <- exp(dtheta) R. The views are eliminated:
 
-    H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s,   C_s = sigma^2 H^-1,   sigma^2 = r^T r / degrees of freedom
+    H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s,   C_s = sigma^2 H^-1,   sigma^2 = r^T r / redundancy
 
-H^-1 is honest while errors of corners are independent. A bent board or a moving one makes those of a view agree; then leaving views out
-(one Newton step each, Efron 1982) moves the solution further than C_s says, and C_s is widened by that ratio.
+H^-1 is honest while errors of corners are independent. A bent board or a moving one makes those of a view agree; then leaving
+views out (one Newton step each, Efron 1982) moves the solution further than C_s says, and C_s is widened by that ratio.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -41,6 +41,12 @@ class Pose(NamedTuple):
 
     R: Array
     t: Array
+
+    @classmethod
+    def of_vectors(cls, rvec: Any, tvec: Any) -> "Pose":
+        """From OpenCV's rotation vector and translation."""
+        r, t = (np.array(v, dtype=np.float64).ravel() for v in (rvec, tvec))
+        return cls(so3.matrix(so3.quat_exp(r)), t)
 
     def moved(self, d: Array) -> "Pose":
         """t + d[:3], exp(d[3:]) @ R."""
@@ -164,8 +170,8 @@ def _reduced(t: _Terms, damping: float) -> tuple[Array, Array, Array, Array]:
     V = t.J_v.T @ t.J_v
     V[np.diag_indices(_POSE)] *= 1.0 + damping
     W = t.J_s.T @ t.J_v
-    WV = np.linalg.solve(V, W.T).T
-    g_v = np.linalg.solve(V, t.J_v.T @ t.r)
+    WV = np.asarray(np.linalg.solve(V, W.T).T, dtype=np.float64)
+    g_v = np.asarray(np.linalg.solve(V, t.J_v.T @ t.r), dtype=np.float64)
     return t.J_s.T @ t.J_s - WV @ W.T, t.J_s.T @ t.r - W @ g_v, WV, g_v
 
 

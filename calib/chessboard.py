@@ -1,14 +1,14 @@
 """Corners of a chessboard or ChArUco board in a picture, to a part of a pixel (thesis 5.1.1, steps 2-6).
 
-grey -> median 5 -> contrast stretch -> find the board -> corners refined on the lightly smoothed grey picture. The window of
-the refinement follows the local size of the squares, and a corner that left its neighbours' pattern is put back and refined again:
-the median moves the first guess by pixels where squares are small.
+grey -> median 5 -> contrast stretch -> find the board -> corners refined on the lightly smoothed grey picture.
+The window of the refinement follows the local size of the squares. A corner that left its neighbours' pattern is put back and
+refined again: the median moves the first guess by pixels where squares are small.
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -102,24 +102,20 @@ def grey(image: Image) -> Grey:
 def find(image: Image, board: Board, name: str = "") -> View | Why:
     """The view of a board in a picture, or why there is none."""
     picture = grey(image)
-    ids = np.arange(len(board.points))
+    height, width = picture.shape
     if board.marker_m > 0.0:
         found = _find_charuco(picture, board)
-        if found is None:
-            return Why.NOT_FOUND
-        ids, px = found
-        edge = 0.0
-    else:
-        corners = _find_chessboard(picture, (board.columns, board.rows))
-        if corners is None:
-            return Why.NOT_FOUND
-        px = _refined(picture, corners, board)
-        if _turned(picture, px, board):
-            px = px[::-1].copy()
-        edge = _edge_width(picture, px, board)
-        if edge > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(_spacing(px, board)))):
-            return Why.BLURRED
-    return View(name, picture.shape[1], picture.shape[0], ids, px, edge)
+        return Why.NOT_FOUND if found is None else View(name, width, height, *found, 0.0)
+    corners = _find_chessboard(picture, (board.columns, board.rows))
+    if corners is None:
+        return Why.NOT_FOUND
+    px = _refined(picture, corners, board)
+    if _turned(picture, px, board):
+        px = px[::-1].copy()
+    edge = _edge_width(picture, px, board)
+    if edge > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(_spacing(px, board)))):
+        return Why.BLURRED
+    return View(name, width, height, np.arange(len(px)), px, edge)
 
 
 def size_seen(image: Image, board: Board) -> tuple[int, int] | None:
@@ -147,12 +143,13 @@ def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
         ok, corners = cv2.findChessboardCorners(small, size, flags=flags)
         if ok:
             # Pixel centres are at integers: the corner of a shrunk picture's pixel (0, 0) stays at -0.5.
-            return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) * shrink - 0.5
+            return np.asarray((np.array(corners, dtype=np.float64).reshape(-1, 2) + 0.5) * shrink - 0.5)
     return None
 
 
 def _find_charuco(picture: Grey, board: Board) -> tuple[NDArray[np.int64], Array] | None:
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco).detectBoard(picture)
+    found: Any = cv2.aruco.CharucoDetector(board.charuco).detectBoard(picture)
+    corners, ids = found[:2]
     if ids is None or len(ids) < 6:
         return None
     order = np.asarray(ids, dtype=np.int64).ravel()
@@ -227,4 +224,4 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
 def _edge_width(picture: Grey, px: Array, board: Board) -> float:
     """Pixels that the board's edges take from 10 to 90 % of their height."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
-    return float(cv2.estimateChessboardSharpness(picture, (board.columns, board.rows), corners)[0][0])
+    return float(np.ravel(cv2.estimateChessboardSharpness(picture, (board.columns, board.rows), corners)[0])[0])

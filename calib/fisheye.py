@@ -35,10 +35,13 @@ def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[i
     def ratio(c: Array) -> Array:
         return np.asarray(r * (1.0 + s * (c[0] + s * (c[1] + s * c[2]))) / (1.0 + s * (c[3] + s * (c[4] + s * c[5]))))
 
+    def difference(c: Array) -> Array:
+        return np.asarray(ratio(c) - target)
+
     # Linear in the coefficients once multiplied out; then the difference itself is made small.
     A = np.column_stack((r * s, r * s**2, r * s**3, -target * s, -target * s**2, -target * s**3)) / (1.0 + s[:, None] ** 3)
     first = np.linalg.lstsq(A, (target - r) / (1.0 + s**3), rcond=None)[0]
-    c = least_squares(lambda c: ratio(c) - target, first, x_scale="jac").x
+    c = least_squares(difference, first, x_scale="jac").x
     worst = float(np.abs(ratio(c) - target).max()) * max(fx, fy)
     if not worst < _WORST_PX:
         raise CalibrationError(f"the lens cannot be written as a rational model ({worst:.1f} px off); crop the pictures")
@@ -53,5 +56,7 @@ def first_camera(x_o: list[Array], px: list[Array], size: tuple[int, int]) -> tu
         _, K, k, rvecs, tvecs = cv2.fisheye.calibrate(objects, images, size, np.eye(3), np.zeros(4), flags=flags)
     except cv2.error:
         raise CalibrationError("the views do not determine a fisheye camera: more views, the board near the border too") from None
-    camera = rational(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), np.asarray(k).ravel(), size)
-    return camera, [Pose(cv2.Rodrigues(r)[0], np.asarray(t, dtype=np.float64).ravel()) for r, t in zip(rvecs, tvecs, strict=True)]
+    camera = rational(
+        float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), np.asarray(k, dtype=np.float64).ravel(), size
+    )
+    return camera, [Pose.of_vectors(r, t) for r, t in zip(rvecs, tvecs, strict=True)]

@@ -112,12 +112,12 @@ def _zhang(x_o: list[Array], px: list[Array], size: tuple[int, int], lens: Lens)
         ) from None
     k = np.asarray(k, dtype=np.float64).ravel()[: _COUNT[lens]]
     camera = CameraModel(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), tuple(float(x) for x in k))
-    return camera, [Pose(cv2.Rodrigues(r)[0], np.asarray(t, dtype=np.float64).ravel()) for r, t in zip(rvecs, tvecs, strict=True)]
+    return camera, [Pose.of_vectors(r, t) for r, t in zip(rvecs, tvecs, strict=True)]
 
 
 def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, list[int], list[Dropped]]:
     """Adjusted without the views that fit far worse than the others; the worst goes first."""
-    kept, dropped = list(range(len(problem.views))), []
+    kept, dropped = list(range(len(problem.views))), list[Dropped]()
     while True:
         solution = adjust(problem.only(kept))
         rms = np.array(solution.view_rms())
@@ -162,7 +162,7 @@ def board_pose(camera: CameraModel, seen: Seen) -> Pose:
     """Where the board is: x_c = R @ x_o + t, by the plane's homography (IPPE), not yet refined."""
     plane = camera.undistort(seen.px).reshape(-1, 1, 2)
     _, rvec, tvec = cv2.solvePnP(seen.x_o, plane, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
-    return Pose(cv2.Rodrigues(rvec)[0], np.asarray(tvec, dtype=np.float64).ravel())
+    return Pose.of_vectors(rvec, tvec)
 
 
 def with_covariance(camera: CameraModel, covariance: Array) -> CameraModel:

@@ -49,7 +49,7 @@ def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int
         nearest = np.minimum(nearest, _distance(outlines, farthest))
     if len(chosen) < FEWEST:
         raise CalibrationError(
-            f"the {len(views)} views are all alike (only {len(chosen)} differ): move the board through the whole picture and tilt it"
+            f"the {len(views)} views are all alike (only {len(chosen)} differ): move the board about and tilt it"
         )
     return sorted(chosen)
 

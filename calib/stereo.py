@@ -122,7 +122,8 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
     ab = np.sum(a * b, axis=1)
     along_a = (a @ origin - ab * (b @ origin)) / (1.0 - ab**2)
     along_b = (ab * (a @ origin) - b @ origin) / (1.0 - ab**2)
-    return 0.5 * (along_a[:, None] * a + along_b[:, None] * b + origin)
+    middle: Array = 0.5 * (along_a[:, None] * a + along_b[:, None] * b + origin)
+    return middle
 
 
 def _shared(pair: Pair) -> Pair | None:
@@ -169,11 +170,11 @@ def _check_sides(rig: StereoRig) -> None:
     x, y, z = -rig.R_rc.T @ rig.t_rc
     if abs(x) < max(abs(y), abs(z)):
         raise CalibrationError(
-            f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first: a stereo rig's cameras stand side by side"
+            f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not beside it"
         )
     if x < 0.0:
         raise CalibrationError(
-            f"the cameras are swapped: what was given as right stands {-x:.3f} m to the left of the other; exchange --left and --right"
+            f"the cameras are swapped: the right one stands {-x:.3f} m to the left of the other; exchange --left and --right"
         )
 
 

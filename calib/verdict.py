@@ -6,6 +6,7 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.mono import Mono
 from calib.selection import coverage
@@ -78,7 +79,7 @@ def of_mono(result: Mono) -> Verdict:
         (
             *_common(result.solution.rms, result.held_out_rms, len(result.views)),
             *_camera(result.camera),
-            _covered(coverage(result.views)),
+            _covered(coverage(result.views), 40.0, 70.0),
         )
     )
 
@@ -94,10 +95,10 @@ def of_stereo(result: Stereo) -> Verdict:
         *_common(result.solution.rms, float("nan"), len(result.pairs))[::2],
         Figure("rectified row error", result.epipolar_after_px, "px", 0.35, 0.7, _STILL),
         Figure("the same, pairs left out", result.held_out_px, "px", 0.4, 0.8, _MORE),
-        *_camera(result.rig.left), *_camera(result.rig.right),
+        *_camera(result.rig.left, "left: "), *_camera(result.rig.right, "right: "),
         Figure("sigma of the baseline", 100.0 * baseline, "%", 0.3, 1.0, _TILT),
         Figure("sigma of the rotation between the cameras", tilt, "deg", 0.15, 0.5, _SPREAD),
-        _covered(covered),
+        _covered(covered, 60.0, 80.0),  # the other camera sees less of it
     ))  # fmt: skip
 
 
@@ -105,22 +106,22 @@ def _common(rms: float, held_out: float, views: int) -> tuple[Figure, Figure, Fi
     return (
         Figure("residual", rms, "px", 0.5, 1.0, _STILL),
         Figure("residual of views left out", held_out, "px", 0.6, 1.2, _MORE),
-        Figure("20 / views used", 20.0 / views, "", 2.0, 4.0, _MORE),
+        Figure("views short of 20", max(20.0 - views, 0.0), "", 10.0, 15.0, _MORE),
     )
 
 
-def _camera(camera: CameraModel) -> tuple[Figure, Figure]:
+def _camera(camera: CameraModel, side: str = "") -> tuple[Figure, Figure]:
     assert camera.covariance is not None
     sigma = np.sqrt(np.diagonal(camera.covariance))
     focal = 100.0 * float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     return (
-        Figure("sigma of the focal length", focal, "%", 0.3, 1.0, _TILT),
-        Figure("sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _TILT),
+        Figure(f"{side}sigma of the focal length", focal, "%", 0.3, 1.0, _TILT),
+        Figure(f"{side}sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _TILT),
     )
 
 
-def _covered(counts: "np.typing.NDArray[np.int64]") -> Figure:
-    return Figure("picture without a corner", 100.0 * float(np.mean(counts == 0)), "%", 40.0, 70.0, _SPREAD)
+def _covered(counts: NDArray[np.int64], good: float, usable: float) -> Figure:
+    return Figure("picture without a corner", 100.0 * float(np.mean(counts == 0)), "%", good, usable, _SPREAD)
 
 
 def table(rows: Sequence[Figure]) -> list[tuple[str, str, str, str]]:

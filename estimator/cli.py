@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import demo, doctor, evaluate, recover, replay, run, simulate
+from estimator.commands import calibrate, demo, doctor, evaluate, recover, replay, run, simulate
 from estimator.commands import import_ as import_command
 from estimator.version import version
 
@@ -81,6 +81,7 @@ app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
 app.command("recover")(recover.command)
 app.command("doctor")(doctor.command)
+app.add_typer(calibrate.app, name="calibrate")
 
 
 def main() -> None:

@@ -1,0 +1,134 @@
+"""The report of a calibration: one HTML page that stands alone, verdict first, and its picture as PNG beside it."""
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib import verdict
+from calib.errors import CalibrationError
+from calib.mono import Dropped, Mono
+from calib.stereo import Stereo
+from calib.verdict import Grade, Verdict
+from models import so3
+from models.camera import CameraModel
+
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]  # title, header, rows
+
+_COLOURS = {Grade.GOOD: "#009E73", Grade.USABLE: "#B8860B", Grade.REDO: "#D55E00"}
+_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_STYLE = (
+    "body{font:15px/1.45 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse;margin:.5em 0 1.5em}"
+    "td,th{padding:.2em .9em .2em 0;text-align:left;border-bottom:1px solid #ddd}"
+    "img{max-width:100%}.verdict{font-size:1.5em;color:#fff;padding:.4em .7em;border-radius:.3em}"
+)
+
+
+def write(path: Path, title: str, judged: Verdict, tables: Sequence[Table], figure: Figure) -> list[Path]:
+    """PATH.html and PATH.png; returns both. Raises CalibrationError where they cannot be written."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    png, page = path.with_suffix(".png"), path.with_suffix(".html")
+    try:
+        png.write_bytes(buffer.getvalue())
+        page.write_text(_page(title, judged, tables, buffer.getvalue()), encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: the report cannot be written: {error.strerror}") from None
+    return [page, png]
+
+
+def camera_table(title: str, camera: CameraModel) -> Table:
+    """Parameters with their standard deviations."""
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    assert camera.covariance is not None
+    sigma = np.sqrt(np.diagonal(camera.covariance))
+    rows = [
+        (name, f"{x:.3f}" if k < 4 else f"{x:.6f}", f"{s:.2g}" if s > 0 else "fixed", "px" if k < 4 else "")
+        for k, (name, x, s) in enumerate(zip(_NAMES, values, sigma, strict=False))
+    ]
+    return title, ("parameter", "value", "+- sigma", "unit"), rows
+
+
+def mono_tables(result: Mono) -> list[Table]:
+    """All that is known of one camera."""
+    views = [(v.name, f"{rms:.3f}") for v, rms in zip(result.views, result.solution.view_rms(), strict=True)]
+    change = " ".join(f"{x:.1f}" for x in result.spread)
+    facts = [
+        ("picture", f"{result.camera.width} x {result.camera.height}"), ("lens model", result.lens.value),
+        ("residual RMS", f"{result.solution.rms:.3f} px"), ("of views left out", f"{result.held_out_rms:.3f} px"),
+        ("largest change of fx fy cx cy, a quarter of the views left out", f"{change} x what sigma says"),
+        ("sigma widened, for errors that views have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
+    ]  # fmt: skip
+    return [
+        ("Result", (), facts),
+        camera_table("Camera", result.camera),
+        ("Views", ("view", "RMS [px]"), views),
+        dropped(result.dropped),
+    ]
+
+
+def stereo_tables(result: Stereo) -> list[Table]:
+    """All that is known of a rig."""
+    rig = result.rig
+    assert rig.covariance_rc is not None
+    sigma = np.sqrt(np.diagonal(rig.covariance_rc))
+    turn = np.rad2deg(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc))))
+    between = [
+        (f"t_rc {n}", f"{1e3 * t:.3f}", f"{1e3 * s:.2g}", "mm") for n, t, s in zip("xyz", rig.t_rc, sigma[:3], strict=True)
+    ]
+    between += [
+        (f"rotation {n}", f"{r:.4f}", f"{np.rad2deg(s):.2g}", "deg") for n, r, s in zip("xyz", turn, sigma[3:], strict=True)
+    ]
+    facts = [
+        (
+            "residual RMS",
+            f"{result.solution.rms:.3f} px (left {result.solution.camera_rms(0):.3f}, right {result.solution.camera_rms(1):.3f})",
+        ),
+        ("epipolar distance, pictures as they are", f"{result.epipolar_before_px:.3f} px"),
+        ("row error, rectified", f"{result.epipolar_after_px:.3f} px"),
+        ("of pairs left out", f"{result.held_out_px:.3f} px"),
+        ("a square of the board, triangulated", f"{1e3 * result.square_m:.3f} mm"),
+        ("sigma widened, for errors that pairs have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
+    ]
+    views = [
+        (f"{p.left.name}, {p.right.name}", f"{rms:.3f}") for p, rms in zip(result.pairs, result.solution.view_rms(), strict=True)
+    ]
+    matrices = [
+        (name, " ".join(f"{x:.6g}" for x in row)) for name, M in (("E", result.E), ("F", result.F)) for row in M
+    ]  # fmt: skip
+    return [
+        ("Result", (), facts), ("Right from left camera", ("", "value", "+- sigma", "unit"), between),
+        camera_table("Left camera", rig.left), camera_table("Right camera", rig.right),
+        ("Essential and fundamental matrix", (), matrices), ("Pairs", ("pair", "RMS [px]"), views), dropped(result.dropped),
+    ]  # fmt: skip
+
+
+def dropped(pictures: Sequence[Dropped]) -> Table:
+    """What was not used."""
+    return "Not used", ("picture", "reason"), [(d.name, d.reason) for d in pictures]
+
+
+def _page(title: str, judged: Verdict, tables: Sequence[Table], png: bytes) -> str:
+    advice = "".join(f"<li>{html.escape(a)}</li>" for a in judged.advice)
+    figures = ("Judged by", ("figure", "value", "good / usable up to", ""), verdict.table(judged.figures))
+    picture = base64.b64encode(png).decode()
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style>'
+        f'<h1>{html.escape(title)}</h1><p><span class="verdict" style="background:{_COLOURS[judged.grade]}">'
+        f"{judged.grade.word}</span></p><ul>{advice}</ul>{_table(figures)}"
+        f'<img alt="coverage and residuals" src="data:image/png;base64,{picture}">{"".join(_table(t) for t in tables)}</html>\n'
+    )
+
+
+def _table(table: Table) -> str:
+    title, header, rows = table
+    if not rows:
+        return ""
+    head = "".join(f"<th>{html.escape(h)}</th>" for h in header)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<h2>{html.escape(title)}</h2><table><tr>{head}</tr>{body}</table>"

@@ -1,0 +1,146 @@
+"""Where a command gets pictures from: files, folders, patterns, videos, logs, a live camera; one at a time."""
+# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
+
+import re
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from calib.errors import CalibrationError
+
+_PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
+_VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"}
+_MOST_FRAMES = 300  # of a video or a log; evenly spread
+_LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: a picture so often, for so long
+
+
+class Picture(NamedTuple):
+    """key: what pairs it with the other camera's (a number in its name, frame, or stamp in ns); done: fraction of the source."""
+
+    name: str
+    key: int
+    image: Any
+    done: float
+
+
+def pictures(sources: Sequence[str], topic: str) -> Iterator[Picture]:
+    """All pictures of the sources in order. Raises CalibrationError where there is none, or a source cannot be read."""
+    files = [f for source in sources for f in _files(source)]
+    for k, file in enumerate(files):
+        if file.startswith("camera:"):
+            source = _live(file.removeprefix("camera:"))
+        elif Path(file).suffix.lower() == ".mcap":
+            source = _log(Path(file), topic)
+        elif Path(file).suffix.lower() in _VIDEOS:
+            source = _video(Path(file))
+        else:
+            source = _still(Path(file), k)
+        for picture in source:
+            yield picture._replace(done=(k + picture.done) / len(files))
+
+
+def _files(source: str) -> list[str]:
+    path = Path(source)
+    if source.startswith("camera:"):
+        return [source]
+    if path.is_dir():
+        found = sorted(str(p) for p in path.iterdir() if p.suffix.lower() in _PICTURES)
+        if not found:
+            raise CalibrationError(f"{source}: no pictures in this folder")
+        return found
+    if any(c in source for c in "*?["):
+        base = Path(path.anchor or ".")
+        found = sorted(str(p) for p in base.glob(str(path.relative_to(path.anchor)) if path.anchor else source))
+        if not found:
+            raise CalibrationError(f"{source}: no file has such a name")
+        return found
+    if not path.exists():
+        raise CalibrationError(f"{source}: no such file or folder")
+    return [source]
+
+
+def _still(path: Path, k: int) -> Iterator[Picture]:
+    import cv2
+    import numpy as np
+
+    image = cv2.imdecode(np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise CalibrationError(f"{path}: no picture that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)")
+    numbers = re.findall(r"\d+", path.stem)
+    yield Picture(path.name, int(numbers[-1]) if numbers else -1 - k, image[..., :3] if image.ndim == 3 else image, 1.0)
+
+
+def _video(path: Path) -> Iterator[Picture]:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    if not video.isOpened() or count == 0:
+        raise CalibrationError(f"{path}: no video that can be read")
+    step = max(1, -(-count // _MOST_FRAMES))
+    for frame in range(count):
+        if not video.grab():
+            break
+        if frame % step == 0:
+            ok, image = video.retrieve()
+            if ok:
+                yield Picture(f"{path.name} frame {frame}", frame, image, (frame + 1) / count)
+
+
+def _live(device: str) -> Iterator[Picture]:
+    import cv2
+
+    video = cv2.VideoCapture(int(device) if device.isdigit() else device)
+    if not video.isOpened():
+        raise CalibrationError(f"camera {device} cannot be opened (landfix takes camera:0, camera:1, ... or camera:URL)")
+    began, taken, count = time.monotonic(), -_LIVE_S, 0
+    while (elapsed := time.monotonic() - began) < _LIVE_FOR_S:
+        ok, image = video.read()
+        if not ok:
+            break
+        if elapsed - taken >= _LIVE_S:
+            taken, count = elapsed, count + 1
+            yield Picture(f"picture {count}", count, image, elapsed / _LIVE_FOR_S)
+
+
+def _log(path: Path, topic: str) -> Iterator[Picture]:
+    from logs.reader import LogReader
+
+    with LogReader(path) as log:
+        stamps = [r.log_time_ns for r in log if r.topic == topic]
+    if not stamps:
+        raise CalibrationError(f"{path}: no pictures under {topic} in it; name their topic")
+    step = max(1, -(-len(stamps) // _MOST_FRAMES))
+    with LogReader(path) as log:
+        for k, record in enumerate(r for r in log if r.topic == topic):
+            if k % step == 0:
+                t_ns, image = _decoded(record.schema, record.data, f"{path}: {topic}")
+                yield Picture(f"{topic} at {t_ns * 1e-9:.3f} s", t_ns, image, (k + 1) / len(stamps))
+
+
+def _decoded(schema: str, data: bytes, where: str) -> tuple[int, Any]:
+    """Stamp and picture of a sensor_msgs Image or CompressedImage."""
+    import cv2
+    import numpy as np
+
+    from logs import schemas
+
+    if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
+        raise CalibrationError(f"{where} carries {schema}, not pictures")
+    message: Any = schemas.STORE.deserialize_cdr(data, schema)
+    t_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+    if schema == schemas.COMPRESSED_IMAGE:
+        image = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise CalibrationError(f"{where}: a compressed picture cannot be read")
+        return t_ns, image
+    kinds = {"mono8": (np.uint8, 1), "8UC1": (np.uint8, 1), "mono16": (np.uint16, 1), "16UC1": (np.uint16, 1),
+             "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3), "8UC3": (np.uint8, 3)}  # fmt: skip
+    if message.encoding not in kinds:
+        raise CalibrationError(f"{where}: pictures are {message.encoding}; supported are {', '.join(kinds)}")
+    dtype, channels = kinds[message.encoding]
+    rows = np.frombuffer(message.data.tobytes(), dtype=np.uint8).reshape(message.height, message.step)
+    flat = rows[:, : message.width * channels * np.dtype(dtype).itemsize]
+    image = np.ascontiguousarray(flat).view(dtype).reshape(message.height, message.width, channels)
+    return t_ns, image[..., 0] if channels == 1 else image[..., ::-1] if message.encoding == "rgb8" else image

@@ -1,0 +1,72 @@
+"""Views of a board out of pictures, and pairs out of the views of two cameras."""
+
+from collections.abc import Callable, Sequence
+
+from calib.chessboard import Board, View, Why, find, size_seen
+from calib.errors import CalibrationError
+from calib.mono import Dropped
+from calib.stereo import Pair
+from estimator.commands.picture_source import pictures
+from vision.rectify import Image
+
+Keyed = tuple[int, View]
+
+_SAME_TIME_NS = 5_000_000
+_HINTS = 4  # pictures searched for a board of another size
+
+
+def gather(
+    sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None]
+) -> tuple[list[Keyed], list[Dropped]]:
+    """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where no picture does."""
+    views: list[Keyed] = []
+    unused: list[Dropped] = []
+    without: list[Image] = []
+    for picture in pictures(sources, topic):
+        found = find(picture.image, board, picture.name)
+        if isinstance(found, View):
+            views.append((picture.key, found))
+        else:
+            unused.append(Dropped(picture.name, found.value))
+            if found is Why.NOT_FOUND and len(without) < _HINTS:
+                without.append(picture.image)
+        progress(picture.done)
+    if not views:
+        raise CalibrationError(_why_none(board, unused, [size_seen(image, board) for image in without]))
+    return views, unused
+
+
+def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], list[Dropped]]:
+    """Views of the same key, or nearest in time; and those without a partner. Raises CalibrationError where there are none."""
+    keys = dict(right)
+    if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
+        raise CalibrationError(
+            "the pictures of one camera carry the same number twice; number them 01, 02, ... as their partners"
+        )
+    stamps = any(key > 10**15 for key in keys)
+    pairs, unpaired = [], []
+    for key, view in left:
+        partner = min(keys, key=lambda k: abs(k - key), default=None)
+        if partner is not None and abs(partner - key) <= (_SAME_TIME_NS if stamps else 0):
+            pairs.append(Pair(view, keys.pop(partner)))
+        else:
+            unpaired.append(Dropped(view.name, "no partner with a view of the board"))
+    unpaired += [Dropped(view.name, "no partner with a view of the board") for view in keys.values()]
+    if not pairs:
+        raise CalibrationError(
+            f"{len(left)} left and {len(right)} right views, but no pair among them: "
+            "pictures taken together must carry the same number, or stamps within 5 ms"
+        )
+    return pairs, unpaired
+
+
+def _why_none(board: Board, unused: Sequence[Dropped], sizes: Sequence[tuple[int, int] | None]) -> str:
+    size = f"{board.columns}x{board.rows}"
+    if any(d.reason == Why.BLURRED for d in unused):
+        return f"all {len(unused)} pictures of the board are blurred: hold it still, focus, give more light"
+    seen = [s for s in sizes if s is not None]
+    if seen:
+        return f"no {size} board in {len(unused)} pictures, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
+    return (
+        f"no {size} board found in {len(unused)} pictures: the whole board with a white border must be seen, sharp and evenly lit"
+    )
