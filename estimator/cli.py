@@ -10,6 +10,7 @@ from typer.exceptions import TyperException
 
 from estimator.commands import calibrate, demo, doctor, evaluate, recover, replay, run, simulate
 from estimator.commands import import_ as import_command
+from estimator.commands import map_ as map_command
 from estimator.version import version
 
 _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
@@ -79,6 +80,7 @@ app.command("run")(run.command)
 app.command("evaluate")(evaluate.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
+app.add_typer(map_command.app, name="map")
 app.command("recover")(recover.command)
 app.command("doctor")(doctor.command)
 app.add_typer(calibrate.app, name="calibrate")

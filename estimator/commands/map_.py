@@ -1,0 +1,179 @@
+"""landfix map build, show, check."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.console import Json, Out, note, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from estimator.map_check import MapCheck
+    from models.landmarks import LandmarkMap
+    from models.map_table import Finding
+
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+_MOST_LINES = 20  # of one kind on a screen; --json has them all
+
+app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, show, check.", rich_markup_mode=None)
+MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or any GeoJSON of polygons.")]
+
+
+@app.command()
+def build(
+    source: Annotated[Path, typer.Argument(metavar="IN.geojson", help="Polygons: building footprints, roofs, pools, pads ...")],
+    out: Out,
+    height_m: Annotated[float, typer.Option(min=0, max=1000, help="Height of what does not tell its own; 0 = painted.")] = 6.0,
+    sigma_m: Annotated[
+        float, typer.Option(min=0, max=1000, help="Horizontal standard deviation of what does not tell its own.")
+    ] = 0.5,
+    origin: Annotated[
+        str, typer.Option(metavar="LAT,LON,ALT", help="Origin of the local frame, ALT above the ellipsoid; else the middle.")
+    ] = "",
+    json: Json = False,
+) -> None:
+    """Make a map from polygons.
+
+    Reads GeoJSON in WGS 84 or UTM, with OpenStreetMap's properties or our own (docs/map.md), and writes a GeoJSON that any map
+    program opens, with size, width, length and fill ratio of every landmark.
+
+    \b
+    Examples:
+      landfix map build buildings.geojson -o map.geojson
+      landfix map build pads.geojson -o map.geojson --height-m 0 --sigma-m 0.05 --origin 47.3977,8.5456,488
+    """
+    from estimator.map_store import load
+    from models.map_table import Defaults
+
+    defaults = Defaults(height_m=height_m, sigma_m=sigma_m, origin=_origin(origin))
+    with progress(f"build {source.name}") as report:
+        the_map = load(source, defaults)
+        report(0.7)
+        if len(the_map):
+            out.write_bytes(the_map.to_geojson())
+    if json:
+        found = the_map.report
+        print_json(
+            {"out": str(out) if len(the_map) else None, "landmarks": len(the_map), "origin": the_map.origin, "report": found}
+        )
+    else:
+        _say_built(the_map, out)
+    if not len(the_map):
+        note(f"landfix: {source}: no usable landmark, nothing written")
+        raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    map_file: MapFile,
+    out: Out,
+    json: Json = False,
+) -> None:
+    """Draw a map: outlines in their colours, names where there is room, scale bar, north arrow.
+
+    \b
+    Examples:
+      landfix map show map.geojson -o map.png
+      landfix map show map.geojson -o map.pdf
+    """
+    from estimator.map_picture import draw
+    from estimator.map_store import load
+
+    with progress(f"draw {map_file.name}") as report:
+        the_map = load(map_file)
+        report(0.3)
+        if not len(the_map):
+            note(f"landfix: {map_file}: no usable landmark to draw (landfix map check says why)")
+            raise typer.Exit(1)
+        try:
+            draw(the_map, map_file.name).savefig(out)
+        except ValueError:
+            raise typer.BadParameter(f"{out}: pictures end in .png, .pdf or .svg") from None
+    if json:
+        print_json({"out": str(out), "landmarks": len(the_map)})
+    else:
+        typer.echo(f"{out}: {len(the_map)} landmarks")
+
+
+@app.command()
+def check(
+    map_file: MapFile,
+    radius_m: Annotated[float, typer.Option(min=0, help="Look for look-alikes within this distance.")] = 50.0,
+    alike: Annotated[float, typer.Option(min=0.5, max=1, help="Similarity from which two are look-alikes.")] = 0.9,
+    json: Json = False,
+) -> None:
+    """Say what a map holds, what it lacks, and which landmarks look alike.
+
+    Exit code 1 if no landmark is usable.
+
+    \b
+    Examples:
+      landfix map check map.geojson
+      landfix map check buildings.geojson --radius-m 100 --json
+    """
+    from estimator.map_check import check as check_map
+    from estimator.map_store import load
+
+    with progress(f"check {map_file.name}") as report:
+        the_map = load(map_file)
+        report(0.7)
+        result = check_map(the_map, radius_m, alike)
+    if json:
+        print_json(result)
+    else:
+        _print_check(map_file, result)
+    if not result.usable:
+        raise typer.Exit(1)
+
+
+def _origin(text: str) -> tuple[float, float, float] | None:
+    """LAT,LON,ALT or nothing. Raises a usage error."""
+    if not text:
+        return None
+    try:
+        lat, lon, alt = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter("--origin is LAT,LON,ALT in degrees and metres, as in 47.3977,8.5456,488") from None
+    if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= 50_000):
+        raise typer.BadParameter(f"--origin {text}: latitude within 90, longitude within 180 degrees, latitude first")
+    return lat, lon, alt
+
+
+def _say_built(the_map: "LandmarkMap", out: Path) -> None:
+    found = the_map.report
+    lat, lon, alt = the_map.origin
+    if len(the_map):
+        typer.echo(f"{out}: {len(the_map)} landmarks of {found.features} features, origin {lat:.6f}, {lon:.6f}, {alt:.1f} m")
+    assumed = [f"{name} {count}" for name, count in found.missing.items() if count]
+    if assumed:
+        note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
+    _findings("rejected", found.rejected)
+    _findings("remark", found.remarks)
+
+
+def _findings(kind: str, findings: "tuple[Finding, ...]") -> None:
+    for finding in findings[:_MOST_LINES]:
+        note(f"{kind}: {finding}")
+    if len(findings) > _MOST_LINES:
+        note(f"{kind}: and {len(findings) - _MOST_LINES} more (--json lists all)")
+
+
+def _print_check(map_file: Path, result: "MapCheck") -> None:
+    from rich.text import Text
+
+    rows = [
+        (Text(c.state, style=_COLOURS[c.state]), c.name, c.found + (f"\n-> {c.advice}" if c.advice else ""))
+        for c in result.checks
+    ]
+    print_table(f"landfix map check {map_file}", rows)
+    if result.look_alikes:
+        pairs = [(p.a, p.b, f"{p.distance_m:.1f} m", f"{p.similarity:.1%}") for p in result.look_alikes[:_MOST_LINES]]
+        more = (
+            f" (likest {len(pairs)} of {len(result.look_alikes)}; --json lists all)"
+            if len(pairs) < len(result.look_alikes)
+            else ""
+        )
+        print_table(f"look-alikes{more}", pairs, ("landmark", "and", "apart", "similarity"))
+    _findings("rejected", result.rejected)
+    _findings("remark", result.remarks)
