@@ -94,153 +94,136 @@ def scan(left: Image, right: Image, pixels: Pixels, low: int, high: int, dv: int
 
 
 @njit(cache=True)
-def _solve(n00: float, n01: float, n02: float, n11: float, n12: float, n22: float) -> tuple[float, float, float, float]:
-    """First row of the inverse of a symmetric 3 x 3 matrix, and its determinant; zeros where there is none."""
-    c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-    det = n00 * c00 + n01 * c01 + n02 * c02
-    if det <= 1e-9 * n00 * n11 * n22:
-        return 0.0, 0.0, 0.0, 0.0
-    return c00 / det, c01 / det, c02 / det, det
+def gain(left: Image, right: Image, pixels: Pixels, disparity: int, dv: int) -> float:
+    """g of right = g left + o: the ratio of the standard deviations. Regression would make it too small, as both are noisy."""
+    height, width = left.shape
+    n, sx, sy, sxx, syy = 0, 0.0, 0.0, 0.0, 0.0
+    for i in range(pixels.shape[0]):
+        u, v = pixels[i, 0], pixels[i, 1]
+        ur, vr = u - disparity, v + dv
+        if u < 0 or v < 0 or u >= width or v >= height or ur < 0 or ur >= width or vr < 0 or vr >= height:
+            continue
+        x, y = float(left[v, u]), float(right[vr, ur])
+        n += 1
+        sx += x
+        sy += y
+        sxx += x * x
+        syy += y * y
+    vx, vy = sxx - sx * sx / max(n, 1), syy - sy * sy / max(n, 1)
+    return float(np.sqrt(vy / vx)) if vx > 0.0 and vy > 0.0 else 1.0
 
 
 @njit(cache=True)
 def cells(
-    left: Image, right: Image, mask: NDArray[np.bool_], u0: int, v0: int, cell: int, plane: Array, dv: int, floor: float
-) -> tuple[Array, float, float]:
+    left: Image, right: Image, mask: NDArray[np.bool_], corner: tuple[int, int], size: int, plane: Array, dv: int, g: float,
+    floor: float,
+) -> tuple[Array, float, float]:  # fmt: skip
     """Per cell of a region (u, v, disparity, sigma); then the vertical offset beyond dv that is left, and its information.
 
-        minimise  sum (I_r(u - d_i - p (u - u_i) - q (v - v_i), v + dv) - g I_l(u, v) - o)^2   over d_i, g, o
+        sum j (I_r(u - d_i - p (u - u_i) - q (v - v_i), v + dv) - g I_l(u, v) - o) = 0,   j = dI_l / du
 
-    plane = (c, p, q, u_c, v_c): the disparity c + p (u - u_c) + q (v - v_c) to begin with. A cell's disparity belongs to the
-    place where its information lies. Its sigma is that of least squares, with the noise found and its correlation
-    from pixel to pixel (white noise would be correlated by the rectification's interpolation alone); floor: least noise, levels.
+    plane = (c, p, q, u_c, v_c): the disparity c + p (u - u_c) + q (v - v_c) to begin with. corner (u, v): of the mask's first
+    pixel; size: of a cell, px; g: gain between the pictures; floor: least noise, levels. The gradient is the left picture's
+    (Sobel): the right one's is made of the same interpolated noise as the values are, and would pull every disparity towards
+    half pixels. A cell's disparity belongs to the place where its information lies; its sigma allows for noise that is
+    correlated from pixel to pixel, as the rectification's interpolation leaves it.
     """
     height, width = left.shape
-    rows, columns = -(-mask.shape[0] // cell), -(-mask.shape[1] // cell)
-    result = np.empty((rows * columns, 4))
+    rows, columns = -(-mask.shape[0] // size), -(-mask.shape[1] // size)
+    found = np.empty((rows * columns, 4))
     count = 0
-    stride = max(1, cell * cell // _CELL_PIXELS)
-    us, vs, x = np.empty(cell * cell), np.empty(cell * cell), np.empty(cell * cell)
-    product, square = 0.0, 1e-12  # of neighbouring remainders, for the correlation of the noise
-    vertical_right, vertical_normal = 0.0, 0.0
+    stride = max(1, size * size // _CELL_PIXELS)
+    cell = np.empty((size * size, 5))  # u, v, g I_l, g dI_l/du, g dI_l/dv
+    sums = np.zeros(4)  # of products of neighbouring remainders, of their squares; vertical offset: right side, normal
     for row in range(rows):
         for column in range(columns):
-            n = 0
-            texture = 0.0
-            for v in range(row * cell, min((row + 1) * cell, mask.shape[0]), stride):
-                for u in range(column * cell, min((column + 1) * cell, mask.shape[1])):
-                    a, b = u0 + u, v0 + v
-                    if mask[v, u] and 1 <= a < width - 1 and 1 <= b < height - 1 and 1 <= b + dv < height - 1:
-                        us[n], vs[n], x[n] = a, b, left[b, a]
-                        texture += (float(left[b, a + 1]) - float(left[b, a - 1])) ** 2
+            n, texture = 0, 0.0
+            for y in range(row * size, min((row + 1) * size, mask.shape[0]), stride):
+                for x in range(column * size, min((column + 1) * size, mask.shape[1])):
+                    u, v = corner[0] + x, corner[1] + y
+                    if mask[y, x] and 1 <= u < width - 1 and 1 <= v < height - 1 and 1 <= v + dv < height - 1:
+                        here = cell[n]
+                        here[0], here[1], here[2] = u, v, g * left[v, u]
+                        here[3], here[4] = _gradient(left, u, v, g)
+                        texture += here[3] * here[3]
                         n += 1
-            if n < _LEAST_PIXELS or texture < 16.0 * floor * floor * n * 0.5:
+            if n < _LEAST_PIXELS or texture < floor * floor * n * 0.25:
                 continue
-            done, d, sigma, ub, vb, pr, sq, vr, vn = _cell(right, us[:n], vs[:n], x[:n], plane, dv, floor)
-            if done:
-                result[count, 0], result[count, 1], result[count, 2], result[count, 3] = ub, vb, d, sigma
+            if _cell(right, cell[:n], plane, dv, floor, found[count], sums):
                 count += 1
-                product += pr
-                square += sq
-                vertical_right += vr
-                vertical_normal += vn
-    correlation = min(max(product / square, 0.0), 0.6)
+    correlation = min(max(sums[0] / max(sums[1], 1e-12), 0.0), 0.6)
     inflation = 1.0 + 2.0 * correlation
     if stride == 1:
         inflation *= inflation
-    result[:count, 3] *= np.sqrt(inflation)
-    step = vertical_right / vertical_normal if vertical_normal > 0.0 else 0.0
-    return result[:count].copy(), step, vertical_normal / inflation
+    found[:count, 3] *= np.sqrt(inflation)
+    step = sums[2] / sums[3] if sums[3] > 0.0 else 0.0
+    return found[:count].copy(), step, sums[3] / inflation
 
 
 @njit(cache=True)
-def _cell(
-    right: Image, us: Array, vs: Array, x: Array, plane: Array, dv: int, floor: float
-) -> tuple[bool, float, float, float, float, float, float, float, float]:
-    """One cell: (whether it converged, disparity, sigma, u, v, sums for noise correlation and vertical offset)."""
-    nothing = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    n, width = us.shape[0], right.shape[1]
-    mean_x = x.mean()
-    y, gradient, across = np.empty(n), np.empty(n), np.empty(n)
-    shift, g, o = 0.0, 1.0, 0.0
-    inverse, converged = 0.0, False
+def _gradient(image: Image, u: int, v: int, g: float) -> tuple[float, float]:
+    """g dI/du, g dI/dv by Sobel's kernels, per pixel."""
+    a, b, c = float(image[v - 1, u - 1]), float(image[v - 1, u]), float(image[v - 1, u + 1])
+    d, e = float(image[v, u - 1]), float(image[v, u + 1])
+    f, h, i = float(image[v + 1, u - 1]), float(image[v + 1, u]), float(image[v + 1, u + 1])
+    return g * 0.125 * (c - a + 2.0 * (e - d) + i - f), g * 0.125 * (f - a + 2.0 * (h - b) + i - c)
+
+
+@njit(cache=True)
+def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found: Array, sums: Array) -> bool:
+    """One cell (n, 5) into found (u, v, disparity, sigma) and sums; whether it converged."""
+    n, width = cell.shape[0], right.shape[1]
+    j = -(cell[:, 3] - cell[:, 3].mean())
+    remainder = np.empty(n)
+    shift, slope, squares = 0.0, 0.0, (j * j).sum()
+    converged = False
     for _ in range(_STEPS):
-        n00, n01, n02, n11, r0, r1, r2 = 1e-12, 0.0, 0.0, 1e-12, 0.0, 0.0, 0.0
+        slope, error = 1e-12, 0.0
         for i in range(n):
-            ur = us[i] - (plane[0] + shift + plane[1] * (us[i] - plane[3]) + plane[2] * (vs[i] - plane[4]))
+            u, v = cell[i, 0], cell[i, 1]
+            ur = u - (plane[0] + shift + plane[1] * (u - plane[3]) + plane[2] * (v - plane[4]))
             k = int(np.floor(ur))
             if k < 1 or k + 2 >= width:
-                return nothing
-            v, t = int(vs[i]) + dv, ur - k
-            a, b, c, e = float(right[v, k - 1]), float(right[v, k]), float(right[v, k + 1]), float(right[v, k + 2])
-            c1, c2, c3 = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * e, 0.5 * (e - a) + 1.5 * (b - c)  # Catmull-Rom
-            y[i] = b + t * (c1 + t * (c2 + t * c3))
-            j = -(c1 + t * (2.0 * c2 + 3.0 * t * c3))  # d y / d disparity
-            gradient[i] = j
-            dx = x[i] - mean_x
-            r = y[i]
-            n00 += j * j
-            n01 += j * dx
-            n02 += j
-            n11 += dx * dx
-            r0 += j * r
-            r1 += dx * r
-            r2 += r
-        # y + j delta = g dx + o: normal equations of (-delta, g, o) with columns (j, dx, 1)
-        i00, i01, i02, det = _solve(n00, n01, n02, n11, 0.0, float(n))
-        if det == 0.0:
-            return nothing
-        delta = -(i00 * r0 + i01 * r1 + i02 * r2)
-        g = (r1 + delta * n01) / n11
-        o = (r2 + delta * n02) / n
-        inverse = i00
-        shift += delta
+                return False
+            y, derivative = _catmull_rom(right, int(v) + dv, k, ur - k)
+            remainder[i] = y - cell[i, 2]
+            slope -= j[i] * derivative
+            error += j[i] * remainder[i]
+        if slope < 0.3 * squares:  # the gradients of the two pictures do not even resemble each other
+            return False
+        step = -error / slope
+        shift += step
         if abs(shift) > 1.6:
-            return nothing
-        if abs(delta) < 0.003:
+            return False
+        if abs(step) < 0.004:
             converged = True
             break
-    if not converged or g < 0.3 or g > 3.0:
-        return nothing
-    total, wu, wv, squares, product = 1e-12, 0.0, 0.0, 0.0, 0.0
-    n00, n01, n02, n11, m0, m1, m2, mm, mr = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    previous = 0.0
-    for i in range(n):
-        r = y[i] - g * (x[i] - mean_x) - o
-        squares += r * r
-        if i > 0 and us[i] == us[i - 1] + 1.0:
-            product += r * previous
-        previous = r
-        w = gradient[i] * gradient[i]
-        total += w
-        wu += w * us[i]
-        wv += w * vs[i]
-        ur = us[i] - (plane[0] + shift + plane[1] * (us[i] - plane[3]) + plane[2] * (vs[i] - plane[4]))
-        k, v = int(np.floor(ur + 0.5)), int(vs[i]) + dv
-        across[i] = 0.5 * (float(right[v + 1, k]) - float(right[v - 1, k]))
-        j, dx = gradient[i], x[i] - mean_x
-        m0 += j * across[i]
-        m1 += dx * across[i]
-        m2 += across[i]
-        mm += across[i] * across[i]
-        mr += across[i] * r
-        n00 += j * j
-        n01 += j * dx
-        n02 += j
-        n11 += dx * dx
-    noise = squares / max(n - 3, 1) + floor * floor
-    sigma = np.sqrt(noise * inverse)
+    if not converged:
+        return False
+    remainder -= remainder.mean()
+    noise = (remainder * remainder).sum() / max(n - 2, 1) + floor * floor
+    sigma = np.sqrt(noise * squares) / slope
     if sigma > 1.0:
-        return nothing
-    ub, vb = wu / total, wv / total
-    d = plane[0] + shift + plane[1] * (ub - plane[3]) + plane[2] * (vb - plane[4])
-    free = mm - _explained(n00, n01, n02, n11, float(n), m0, m1, m2)
-    return True, d, sigma, ub, vb, product, squares, -mr / noise, max(free, 0.0) / noise
+        return False
+    weight = j * j
+    total = weight.sum()
+    found[0], found[1] = (weight * cell[:, 0]).sum() / total, (weight * cell[:, 1]).sum() / total
+    found[2] = plane[0] + shift + plane[1] * (found[0] - plane[3]) + plane[2] * (found[1] - plane[4])
+    found[3] = sigma
+    for i in range(1, n):
+        if cell[i, 0] == cell[i - 1, 0] + 1.0:
+            sums[0] += remainder[i] * remainder[i - 1]
+            sums[1] += remainder[i] * remainder[i]
+    across = cell[:, 4] - cell[:, 4].mean()
+    across = across - j * ((across * j).sum() / squares)  # what a disparity does not explain
+    sums[2] -= (across * remainder).sum() / noise
+    sums[3] += (across * across).sum() / noise
+    return True
 
 
 @njit(cache=True)
-def _explained(n00: float, n01: float, n02: float, n11: float, n22: float, m0: float, m1: float, m2: float) -> float:
-    """m^T N^-1 m: what of the vertical gradient the disparity, gain and offset explain."""
-    N = np.array([[n00, n01, n02], [n01, n11 + 1e-9, 0.0], [n02, 0.0, n22]])
-    m = np.array([m0, m1, m2])
-    return float((m * np.linalg.solve(N, m)).sum())
+def _catmull_rom(image: Image, v: int, k: int, t: float) -> tuple[float, float]:
+    """Value and derivative of a row at k + t, 0 <= t < 1, by the cubic through its neighbours."""
+    a, b, c, d = float(image[v, k - 1]), float(image[v, k]), float(image[v, k + 1]), float(image[v, k + 2])
+    c1, c2, c3 = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
+    return b + t * (c1 + t * (c2 + t * c3)), c1 + t * (2.0 * c2 + 3.0 * t * c3)

@@ -38,6 +38,7 @@ class Search:
     cells: int = 24  # of a region, about
     slope_tangent: float = 0.5  # sigma of the surfaces' tilt against the picture plane, tan
     noise_floor: float = 0.7  # levels: 8-bit quantisation and a little more
+    rim_sigma_px: float = 0.08  # what the ground beside a region does to the disparity of a cell at its edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,8 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
     disparity, vertical = _to_the_pixel(pair, rim, disparity, search)
     if disparity - offset < -1.5:
         return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
-    return _fine(pair, region, rig, search, (disparity, vertical, score))
+    gain = correlation.gain(*pair.grey(0), rim, disparity, vertical)
+    return _fine(pair, region, rig, search, (disparity, vertical, score, gain))
 
 
 def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search: Search) -> tuple[int, float] | str:
@@ -163,28 +165,43 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
     return disparity, vertical
 
 
-def _fine(pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float]) -> Match | Unmatched:
+def _fine(
+    pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float, float]
+) -> Match | Unmatched:
+    """From the region's own pixels; only where they are too plain from its rim too, which the ground beside it blurs."""
+    reasons = []
+    for rim, blur in ((0, 0.0), (_RIM, search.rim_sigma_px)):
+        match = _with_rim(pair, region, rig, search, start, (rim, blur))
+        if isinstance(match, Match) and (rim or match.plane.covariance[0, 0] < search.rim_sigma_px**2):
+            return match
+        reasons.append(match)
+    return reasons[1] if isinstance(reasons[1], Match) else reasons[0]
+
+
+def _with_rim(
+    pair: _Pyramid,
+    region: Region,
+    rig: StereoRig,
+    search: Search,
+    start: tuple[int, int, float, float],
+    around: tuple[int, float],
+) -> Match | Unmatched:
     """Cells and the plane through them, twice: the second time each cell is as inclined as the first plane."""
-    disparity, vertical, score = start
+    (disparity, vertical, score, gain), (rim, blur) = start, around
     left, right = pair.grey(0)
-    u0, v0, _, _ = region.bbox
-    mask = correlation.padded(region.mask, _RIM)
-    cell = max(int(np.sqrt(region.mask.sum() / search.cells)), 8)
-    origin, slope, level = np.array([0.0, 0.0]), np.zeros(2), float(disparity)
-    plane = None
+    mask = correlation.padded(region.mask, rim) if rim else region.mask
+    corner = (region.bbox[0] - rim, region.bbox[1] - rim)
+    size = max(int(np.sqrt(region.mask.sum() / search.cells)), 8)
+    believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
+    guess = np.array([disparity, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):
-        cells, vertical_step, vertical_information = correlation.cells(
-            left, right, mask, u0 - _RIM, v0 - _RIM, cell, np.array([level, *slope, *origin]), vertical, search.noise_floor
-        )
-        believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
-        plane = fit_plane(cells[:, :2], cells[:, 2], cells[:, 3], np.zeros(2), believed)
+        cells, step, information = correlation.cells(left, right, mask, corner, size, guess, vertical, gain, search.noise_floor)
+        sigmas = np.hypot(cells[:, 3], blur)
+        plane = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
         if plane is None:
             return Unmatched(region, "no texture that could be matched")
-        origin, level, slope = plane.origin, float(plane.coefficients[0]), plane.coefficients[1:]
-    assert plane is not None
+        guess = np.array([*plane.coefficients, *plane.origin])
     if plane.used < 0.5 * len(cells) or plane.covariance[0, 0] > 1.0:
         return Unmatched(region, "no plane: the cells' disparities disagree")
-    sigma = 1.0 / np.sqrt(vertical_information) if vertical_information > 0 else np.inf
-    return Match(
-        region, cells[:, :2], cells[:, 2], cells[:, 3], plane, score, vertical + vertical_step, float(sigma * plane.scatter)
-    )
+    sigma = float(plane.scatter / np.sqrt(max(information, 1e-12)))
+    return Match(region, cells[:, :2], cells[:, 2], sigmas, plane, score, vertical + step, sigma)
