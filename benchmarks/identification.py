@@ -7,6 +7,7 @@ the map is gone. Numbers only, no pictures; seeds from the command line. Writes 
 """
 
 import argparse
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
@@ -17,7 +18,6 @@ import numpy as np
 
 from benchmarks.identification_worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from benchmarks.tables import Table, number
-from models.messages import Array
 from vision.identify import Identification, IdentifyConfig, identify
 from vision.likelihood import Catalogue, catalogue, similarities
 
@@ -152,7 +152,7 @@ def calibration(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, 
     wrong = ~np.concatenate([np.array(o.right, np.bool_) for o in outcomes])
     edges = [0.0, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0]
     table = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         inside = (p >= low) & (p < high)
         if inside.any():
             count, frequency = int(inside.sum()), float(wrong[inside].mean())

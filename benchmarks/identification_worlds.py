@@ -28,8 +28,11 @@ RIG = StereoRig(_CAMERA, _CAMERA, np.eye(3), np.array([-BASELINE_M, 0.0, 0.0]), 
 
 
 class Conditions(msgspec.Struct, frozen=True):
-    """One kind of world. variation: of width and length, +-; unmapped, gone, found, bad: fractions as in vision's Beliefs;
-    replaced: of the gone, an unmapped object stands in the very place; claim: true errors over those that are told."""
+    """One kind of world.
+
+    variation: of width and length, +-; unmapped, gone, found, bad: fractions as in vision's Beliefs; replaced: of the gone, an
+    unmapped object stands in the very place; claim: true errors over those that are told.
+    """
 
     layout: str = "random"  # or grid; both have one object in 25 x 25 m
     prior_sigma_m: float = 10.0
@@ -95,7 +98,8 @@ def draw_world(rng: np.random.Generator, c: Conditions) -> World:
 def draw_pose(rng: np.random.Generator, c: Conditions) -> tuple[Array, Array]:
     """p_n, q_nb near the middle of the world, nearly level."""
     p_n = np.array([*rng.uniform(-0.25 * SIDE_M, 0.25 * SIDE_M, 2), -rng.uniform(*c.height_m)])
-    return p_n, so3.from_euler(*rng.normal(0.0, math.radians(4.0), 2), rng.uniform(-math.pi, math.pi))
+    roll, pitch = rng.normal(0.0, math.radians(4.0), 2)
+    return p_n, so3.from_euler(roll, pitch, rng.uniform(-math.pi, math.pi))
 
 
 def draw_error(rng: np.random.Generator, c: Conditions) -> Array:

@@ -29,6 +29,7 @@ from models.messages import (
     Tick,
     Unusable,
     Vec3,
+    VisionReport,
     vec3,
 )
 from models.state import E, X
@@ -64,6 +65,8 @@ def encode(output: Output) -> list[Encoded]:
         return [_encoded("/landfix/aid_status", schemas.AID_STATUS, **_aid_status(output))]
     if isinstance(output, Health):
         return [_encoded("/landfix/health", schemas.DIAGNOSTICS, header=_header(output.t_ns, ""), status=[_diagnostic(output)])]
+    if isinstance(output, VisionReport):
+        return [_encoded("/landfix/vision", schemas.VISION_REPORT, **_vision_report(output))]
     return [_encoded("/landfix/reset", schemas.RESET, **_reset(output))]
 
 
@@ -170,6 +173,20 @@ def _reset(reset: Reset) -> dict[str, Any]:
         "delta_position": _vector(axes.world(reset.delta_p_n)),
         "delta_velocity": _vector(axes.world(reset.delta_v_n)),
         "delta_rotation": _vector(axes.world(reset.delta_theta_n)),
+    }
+
+
+def _vision_report(report: VisionReport) -> dict[str, Any]:
+    return {
+        "header": _header(report.t_ns, "camera"),
+        "outcome": report.outcome,
+        "detail": report.detail,
+        "regions": report.regions,
+        "candidates": report.candidates,
+        "landmarks": list(report.landmarks),
+        "similarities": np.array(report.similarities, dtype=np.float64),
+        "residual_px": report.residual_px,
+        "processing_s": report.processing_s,
     }
 
 

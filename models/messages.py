@@ -4,6 +4,7 @@
 sources of one kind differ by topic only. Conversion from and to the wire (ENU, FLU, CDR) is logs/codec.py's work.
 """
 
+import math
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -156,6 +157,7 @@ class Reason(StrEnum):
     STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
     WAITING = "waiting"  # newer than the newest IMU sample
     ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
+    THINNED = "thinned"  # too soon after the last one to be news
     TOO_OLD = "too_old"  # older than history_s
     IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
     DUPLICATE = "duplicate"  # same content already there
@@ -220,6 +222,26 @@ class Reset(msgspec.Struct, frozen=True, eq=False):
     delta_theta_n: Vec3
 
 
+class VisionReport(msgspec.Struct, frozen=True, eq=False):
+    """Why one stereo pair gave a fix, or why not.
+
+    outcome: fixed, or the stage that ended it (no_picture, no_landmark_near, no_region, no_candidate, ambiguous, no_pose, ...);
+    regions, candidates: found, and similar enough to a landmark; landmarks, similarities: best of each candidate, 0..1;
+    residual_px: RMS of the outline fit, NaN without one.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    outcome: str
+    detail: str = ""
+    regions: int = 0
+    candidates: int = 0
+    landmarks: tuple[str, ...] = ()
+    similarities: tuple[float, ...] = ()
+    residual_px: float = math.nan
+    processing_s: float = 0.0
+
+
 class LastGnss(msgspec.Struct, frozen=True, eq=False):
     """The last trusted GNSS position, its age, and the 1-sigma horizontal radius grown with that age."""
 
@@ -247,7 +269,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     detail: str = ""
 
 
-Output: TypeAlias = Estimate | AidStatus | Health | Reset
+Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport
 
 
 def vec3(v: Any) -> Vec3:

@@ -196,7 +196,7 @@ def _taken(chosen: NDArray[np.int64], landmark: NDArray[np.int64], option: int) 
     """Whether another region is that landmark already."""
     if landmark[option] < 0:
         return False
-    for o in chosen:
+    for o in chosen:  # noqa: SIM110  (numba has no any() of a generator)
         if o >= 0 and landmark[o] == landmark[option]:
             return True
     return False

@@ -40,8 +40,11 @@ class Prior:
 
 
 class IdentifyConfig(msgspec.Struct, frozen=True):
-    """min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the place that the identities
-    say together; breadth: joint hypotheses followed."""
+    """When a region is identified.
+
+    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the place that the identities
+    say together; breadth: joint hypotheses followed.
+    """
 
     min_similarity: float = 0.75
     accept_posterior: float = 0.999
@@ -114,7 +117,7 @@ def identify(
 def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -> Array:
     """By which an arm must grow to end on each landmark's roof, from the prior's height (M, J)."""
     down = np.array([max(s.arm_n[2], 1e-3) for s in sightings]).reshape(-1, 1)
-    return np.maximum((landmarks.place_n[None, :, 2] - prior.p_n[2]) / down, 1e-3)
+    return np.asarray(np.maximum((landmarks.place_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
 
 
 def _from_height(prior: Prior, down: float) -> Array:

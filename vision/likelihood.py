@@ -13,7 +13,7 @@ a sure landmark.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
@@ -54,9 +54,10 @@ class Beliefs(msgspec.Struct, frozen=True):
 class Sighting:
     """A region as identification sees it; n at the prior's attitude.
 
-    arm_n (3,) from body to region; depth_sigma: relative error of its depth, its own (place and sizes share it; what all regions
-    share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2) of (log width, log length): the other errors
-    orientation_rad of the length, from north to east; now: in the present picture.
+    arm_n (3,) from body to region, moved_n (3,) from the body now to the body then; depth_sigma: relative error of its depth,
+    its own (place and sizes share it; what all regions share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2)
+    of (log width, log length): the other errors; orientation_rad of the length, from north to east; now: in the present
+    picture, not remembered.
     """
 
     arm_n: Array
@@ -71,14 +72,16 @@ class Sighting:
     orientation_rad: float
     orientation_sigma_rad: float
     colour_bgr: tuple[float, float, float] | None = None
+    moved_n: Array = field(default_factory=lambda: np.zeros(3))
     now: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Landmarks near the prior as arrays: place (J, 3) of the roof's centre, its variance (J, 3), features (J, 4) log width, log length,
-    fill ratio, orientation; outline sigma (J,), description and weights (J, 4) of the similarity, colour (J, 3), NaN unknown.
-    density_per_m2: of objects around an object.
+    """Landmarks near the prior as arrays.
+
+    place_n (J, 3) of the roof's centre, variance_n (J, 3) of it; features (J, 4): log width, log length, fill ratio, orientation;
+    description and weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2: of objects around an object.
     """
 
     ids: tuple[str, ...]
@@ -133,18 +136,21 @@ def options(
     sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
     beliefs: Beliefs,
 ) -> Options:  # fmt: skip
-    """All that each region may be: none of the map, and each candidate (M, J) whose place is possible under the prior x ~ N(0,
-    covariance (7, 7)), measured well or badly."""
+    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose place is possible.
+
+    covariance (7, 7) of x at the prior; scale (M, J): by which lengths of the region are to be multiplied.
+    """
     b = beliefs
     arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
+    moved = np.array([r.moved_n for r in sightings]).reshape(-1, 3)
     own = np.array([r.covariance_n for r in sightings]).reshape(-1, 3, 3)
     depth = np.array([r.depth_sigma for r in sightings])
     features = np.array([_features(r) for r in sightings]).reshape(-1, 4)
     noise = np.array([_feature_noise(r, b) for r in sightings]).reshape(-1, 4, 4)
     wide = np.array([_bad_noise(r, b) for r in sightings]).reshape(-1, _ROWS)
     region, landmark, bad, y, A, log_density = _pairs(
-        p_n, arm, depth, own + b.centre_sigma_m**2 * np.eye(3), features, noise, wide, landmarks.place_n, landmarks.variance_n,
-        landmarks.features, landmarks.outline_sigma_m, covariance, candidate, scale,
+        p_n, arm, moved, depth, own + b.centre_sigma_m**2 * np.eye(3), features, noise, wide, landmarks.place_n,
+        landmarks.variance_n, landmarks.features, landmarks.outline_sigma_m, covariance, candidate, scale,
     )  # fmt: skip
     colours = np.array([r.colour_bgr or (math.nan,) * 3 for r in sightings]).reshape(-1, 3)
     colour, ground_colour = _colour(chroma(colours), landmarks.chroma, b)
@@ -155,9 +161,9 @@ def options(
     count = len(sightings)
     noise[:, :2, :2] += depth[:, None, None] ** 2
     own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
-    clutter_y, clutter_a, clutter_log = _clutter_row(p_n, arm, own, landmarks, b)
+    clutter_y, clutter_a, clutter_log = _clutter_row(p_n + moved, arm, own, landmarks, b)
     clutter_log += ground_colour + np.log(_clutter_attributes(features, noise, landmarks, covariance, b))
-    clutter_log += np.log(_clutter_intensity(arm, own, landmarks, covariance, b))
+    clutter_log += np.log(_clutter_intensity(moved + arm, own, landmarks, covariance, b))
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
     return Options(
@@ -226,7 +232,7 @@ def _clutter_row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Be
         return y, A, np.zeros(count)
     roof = landmarks.place_n[:, 2]
     sigma = np.sqrt(float(np.var(roof)) + b.height_spread_m**2 + own[:, 2, 2])
-    y[:, 0] = (float(np.mean(roof)) - p_n[2] - arm[:, 2]) / sigma
+    y[:, 0] = (float(np.mean(roof)) - p_n[:, 2] - arm[:, 2]) / sigma
     A[:, 0, 2] = 1.0 / sigma
     A[:, 0, 3], A[:, 0, 4], A[:, 0, SCALE] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
     return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
@@ -295,8 +301,8 @@ def _displacement_density(region: Array, radius: Array, place: Array, turns: Arr
 
 @njit(cache=True)
 def _pairs(
-    p_n: Array, arm: Array, depth: Array, own: Array, features: Array, noise: Array, wide: Array, place: Array, place_variance: Array,
-    described: Array, outline_sigma: Array, prior: Array, candidate: NDArray[np.bool_], scale: Array,
+    p_n: Array, arm: Array, moved: Array, depth: Array, own: Array, features: Array, noise: Array, wide: Array, place: Array,
+    place_variance: Array, described: Array, outline_sigma: Array, prior: Array, candidate: NDArray[np.bool_], scale: Array,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
     """Whitened rows and log density constant of every possible pair, well and badly measured."""
     most = 2 * int(candidate.sum())
@@ -310,7 +316,7 @@ def _pairs(
                 continue
             r = arm[i] * scale[i, j]
             y[n], A[n] = _rows(
-                p_n, r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j]
+                p_n + moved[i], r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j]
             )
             N = np.zeros((_ROWS, _ROWS))
             N[:3, :3] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
@@ -361,4 +367,4 @@ def _whiten(N: Array, y: Array, A: Array) -> float:
         y[a] /= L[a, a]
         A[a] /= L[a, a]
         total -= math.log(L[a, a])
-    return total - 0.5 * N.shape[0] * math.log(2.0 * math.pi)
+    return float(total - 0.5 * N.shape[0] * math.log(2.0 * math.pi))

@@ -49,6 +49,7 @@ from models.messages import (
     Tick,
     Unusable,
     Vec3,
+    VisionReport,
     vec3,
 )
 from models.state import E, X, retract
@@ -382,6 +383,19 @@ def test_reset_is_told_in_map_axes() -> None:
     np.testing.assert_array_equal(xyz(message.delta_position), [2.0, 1.0, -3.0])
     np.testing.assert_array_equal(xyz(message.delta_velocity), [5.0, 4.0, -6.0])
     np.testing.assert_array_equal(xyz(message.delta_rotation), [0.2, 0.1, -0.3])
+
+
+def test_vision_report_tells_every_field() -> None:
+    report = VisionReport(T_NS, ARRIVED_NS, "ambiguous", "pool or court", 5, 2, ("pool", "court"), (0.97, 0.81), 0.31, 0.012)
+    encoded = encode(report)[0]
+    assert encoded[:2] == ("/landfix/vision", "landfix_msgs/msg/VisionReport")
+    message = ros(encoded)
+    assert (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message.header.frame_id) == (T_NS, "camera")
+    for field in set(report.__struct_fields__) - {"t_ns", "arrived_ns", "similarities"}:
+        value = getattr(message, field)
+        assert (tuple(value) if isinstance(value, list) else value) == getattr(report, field), field
+    np.testing.assert_array_equal(message.similarities, report.similarities)
+    assert np.isnan(ros(encode(VisionReport(T_NS, ARRIVED_NS, "no_picture"))[0]).residual_px)
 
 
 def test_viewers_get_the_pose_of_the_odometry_and_the_place_on_earth() -> None:
