@@ -70,7 +70,9 @@ def show(
     out: Out,
     json: Json = False,
 ) -> None:
-    """Draw a map: outlines in their colours, names where there is room, scale bar, north arrow.
+    """Draw a map.
+
+    Outlines in their colours, names where there is room, scale bar, north arrow.
 
     \b
     Examples:
@@ -103,8 +105,9 @@ def check(
     alike: Annotated[float, typer.Option(min=0.5, max=1, help="Similarity from which two are look-alikes.")] = 0.9,
     json: Json = False,
 ) -> None:
-    """Say what a map holds, what it lacks, and which landmarks look alike.
+    """Say what a map holds and lacks.
 
+    Counts, what is missing, features that are not usable with their reasons, landmarks that look alike.
     Exit code 1 if no landmark is usable.
 
     \b
