@@ -6,8 +6,6 @@ Every edge adds its signed area to a grid of differences; the running sum along 
 the pixel grid, as font rasterisers do it). So an edge has no width, no bias and no sampling: it is the true one to float32.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -16,17 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.messages import Array
-from vision.synthetic.texture import Bytes, Field, noise, pyramid, to_bytes
+from vision.synthetic.texture import Field, Grid, bounded, noise, pyramid, texels_a_side
 
 DETAIL_SIZE, DETAIL_TEXEL_M = 2048, 0.015
 COVER_SIZE, COVER_TEXEL_M = 1024, 0.2
 
 # What grows on a field, and how it looks in the sun (B, G, R): the ground is dull, which is what lets painted roofs stand out.
 _COVERS = np.array(
-    [(58, 98, 92), (66, 112, 104), (48, 88, 78), (88, 126, 134), (78, 104, 122), (96, 132, 148), (54, 84, 88), (70, 118, 98)],
+    [
+        (72, 122, 116),
+        (80, 134, 126),
+        (62, 108, 98),
+        (106, 148, 158),
+        (92, 124, 144),
+        (112, 152, 170),
+        (70, 106, 112),
+        (84, 138, 118),
+    ],
     dtype=np.float64,
 )
-_PATH = np.array([118.0, 140.0, 152.0])
+_PATH = np.array([138.0, 162.0, 176.0])
 _BUSH = np.array([34.0, 62.0, 46.0])
 
 
@@ -37,14 +46,14 @@ class Ground:
     turn_rad, shift_m: of the textures against north and east; tint_bgr: factors; detail_contrast: relative, per unit of `detail`.
     """
 
-    cover: Bytes = field(repr=False)
-    detail: Bytes = field(repr=False)
+    cover: Grid = field(repr=False)
+    detail: Grid = field(repr=False)
     cover_texel_m: float = COVER_TEXEL_M
     down_m: float = 0.0
     turn_rad: float = 0.0
     shift_m: tuple[float, float] = (0.0, 0.0)
     tint_bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    detail_contrast: float = 0.22
+    detail_contrast: float = 0.26
 
     @classmethod
     def procedural(cls, rng: np.random.Generator) -> Self:
@@ -73,8 +82,8 @@ class Ground:
 
     @property
     def cover_size(self) -> int:
-        """Texels a side of the cover's finest level: sum of 4^k = (4 n^2 - 1) / 3."""
-        return math.isqrt(3 * len(self.cover) // 4 + 1)
+        """Texels a side of the cover's finest level."""
+        return texels_a_side(self.cover)
 
     @property
     def axes_n(self) -> Array:
@@ -84,13 +93,13 @@ class Ground:
 
 
 @cache
-def _detail() -> Bytes:
+def _detail() -> Grid:
     """Grass and soil: noise of all wavelengths, tufts of 10 to 40 cm, stones."""
     rng = np.random.default_rng(20141)
     n = DETAIL_SIZE
     tufts = np.tanh(1.5 * noise(n, 0.6, rng, finest=6.0, coarsest=40.0))
     texture = 0.45 * noise(n, 1.0, rng) + 0.3 * noise(n, 0.2, rng) + 0.55 * tufts
-    return pyramid(to_bytes(_stones(texture, 6000, rng)))
+    return pyramid(bounded(_stones(texture, 6000, rng)))
 
 
 def _stones(texture: Field, count: int, rng: np.random.Generator) -> Field:
@@ -111,7 +120,7 @@ def _sizes(least: float, most: float, count: int, rng: np.random.Generator) -> A
 
 
 @cache
-def _cover() -> Bytes:
+def _cover() -> Grid:
     """Fields of different growth, paths along some of their borders, single bushes; everything uneven."""
     rng = np.random.default_rng(20142)
     n = COVER_SIZE
@@ -128,7 +137,7 @@ def _cover() -> Bytes:
         cv2.circle(bushes, (int(s), int(t)), round(radius), float(rng.uniform(0.35, 0.9)), -1, cv2.LINE_AA)
     cover = np.clip(bushes * (1.0 + 0.4 * noise(n, 0.3, rng)), 0.0, 1.0)[:, :, None]
     colour += cover * (_BUSH - colour)
-    return pyramid(np.clip(np.rint(colour), 0, 255).astype(np.uint8))
+    return pyramid(np.clip(colour, 0.0, 255.0).astype(np.float32))
 
 
 def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Field]:

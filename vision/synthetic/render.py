@@ -15,7 +15,7 @@ from models.messages import Array
 from vision.synthetic.camera_effects import Conditions, Image, expose
 from vision.synthetic.coverage import Grid
 from vision.synthetic.faces import View, visible_faces
-from vision.synthetic.ground import COVER_SIZE, DETAIL_SIZE, DETAIL_TEXEL_M
+from vision.synthetic.ground import DETAIL_SIZE, DETAIL_TEXEL_M
 from vision.synthetic.shading import NOTHING, Labels, paint_ground, paint_solids
 from vision.synthetic.shadows import cast, shadow_polygons
 from vision.synthetic.texture import surfaces

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision.synthetic.coverage import Grid, add_polygon, bounds, integrate
 from vision.synthetic.faces import CONTRAST, FLAT, RANGE, RIDGE, SHIFT_S, SHIFT_T, Indices
-from vision.synthetic.texture import SURFACE_SIZE, SURFACE_TEXEL_M, Bytes, bilinear, level_of
+from vision.synthetic.texture import SURFACE_SIZE, SURFACE_TEXEL_M, bilinear, bilinear_bgr, level_of
 
 Labels = NDArray[np.int32]
 
 NOTHING = -1  # label of the ground
-_UNIT = 1.0 / 48.0  # of a texture's bytes
 _RUN = 16  # px over which haze and level of detail are taken as linear
-_RIDGE_M = 0.1  # from the ridge to where its half has its full shade
+_RIDGE_M = np.float32(0.1)  # from the ridge to where its half has its full shade
+_HORIZON = 1e-3  # sine of the flattest ray that still meets a plane
 _OPAQUE = 1e-3  # light that still comes through
 
 
@@ -30,7 +30,7 @@ _OPAQUE = 1e-3  # light that still comes through
 def paint_solids(
     image: Grid, through: Grid, labels: Labels, shadow: Grid, shadow_light: float, rays: Grid, vertices_px: Array,
     offsets: Indices, solids: Indices, solid_offsets: Indices, H: Array, colour: Array, texture: Indices, parameters: Array,
-    surfaces: Bytes, focal: float, haze: Array,
+    surfaces: Grid, focal: float, haze: Array,
 ) -> None:  # fmt: skip
     """Adds the solids' light to `image` (h, w, 3); `through` (h, w) is what they leave of the light from behind them.
 
@@ -62,96 +62,113 @@ def paint_solids(
                     taken[r, c] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _paint(
     image: Grid, through: Grid, taken: Grid, covered: Grid, box: tuple[int, int, int, int], shadow: Grid, shadow_light: float,
-    rays: Grid, H: Array, colour: Array, parameters: Array, surface: Bytes, focal: float, haze: Array,
+    rays: Grid, H: Array, colour: Array, parameters: Array, surface: Grid, focal: float, haze: Array,
 ) -> None:  # fmt: skip
     """One face: its share of each pixel, its texture there, dimmed by haze and, lying flat, by shadows."""
-    r0, r1, c0, c1 = box
-    contrast, ridge = parameters[CONTRAST] * _UNIT, parameters[RIDGE] / _RIDGE_M
-    flat, shift_s, shift_t = parameters[FLAT] > 0.0, parameters[SHIFT_S], parameters[SHIFT_T]
-    texel = 1.0 / SURFACE_TEXEL_M
+    (r0, r1, c0, c1), to_plane = box, H.astype(np.float32)
+    contrast, ridge = np.float32(parameters[CONTRAST]), np.float32(parameters[RIDGE] / _RIDGE_M)
+    dim = np.float32((1.0 - shadow_light) * parameters[FLAT])
+    shift_s, shift_t = np.float32(parameters[SHIFT_S]), np.float32(parameters[SHIFT_T])
     for r in range(r0, r1):
-        c = c0
-        while c < c1:
+        for c in range(c0, c1, _RUN):
             end = min(c + _RUN, c1)
             x, y = rays[r, c, 0], rays[r, c, 1]
-            start, size, finer = level_of(SURFACE_SIZE, _lod(H, x, y, focal, texel))
-            scale = texel * size / SURFACE_SIZE
-            w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-            clear = math.exp(-haze[0] * parameters[RANGE] / w * math.sqrt(1.0 + x * x + y * y)) if w > 0.0 else 0.0
+            start, size, coarser = level_of(SURFACE_SIZE, _lod(H, x, y, focal, SURFACE_TEXEL_M))
+            scale = np.float32(size / (SURFACE_SIZE * SURFACE_TEXEL_M))
+            clear = _clear(H, x, y, parameters[RANGE], haze[0])
             for k in range(c, end):
                 share = min(covered[r, k], np.float32(1.0) - taken[r, k])
-                if share <= 0.0:
-                    continue
                 taken[r, k] += share
                 share *= through[r, k]
                 if share < _OPAQUE:
                     continue
-                x, y = rays[r, k, 0], rays[r, k, 1]
-                w = 1.0 / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
-                s, t = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * w
+                s, t = _place(to_plane, rays[r, k, 0], rays[r, k, 1])
                 a, b = (s + shift_s) * scale, (t + shift_t) * scale
-                value = bilinear(surface, start, size, 0, a, b)
-                value += finer * (bilinear(surface, start + size * size, size >> 1, 0, 0.5 * a, 0.5 * b) - value)
-                shade = 1.0 + contrast * (value - 128.0)
-                shade *= 1.0 + ridge * max(-_RIDGE_M, min(_RIDGE_M, t))
-                if flat:
-                    shade *= 1.0 - (1.0 - shadow_light) * shadow[r, k]
-                shade *= clear * share
+                value = bilinear(surface, start, size, a, b)
+                if coarser > 0.0:
+                    coarse = bilinear(surface, start + size * size, size >> np.int32(1), np.float32(0.5) * a, np.float32(0.5) * b)
+                    value += coarser * (coarse - value)
+                shade = np.float32(1.0) + contrast * value
+                shade *= np.float32(1.0) + ridge * max(-_RIDGE_M, min(_RIDGE_M, t))
+                shade *= (np.float32(1.0) - dim * shadow[r, k]) * clear * share
+                veil = share * (np.float32(1.0) - clear)
                 for i in range(3):
-                    image[r, k, i] += shade * colour[i] + share * (1.0 - clear) * haze[1 + i]
-            c = end
+                    image[r, k, i] += shade * colour[i] + veil * haze[1 + i]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def paint_ground(
-    image: Grid, through: Grid, shadow: Grid, shadow_light: float, rays: Grid, H: Array, reach: float, cover: Bytes,
-    cover_size: int, cover_texel: float, detail: Bytes, detail_size: int, detail_texel: float, tint: Array, contrast: float,
+    image: Grid, through: Grid, shadow: Grid, shadow_light: float, rays: Grid, H: Array, reach: float, cover: Grid,
+    cover_size: int, cover_texel: float, detail: Grid, detail_size: int, detail_texel: float, tint: Array, contrast: float,
     focal: float, haze: Array,
 ) -> None:  # fmt: skip
     """Adds the ground's light, or the sky's, where `through` lets it pass. H maps rays to the ground's own axes [m]."""
-    height, width = through.shape
+    (height, width), to_plane = through.shape, H.astype(np.float32)
+    dim, contrast, half, one = np.float32(1.0 - shadow_light), np.float32(contrast), np.float32(0.5), np.float32(1.0)
+    tint_b, tint_g, tint_r = np.float32(tint[0]), np.float32(tint[1]), np.float32(tint[2])
+    haze_b, haze_g, haze_r = np.float32(haze[1]), np.float32(haze[2]), np.float32(haze[3])
     for r in range(height):
         for c in range(0, width, _RUN):
             end = min(c + _RUN, width)
             x, y = rays[r, c, 0], rays[r, c, 1]
-            w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-            if not w > 1e-3 * reach / 1000.0:  # the horizon, or beyond it
+            if _slope(H, x, y) < _HORIZON or _slope(H, rays[r, end - 1, 0], rays[r, end - 1, 1]) < _HORIZON:
                 for k in range(c, end):
                     for b in range(3):
                         image[r, k, b] += through[r, k] * haze[1 + b]
                 continue
-            clear = np.float32(math.exp(-haze[0] * reach / w * math.sqrt(1.0 + x * x + y * y)))
-            lod = _lod(H, x, y, focal, 1.0)
-            d_start, d_size, d_finer = level_of(detail_size, lod - math.log2(detail_texel))
-            c_start, c_size, c_finer = level_of(cover_size, lod - math.log2(cover_texel))
-            d_scale, c_scale = d_size / (detail_size * detail_texel), c_size / (cover_size * cover_texel)
+            clear = _clear(H, x, y, reach, haze[0])
+            d_start, d_size, d_coarser = level_of(detail_size, _lod(H, x, y, focal, detail_texel))
+            c_start, c_size, c_coarser = level_of(cover_size, _lod(H, x, y, focal, cover_texel))
+            d_scale, c_scale = np.float32(d_size / (detail_size * detail_texel)), np.float32(c_size / (cover_size * cover_texel))
             d_next, c_next = d_start + d_size * d_size, c_start + c_size * c_size
             for k in range(c, end):
-                if through[r, k] < _OPAQUE:
+                light = through[r, k]
+                if light < _OPAQUE:
                     continue
-                x, y = rays[r, k, 0], rays[r, k, 1]
-                w = 1.0 / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
-                s, t = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * w
-                value = bilinear(detail, d_start, d_size, 0, s * d_scale, t * d_scale)
-                coarse = bilinear(detail, d_next, d_size >> 1, 0, 0.5 * s * d_scale, 0.5 * t * d_scale)
-                value += d_finer * (coarse - value)
-                shade = (1.0 + contrast * _UNIT * (value - 128.0)) * (1.0 - (1.0 - shadow_light) * shadow[r, k])
-                shade *= through[r, k] * clear
-                veil = through[r, k] * (np.float32(1.0) - clear)
-                for b in range(3):
-                    paint = bilinear(cover, c_start, c_size, b, s * c_scale, t * c_scale)
-                    paint += c_finer * (bilinear(cover, c_next, c_size >> 1, b, 0.5 * s * c_scale, 0.5 * t * c_scale) - paint)
-                    image[r, k, b] += shade * tint[b] * paint + veil * haze[1 + b]
+                s, t = _place(to_plane, rays[r, k, 0], rays[r, k, 1])
+                value = bilinear(detail, d_start, d_size, s * d_scale, t * d_scale)
+                if d_coarser > 0.0:
+                    coarse = bilinear(detail, d_next, d_size >> np.int32(1), half * s * d_scale, half * t * d_scale)
+                    value += d_coarser * (coarse - value)
+                paint_b, paint_g, paint_r = bilinear_bgr(cover, c_start, c_size, s * c_scale, t * c_scale)
+                if c_coarser > 0.0:
+                    b, g, red = bilinear_bgr(cover, c_next, c_size >> np.int32(1), half * s * c_scale, half * t * c_scale)
+                    paint_b, paint_g = paint_b + c_coarser * (b - paint_b), paint_g + c_coarser * (g - paint_g)
+                    paint_r += c_coarser * (red - paint_r)
+                shade = (one + contrast * value) * (one - dim * shadow[r, k]) * light * clear
+                veil = light * (one - clear)
+                image[r, k, 0] += shade * tint_b * paint_b + veil * haze_b
+                image[r, k, 1] += shade * tint_g * paint_g + veil * haze_g
+                image[r, k, 2] += shade * tint_r * paint_r + veil * haze_r
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _place(H: Grid, x: np.float32, y: np.float32) -> tuple[np.float32, np.float32]:
+    """Where a ray meets a plane, in the plane's axes [m]."""
+    w = np.float32(1.0) / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
+    return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * w
 
 
 @njit(cache=True, inline="always")
-def _lod(H: Array, x: float, y: float, focal: float, texels_per_m: float) -> float:
+def _slope(H: Array, x: float, y: float) -> float:
+    """Sine of the angle at which a ray falls on a plane."""
+    return (H[2, 0] * x + H[2, 1] * y + H[2, 2]) / math.sqrt(1.0 + x * x + y * y)
+
+
+@njit(cache=True, inline="always")
+def _clear(H: Array, x: float, y: float, reach: float, extinction: float) -> np.float32:
+    """Share of light that haze lets through between plane and camera (Koschmieder 1924)."""
+    return np.float32(math.exp(-extinction * reach / max(_slope(H, x, y), _HORIZON)))
+
+
+@njit(cache=True, inline="always")
+def _lod(H: Array, x: float, y: float, focal: float, texel_m: float) -> float:
     """log2 of texels per pixel: root mean square of the four derivatives of (s, t) by pixels."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     s, t = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
     a, b = (H[0, 0] - s * H[2, 0]) / w, (H[0, 1] - s * H[2, 1]) / w
     c, d = (H[1, 0] - t * H[2, 0]) / w, (H[1, 1] - t * H[2, 1]) / w
-    return math.log2(max(math.sqrt(0.5 * (a * a + b * b + c * c + d * d)) / focal * texels_per_m, 1e-9))
+    return math.log2(max(math.sqrt(0.5 * (a * a + b * b + c * c + d * d)) / (focal * texel_m), 1e-9))

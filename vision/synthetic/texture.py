@@ -6,59 +6,87 @@
 a process from fixed seeds; worlds differ by where and how they lay them.
 """
 
+import math
 from functools import cache
-from typing import Final
+from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
+Grid: TypeAlias = NDArray[np.float32]
 Field = NDArray[np.float64]
+Taps: TypeAlias = tuple[np.int32, np.int32, np.int32, np.int32, np.float32, np.float32]
 
 SURFACES: Final = ("paint", "shingles", "gravel", "metal", "wall", "leaves")  # the textures of roofs and sides
 SURFACE_SIZE: Final = 512  # texels
 SURFACE_TEXEL_M: Final = 0.02
 
+_FINE_ENOUGH = 0.03  # share of the next level that is not worth its lookup
 
-def pyramid(image: Bytes) -> Bytes:
-    """All levels of a square picture of 2^k texels a side (n, n, channels), level after level: (sum of n^2, channels)."""
+
+def pyramid(image: Grid) -> Grid:
+    """All levels of a square picture of 2^k texels a side (n, n[, channels]), level after level: (sum of n^2[, channels])."""
     n = image.shape[0]
-    if image.ndim != 3 or image.shape[1] != n or n & (n - 1):
+    if image.shape[1] != n or n & (n - 1):
         raise ValueError(f"a texture must be square, with a power of two of texels a side: {image.shape}")
-    levels, level = [image.reshape(n * n, -1)], image.astype(np.float32)
+    level = image.astype(np.float32)
+    levels = [level.reshape(n * n, *level.shape[2:])]
     while level.shape[0] > 1:
-        level = 0.25 * (level[0::2, 0::2] + level[1::2, 0::2] + level[0::2, 1::2] + level[1::2, 1::2])
-        levels.append(np.rint(level).astype(np.uint8).reshape(-1, image.shape[2]))
-    return np.ascontiguousarray(np.concatenate(levels))
+        level = np.float32(0.25) * (level[0::2, 0::2] + level[1::2, 0::2] + level[0::2, 1::2] + level[1::2, 1::2])
+        levels.append(level.reshape(-1, *level.shape[2:]))
+    return np.concatenate(levels)
 
 
-@njit(cache=True, inline="always")
-def level_of(size: int, lod: float) -> tuple[int, int, float]:
-    """Where the level below `lod` begins in a pyramid, its size, and the share of the next level."""
-    level = 0
+def texels_a_side(levels: Grid) -> int:
+    """n of a pyramid's finest level, from its sum n^2 + n^2 / 4 + ... + 1 = (4 n^2 - 1) / 3."""
+    return math.isqrt(3 * len(levels) // 4 + 1)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def level_of(size: int, lod: float) -> tuple[np.int32, np.int32, np.float32]:
+    """Where the level below `lod` begins in a pyramid, its size, and the share of the next level (little of it: 0)."""
     start = 0
     while lod >= 1.0 and size > 2:
         start += size * size
         size >>= 1
-        level += 1
         lod -= 1.0
-    return start, size, min(max(lod, 0.0), 1.0)
+    return np.int32(start), np.int32(size), np.float32(0.0 if lod < _FINE_ENOUGH else min(lod, 1.0))
 
 
-@njit(cache=True, inline="always")
-def bilinear(data: Bytes, start: int, size: int, channel: int, s: float, t: float) -> float:
-    """One channel of a level at (s, t) in its own texels, texel i being centred at i + 1/2."""
-    s, t = s - 0.5, t - 0.5
-    si, ti = int(np.floor(s)), int(np.floor(t))
-    a, b = np.float32(s - si), np.float32(t - ti)
-    mask = size - 1
-    s0, s1 = si & mask, (si + 1) & mask
-    row0, row1 = start + (ti & mask) * size, start + ((ti + 1) & mask) * size
-    top = data[row0 + s0, channel] * (np.float32(1.0) - a) + data[row0 + s1, channel] * a
-    low = data[row1 + s0, channel] * (np.float32(1.0) - a) + data[row1 + s1, channel] * a
-    return top * (np.float32(1.0) - b) + low * b
+@njit(cache=True, fastmath=True, inline="always")
+def _taps(start: np.int32, size: np.int32, s: np.float32, t: np.float32) -> Taps:
+    """Four texels around (s, t), in texels of a level (texel i is centred at i + 1/2), and how far along it lies."""
+    s, t = s - np.float32(0.5), t - np.float32(0.5)
+    fs, ft = np.floor(s), np.floor(t)
+    mask, si, ti = np.int32(size - 1), np.int32(fs), np.int32(ft)
+    s0, s1 = si & mask, (si + np.int32(1)) & mask
+    row0, row1 = start + (ti & mask) * size, start + ((ti + np.int32(1)) & mask) * size
+    return row0 + s0, row0 + s1, row1 + s0, row1 + s1, s - fs, t - ft
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def bilinear(data: Grid, start: np.int32, size: np.int32, s: np.float32, t: np.float32) -> np.float32:
+    """A texture of one channel."""
+    i, j, k, m, a, b = _taps(start, size, s, t)
+    top, low = data[i] + a * (data[j] - data[i]), data[k] + a * (data[m] - data[k])
+    return top + b * (low - top)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def bilinear_bgr(
+    data: Grid, start: np.int32, size: np.int32, s: np.float32, t: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """A texture of three channels."""
+    i, j, k, m, a, b = _taps(start, size, s, t)
+    wm, wj, wk = a * b, a - a * b, b - a * b
+    wi = np.float32(1.0) - a - wk
+    return (
+        data[i, 0] * wi + data[j, 0] * wj + data[k, 0] * wk + data[m, 0] * wm,
+        data[i, 1] * wi + data[j, 1] * wj + data[k, 1] * wk + data[m, 1] * wm,
+        data[i, 2] * wi + data[j, 2] * wj + data[k, 2] * wk + data[m, 2] * wm,
+    )
 
 
 def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0, coarsest: float = np.inf) -> Field:
@@ -72,8 +100,8 @@ def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0
 
 
 @cache
-def surfaces() -> Bytes:
-    """The pyramids of SURFACES (len, texels, 1); 128 is the surface's own colour."""
+def surfaces() -> Grid:
+    """The pyramids of SURFACES (len, texels): contrast, 0 +- about 1."""
     rng = np.random.default_rng(20140)
     made = {
         "paint": 0.5 * noise(SURFACE_SIZE, 1.2, rng) + 0.25 * noise(SURFACE_SIZE, 0.0, rng),
@@ -83,12 +111,12 @@ def surfaces() -> Bytes:
         "wall": _wall(rng),
         "leaves": 0.9 * noise(SURFACE_SIZE, 0.8, rng, finest=6.0, coarsest=90.0),
     }
-    return np.stack([pyramid(to_bytes(made[name])) for name in SURFACES])
+    return np.stack([pyramid(bounded(made[name])) for name in SURFACES])
 
 
-def to_bytes(field: Field) -> Bytes:
-    """A field of contrast, 0 +- about 1, as (n, n, 1): 128 +- 48."""
-    return np.clip(np.rint(128.0 + 48.0 * field), 0, 255).astype(np.uint8)[:, :, None]
+def bounded(field: Field) -> Grid:
+    """A contrast without outliers."""
+    return np.clip(field, -2.6, 2.6).astype(np.float32)
 
 
 def _shingles(rng: np.random.Generator) -> Field:
