@@ -58,7 +58,8 @@ class Identification:
     """What the regions are; M regions, indices into the catalogue, NONE where it is nothing of the map.
 
     landmark, posterior: the most probable identity of each and its probability;  accepted: identified
-    best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate)
+    best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate);  own_similarity: of `landmark`
+    candidates: how many landmarks it may be
     joint_posterior: that all accepted identities are right;  place_posterior: that one of them is and none is another landmark
     instead, so that the place is right (0 where nothing is identified)
     x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
@@ -69,6 +70,7 @@ class Identification:
     accepted: NDArray[np.bool_]
     best: NDArray[np.int64]
     similarity: Array
+    own_similarity: Array
     candidates: NDArray[np.int64]
     joint_posterior: float
     place_posterior: float
@@ -108,9 +110,10 @@ def identify(
     is_landmark = choice.landmark >= 0
     possible[region[is_landmark], choice.landmark[is_landmark]] = True
     ranked = np.where(possible, like, 0.0) if len(landmarks.ids) else np.zeros((len(several), 1))
+    own = np.where(landmark == NONE, 0.0, ranked[np.arange(len(several)), np.maximum(landmark, 0)])
     return Identification(
         landmark, posterior, accepted, np.where(ranked.max(axis=1) > 0.0, ranked.argmax(axis=1), NONE), ranked.max(axis=1),
-        possible.sum(axis=1), joint, place, x, cov,
+        own, possible.sum(axis=1), joint, place, x, cov,
     )  # fmt: skip
 
 
