@@ -146,11 +146,11 @@ def _due(k: int, rate_hz: float, imu_hz: float) -> bool:
     return rate_hz > 0 and k % max(1, round(imu_hz / rate_hz)) == 0
 
 
-def connected(endpoint: str) -> zenoh.Session:
-    """A client's session."""
+def connected(endpoint: str, **settings: object) -> zenoh.Session:
+    """A client's session; settings: of zenoh's configuration, "__" for "/"."""
     config = zenoh.Config()
-    settings: dict[str, object] = {"mode": "client", "connect/endpoints": [endpoint], "scouting/multicast/enabled": False}
-    for name, value in settings.items():
+    client: dict[str, object] = {"mode": "client", "connect/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    for name, value in (client | {key.replace("__", "/"): value for key, value in settings.items()}).items():
         config.insert_json5(name, json.dumps(value))
     return zenoh.open(config)
 
@@ -169,9 +169,9 @@ def main() -> None:
     vehicle = Vehicle(session, given.seed)
     vehicle.fly(given.seconds, given.imu_hz, given.gnss_hz, given.fix_hz, given.image_hz)
     time.sleep(0.5)
-    latency_ms = np.array(vehicle.latency_ns or [math.nan]) * 1e-6
-    names = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
-    latencies = {name: round(float(np.quantile(latency_ms, q)), 3) for name, q in names.items()}
+    latency_ms = sorted(ns * 1e-6 for ns in vehicle.latency_ns) or [math.nan]
+    shares = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
+    latencies = {name: round(latency_ms[math.ceil(q * len(latency_ms)) - 1], 3) for name, q in shares.items()}
     print(json.dumps({"sent": vehicle.sent, "received": len(vehicle.latency_ns), "latency_ms": latencies}))
     session.close()  # type: ignore[no-untyped-call]
 

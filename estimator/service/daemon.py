@@ -88,7 +88,7 @@ class Daemon:
         remember: Callable[[Output], None],
     ) -> None:
         self._fusion, self._decoder, self._publisher = fusion, decoder, publisher
-        self._mailbox, self._outboxes, self._log = mailbox, outboxes, log
+        self.mailbox, self._outboxes, self._log = mailbox, outboxes, log
         self._stamps, self._clock, self._status, self._alive, self._remember = stamps, clock, status, alive, remember
         self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
@@ -96,7 +96,7 @@ class Daemon:
     def stop(self) -> None:
         """Let run() return after the message in hand; safe in a signal handler."""
         self._stopping = True
-        self._mailbox.wake()
+        self.mailbox.wake()
 
     def run(self) -> None:
         """Until stop()."""
@@ -104,7 +104,7 @@ class Daemon:
         while not self._stopping:
             wait_ns = next_tick_ns - self._clock.now_ns()
             if wait_ns > 0:
-                arrival = self._mailbox.get(wait_ns * 1e-9)
+                arrival = self.mailbox.get(wait_ns * 1e-9)
                 if arrival is not None:
                     self.take(arrival)
                 continue
@@ -149,7 +149,7 @@ class Daemon:
         """Tell the estimator the time, unless messages wait that came before it; and everybody how we are."""
         now_ns = self._clock.now_ns()
         self._alive()
-        if not len(self._mailbox):
+        if not len(self.mailbox):
             self.take(Arrival(*encode_input(Tick(now_ns, now_ns)), now_ns))
         if report := self._status.report(now_ns):
             for outbox in self._outboxes:

@@ -3,12 +3,12 @@
 import gc
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
@@ -16,7 +16,7 @@ from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
 from estimator.service.log_writer import LogConfig, LogWriter
-from estimator.service.ports import Arrival, Log, Outbox
+from estimator.service.ports import Arrival
 from estimator.service.recovery import recover_in_background
 from estimator.service.state_file import StateKeeper
 from estimator.service.status import Status
@@ -56,43 +56,54 @@ class RunConfig(Protocol):
     def toml(self) -> str: ...  # noqa: D102
 
 
-def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
+def run(config: RunConfig, folder: Path) -> None:
     """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count.
 
     Raises ConfigError or BusError when it cannot start; once it has started it raises nothing.
     """
     notifier = Notifier()
+    with assembled(config, folder, alive=notifier.alive) as daemon, _until_signalled(daemon):
+        notifier.ready("running")
+        daemon.run()
+        notifier.stopping()
+
+
+@contextmanager
+def assembled(
+    config: RunConfig, folder: Path, *, clock: Clock | None = None, alive: Callable[[], None] = lambda: None
+) -> Iterator[Daemon]:
+    """The daemon with its log, its links and its last state, open as long as the context; run() is the caller's."""
     attachments = _attachments(config, folder)
     digest = sha256(config.toml().encode()).hexdigest()
     warm_up()
-    state_path = Path(config.log.folder) / config.service.state_file if config.service.state_file else None
+    logs = Path(config.log.folder)
+    state_path = logs / config.service.state_file if config.service.state_file else None
     saved = state_file.load(state_path) if state_path else None
     clock = clock or state_file.clock_of(saved)
     if config.log.enabled:
-        recover_in_background(Path(config.log.folder))
-    with _log(config, clock, attachments, digest) as log, _state(state_path, clock, digest) as keeper:
-        bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), _images(config)) if config.zenoh.enabled else None
-        outboxes: list[Outbox] = [bus] if bus else []
-        stamps = Stamps(clock, config.clock)
-        parts = {"clock": stamps.report}
-        if isinstance(log, LogWriter):
-            parts["log"] = log.report
+        recover_in_background(logs)
+    with ExitStack() as stack:
+        log = _log(stack, config, clock, attachments, digest)
+        keeper = _keeper(stack, state_path, clock, digest)
+        stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
+        bus = _bus(stack, config, folder, clock, images)
+        parts = {"clock": stamps.report, "log": log.report}
         if bus:
             parts["zenoh"] = bus.report
         status = Status(clock.now_ns(), parts)
-        mailbox = Mailbox(clock, log, _images(config), config.mounting())
+        mailbox = Mailbox(clock, log, images, config.mounting())
         daemon = Daemon(
             fusion=Fusion(config.fusion()),
             decoder=config.decoder(),
             publisher=Publisher(config.output),
             mailbox=mailbox,
-            outboxes=outboxes,
+            outboxes=[bus] if bus else [],
             log=log,
             stamps=stamps,
             clock=clock,
             status=status,
             tick_hz=config.service.tick_hz,
-            alive=notifier.alive,
+            alive=alive,
             remember=keeper.note if keeper else _forget,
         )
         if last := state_file.usable(saved, clock.now_ns(), digest, config.service.warm_restart_s):
@@ -100,21 +111,12 @@ def run(config: RunConfig, folder: Path, clock: Clock | None = None) -> None:
         if bus:
             _serve(bus, status, attachments)
             bus.open_inputs(mailbox)
-        with _until_signalled(daemon):
-            notifier.ready("running")
-            daemon.run()
-        notifier.stopping()
-        for outbox in outboxes:
-            outbox.close()
+        yield daemon
 
 
 def _subscriptions(config: RunConfig) -> dict[str, str]:
     """topic -> type of the inputs that others may feed: neither the time nor a state."""
     return {topic: schema for topic, schema in config.decoder().types.items() if topic not in {TICK_TOPIC, CHECKPOINT_TOPIC}}
-
-
-def _images(config: RunConfig) -> tuple[str, ...]:
-    return config.inputs.left_image + config.inputs.right_image
 
 
 def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
@@ -137,6 +139,10 @@ def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None
     bus.serve("map", lambda: content.get("map"), "application/geo+json")
 
 
+def _forget(_: Output) -> None:
+    """Keep no state."""
+
+
 class _NoLog:
     """The Log when nothing is recorded."""
 
@@ -145,38 +151,37 @@ class _NoLog:
 
     put_output = put_image = put_input
 
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        return {"state": "off"}
 
-def _forget(_: Output) -> None:
-    """Keep no state."""
+
+def _log(stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], digest: str) -> LogWriter | _NoLog:
+    if not config.log.enabled:
+        return _NoLog()
+    began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
+    stem = Path(config.log.folder) / f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
+    metadata = {"version": version(), "config_sha256": digest}
+    log = LogWriter(config.log, lambda n: stem.with_name(f"{stem.name}-{n:03d}.mcap"), metadata, attachments)
+    stack.callback(log.close)
+    return log
 
 
-@contextmanager
-def _state(path: Path | None, clock: Clock, digest: str) -> Iterator[StateKeeper | None]:
+def _keeper(stack: ExitStack, path: Path | None, clock: Clock, digest: str) -> StateKeeper | None:
     if path is None:
-        yield None
-        return
+        return None
     path.parent.mkdir(parents=True, exist_ok=True)
     keeper = StateKeeper(path, clock, digest)
-    try:
-        yield keeper
-    finally:
-        keeper.close()
+    stack.callback(keeper.close)
+    return keeper
 
 
-@contextmanager
-def _log(config: RunConfig, clock: Clock, attachments: list[Attachment], digest: str) -> Iterator[Log]:
-    if not config.log.enabled:
-        yield _NoLog()
-        return
-    folder = Path(config.log.folder)
-    began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
-    stem = f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
-    metadata = {"version": version(), "config_sha256": digest}
-    log = LogWriter(config.log, lambda n: folder / f"{stem}-{n:03d}.mcap", metadata, attachments)
-    try:
-        yield log
-    finally:
-        log.close()
+def _bus(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, images: Sequence[str]) -> ZenohBus | None:
+    if not config.zenoh.enabled:
+        return None
+    bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), images)
+    stack.callback(bus.close)
+    return bus
 
 
 @contextmanager

@@ -1,0 +1,182 @@
+"""The daemon from the outside: sensors over Zenoh in, estimates out, and a log that says the same again."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from rosbags.highlevel import AnyReader
+
+from benchmarks.service_vehicle import truth
+from estimator.config import parse
+from estimator.service.zenoh_keys import rmw_key
+from logs import schemas
+from logs.codec import decode_odometry, type_hash
+from logs.reader import LogReader
+from models.messages import Vec3
+from tests.service.flying import (
+    ODOMETRY,
+    ask,
+    assert_replay_says_the_same,
+    client,
+    fly,
+    free_port,
+    in_thread,
+    logs_of,
+    records,
+    toml,
+    until,
+    values,
+)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]:
+    """A flight of three seconds: the log, the configuration, what was sent, what came back, what a late joiner was told."""
+    folder, port = tmp_path_factory.mktemp("flown"), free_port()
+    text = toml(folder, port, zenoh_keys="ros2dds = true")
+    with in_thread(parse(text), folder) as daemon, client(port) as session:
+        vehicle = fly(session, 3.0, image_hz=5.0)
+        until(lambda: len(daemon.mailbox) == 0, "all is handled")
+        time.sleep(1.2)  # the status is of the last full second
+        health = rmw_key(0, "/landfix/health", schemas.DIAGNOSTICS, type_hash(schemas.DIAGNOSTICS))
+        keys = [health, "landfix/odometry", "landfix/status", "landfix/config", "landfix/map"]
+        told = {key: ask(session, key) for key in keys}
+        told["health"] = told.pop(health)
+    (log,) = logs_of(folder)
+    return log, text, vehicle.sent, len(vehicle.latency_ns), told
+
+
+def test_every_input_is_in_the_log_and_every_picture(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+    log, _, sent, _, _ = flown
+    logged = {topic: len(records(log, topic)) for topic in sent}
+    assert logged == sent
+    assert sent["/imu"] == 600
+
+
+def test_estimates_come_back_and_are_right(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+    log, _, _, received, _ = flown
+    estimates = [decode_odometry(r.data) for r in records(log, ODOMETRY)]
+    assert received == len(estimates) > 300
+    errors = np.array([np.subtract(e.p_n, truth(e.t_ns)[0]) for e in estimates[-100:]])
+    sigma = np.sqrt([np.diag(e.pose_covariance)[:3] for e in estimates[-100:]])
+    assert 0.01 < np.linalg.norm(errors, axis=1).mean() < 0.5
+    assert (np.abs(errors) / sigma).max() < 5.0
+
+
+def test_the_log_replayed_says_the_same(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+    log, text, *_ = flown
+    assert_replay_says_the_same(log, text)
+
+
+def test_others_can_read_the_log(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+    log, text, sent, *_ = flown
+    with AnyReader([log]) as reader:
+        connections = [c for c in reader.connections if c.topic == ODOMETRY]
+        message: Any = reader.deserialize(next(reader.messages(connections))[2], schemas.ODOMETRY)
+        assert (message.header.frame_id, message.child_frame_id) == ("map", "base_link")
+        assert set(sent) <= {c.topic for c in reader.connections}
+    with LogReader(log) as ours:
+        assert list(ours)
+        assert ours.metadata["landfix"].keys() == {"version", "config_sha256", "part"}
+        assert [(a.name, a.data.decode()) for a in ours.attachments] == [("config.toml", parse(text).toml())]
+
+
+def test_who_comes_late_is_told(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
+    log, text, sent, _, told = flown
+    (health,) = told["health"]
+    assert health in {r.data for r in records(log, "/landfix/health")}
+    (last,) = told["landfix/odometry"]
+    assert last in {r.data for r in records(log, ODOMETRY)}
+    assert told["landfix/config"] == [parse(text).toml().encode()]
+    assert told["landfix/map"] == []
+    status = values(told["landfix/status"][0])
+    assert status["log state"] == "recording"
+    assert status["log lost_inputs"] == "0"
+    assert int(status["zenoh received"]) == sum(sent.values())
+
+
+def test_with_no_log_it_flies_as_well(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port, more="enabled = false\n[service]\nstate_file = ''")
+    with in_thread(parse(text), tmp_path), client(port) as session:
+        vehicle = fly(session, 1.5)
+    assert len(vehicle.latency_ns) > 50
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_oversized_message_is_refused_and_the_flight_goes_on(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port, zenoh_keys="largest_image_mb = 1")
+    key = rmw_key(0, "/imu", schemas.IMU, type_hash(schemas.IMU))
+    with in_thread(parse(text), tmp_path), client(port) as session, client(port) as other:
+        before = fly(session, 1.0)
+        for size in (100_000, 50_000_000):
+            other.put(key, b"\0" * size)
+        after = fly(session, 1.0)
+        time.sleep(1.2)
+        status = values(ask(session, "landfix/status")[0])
+    assert len(before.latency_ns) > 50
+    assert len(after.latency_ns) >= 200
+    assert int(status["zenoh oversized"]) == 1  # the larger one never came through
+    assert len(records(logs_of(tmp_path)[0], "/imu")) == before.sent["/imu"] + after.sent["/imu"]
+
+
+def test_torn_and_random_bytes_get_a_reason_and_nothing_else(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port)
+    rng = np.random.default_rng(3)
+    types = {
+        "/imu": schemas.IMU,
+        "/gnss": schemas.NAV_SAT_FIX,
+        "/pose_fix": schemas.POSE_FIX,
+        "/landfix/fix": schemas.LANDMARK_FIX,
+    }
+    with in_thread(parse(text), tmp_path) as daemon, client(port) as session:
+        before = fly(session, 1.0)
+        for topic, schema in types.items():
+            for size in (0, 3, 4, 11, 12, 60, 316, 1000):
+                session.put(rmw_key(0, topic, schema, type_hash(schema)), b"\0\1\0\0" + rng.bytes(size))
+                session.put(rmw_key(0, topic, schema, type_hash(schema)), rng.bytes(size))
+        after = fly(session, 1.0)
+        until(lambda: len(daemon.mailbox) == 0, "all is handled")
+    (log,) = logs_of(tmp_path)
+    assert len(before.latency_ns) > 50
+    assert len(after.latency_ns) >= 200
+    positions: list[Vec3] = [decode_odometry(r.data).p_n for r in records(log, ODOMETRY)]
+    assert np.isfinite(positions).all()
+    assert_replay_says_the_same(log, text)
+
+
+def test_a_router_that_is_restarted_is_found_again(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, free_port(), zenoh_keys=f'connect = ["tcp/127.0.0.1:{port}"]')
+    router = _router(port)
+    with in_thread(parse(text), tmp_path) as daemon:
+        until(lambda: list(router.info.peers_zid()), "the daemon finds the router")
+        with client(port) as session:
+            before = fly(session, 1.0)
+        router.close()  # type: ignore[no-untyped-call]
+        time.sleep(0.5)
+        router = _router(port)
+        until(lambda: list(router.info.peers_zid()), "the daemon finds the router again")
+        with client(port) as session:
+            after = fly(session, 1.5)
+        until(lambda: len(daemon.mailbox) == 0, "all is handled")
+    router.close()  # type: ignore[no-untyped-call]
+    assert len(before.latency_ns) > 50
+    assert len(after.latency_ns) > 50
+    assert_replay_says_the_same(logs_of(tmp_path)[0], text)
+
+
+def _router(port: int) -> zenoh.Session:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": '"router"',
+        "listen/endpoints": f'["tcp/127.0.0.1:{port}"]',
+        "scouting/multicast/enabled": "false",
+    }.items():
+        config.insert_json5(key, value)
+    return zenoh.open(config)
