@@ -36,10 +36,11 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
 
 
-def line_covariance(lines: Sequence[EdgeLines], edge: Indices, config: NoiseConfig) -> tuple[Array, float]:
+def line_covariance(lines: Sequence[EdgeLines], edge: Indices, opened: Array, config: NoiseConfig) -> tuple[Array, float]:
     """Covariance (K, E, 2, K, 2) px^2 of the lines of E edges in K pictures (edges do not disturb each other), and rho_1's tau.
 
-    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order.
+    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order;
+    opened: (K, E) px^2, further variance of the offsets, alike in both pictures.
     """
     pictures, edges = len(lines), len(lines[0].found)
     scatter = np.array([_scatter(one, config) for one in lines])
@@ -48,12 +49,14 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, config: NoiseConf
     covariance = np.zeros((edges, pictures, 2, pictures, 2))
     for k, one in enumerate(lines):
         covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + system
+        covariance[:, k, 0, k, 0] += opened[k]
     if pictures == 2:
         rho = _correlation(lines[0], lines[1], edge, scatter, config)
         outer = lines[0].gain[:, :, None] * lines[1].gain[:, None, :]
         shared = np.zeros((edges, 2, 2))
         np.add.at(shared, edge, outer)
         cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared + config.both * system
+        cross[:, 0, 0] += 0.9 * np.sqrt(opened[0] * opened[1])
         covariance[:, 0, :, 1, :] = cross
         covariance[:, 1, :, 0, :] = cross.transpose(0, 2, 1)
     return covariance, inflation

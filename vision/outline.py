@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
+_ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 _SQRT2, _SQRT2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 
@@ -69,52 +70,84 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
 
 
 @njit(cache=True)
-def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> Array:
-    """Profiles (N, S) of one value: the colour difference between the two sides of each edge, as a unit vector, times colour."""
+def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tuple[Array, Array]:
+    """Profiles (N, S) of one value, colour along the unit vector of each edge's contrast, and those vectors (E, C).
+
+    Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
+    ground).
+    """
     n, size, channels = values.shape
     third = size // 3
-    difference = np.zeros((edges, channels))
+    sums = np.zeros((edges, 3, channels))
     for i in range(n):
         if usable[i]:
-            for j in range(third):
+            for j in range(3 * third):
+                at = j if j < 2 * third else size - 1 - (j - 2 * third)
                 for c in range(channels):
-                    difference[edge[i], c] += values[i, size - 1 - j, c] - values[i, j, c]
+                    sums[edge[i], j // third, c] += values[i, at, c]
+    direction = np.empty((edges, channels))
     for e in range(edges):
-        norm = math.sqrt(np.sum(difference[e] ** 2))
-        if norm > 0.0:
-            difference[e] /= norm
-        else:
-            difference[e] = 1.0 / math.sqrt(channels)
+        across = sums[e, 2] - sums[e, 0]
+        middle = sums[e, 1] - 0.5 * (sums[e, 0] + sums[e, 2])
+        d = across if np.sum(across**2) >= np.sum(middle**2) else middle
+        norm = math.sqrt(np.sum(d**2))
+        direction[e] = d / norm if norm > 0.0 else np.full(channels, 1.0 / math.sqrt(channels))
     result = np.zeros((n, size))
     for i in range(n):
         for j in range(size):
             for c in range(channels):
-                result[i, j] += values[i, j, c] * difference[edge[i], c]
-    return result
+                result[i, j] += values[i, j, c] * direction[edge[i], c]
+    return result, direction
 
 
 @njit(cache=True)
-def search(grey: Array, edge: Indices, edges: int, step: float, usable: Mask) -> Array:
-    """Offsets (N,) px of the step nearest to what all points of an edge vote for; NaN where there is none.
+def roof_levels(values: Array, edge: Indices, landmark: Indices, roof: Mask, direction: Array, usable: Mask) -> Array:
+    """What the inner side of each roof edge must show (E,), NaN for other edges: the median colour of its landmark's inner rims.
 
-    Box differences D_i(s) of all points are added with their sign; the offset of the largest |sum| wins, unless a second one,
-    farther off than a slope could explain, is nearly as large: such an edge stays out of this round.
+    values: profiles that run outwards; landmark, roof: (E,) of the edges.
+    """
+    n, size, channels = values.shape
+    inner = size // 4
+    marks = 1 + (landmark.max() if len(landmark) else 0)
+    levels = np.full(len(landmark), np.nan)
+    rim = np.empty(n)
+    for m in range(marks):
+        colour = np.empty(channels)
+        for c in range(channels):
+            count = 0
+            for i in range(n):
+                if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
+                    rim[count] = np.mean(values[i, :inner, c])
+                    count += 1
+            colour[c] = np.median(rim[:count]) if count > 0 else np.nan
+        for e in range(len(landmark)):
+            if roof[e] and landmark[e] == m:
+                levels[e] = np.sum(colour * direction[e])
+    return levels
+
+
+@njit(cache=True)
+def search(grey: Array, edge: Indices, levels: Array, step: float, usable: Mask) -> Array:
+    """Offsets (N,) px of the step that all points of an edge vote for; NaN where there is none.
+
+    Box differences D_i(s) of all points are added with their sign; the offset of the largest |sum| wins whose inner side has the
+    edge's level (E,), unless a second one, farther off than a slope could explain, is nearly as large: such an edge stays out.
     """
     n, size = grey.shape
-    last = size - _BOX
-    response = np.zeros((n, size))
-    vote = np.zeros((edges, size))
-    count = np.zeros(edges)
+    edges, last = len(levels), size - _BOX
+    response, vote = np.zeros((n, size)), np.zeros((edges, size))
+    mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
         if usable[i]:
             count[edge[i]] += 1.0
+            mean[edge[i]] += grey[i]
             for j in range(_BOX, last):
                 total = 0.0
                 for k in range(1, _BOX + 1):
                     total += grey[i, j + k] - grey[i, j - k]
                 response[i, j] = total / _BOX
                 vote[edge[i], j] += response[i, j]
-    best, sign = _elect(vote, count)
+    best, sign = _elect(vote, mean, count, levels)
     offsets = np.full(n, np.nan)
     for i in range(n):
         e = edge[i]
@@ -135,34 +168,45 @@ def search(grey: Array, edge: Indices, edges: int, step: float, usable: Mask) ->
 
 
 @njit(cache=True)
-def _elect(vote: Array, count: Array) -> tuple[Array, Array]:
+def _elect(vote: Array, mean: Array, count: Array, levels: Array) -> tuple[Array, Array]:
     """Best place (E,), -1 where none or ambiguous, and sign (E,) of the edges' votes (E, S)."""
     edges, size = vote.shape
     best, sign = np.full(edges, -1.0), np.ones(edges)
     for e in range(edges):
         if count[e] < 2:
             continue
-        at = int(np.argmax(np.abs(vote[e])))
-        top = abs(vote[e, at])
-        if top < _LEAST_CONTRAST * count[e]:
-            continue
-        rival = 0.0
-        for j in range(1, size - 1):
+        top, rival, at = _LEAST_CONTRAST * count[e], 0.0, -1
+        for j in range(_BOX + 1, size - _BOX - 1):
             value = abs(vote[e, j])
-            if abs(j - at) > _BOX and value > abs(vote[e, j - 1]) and value >= abs(vote[e, j + 1]):
+            peak = value > abs(vote[e, j - 1]) and value >= abs(vote[e, j + 1])
+            if not peak or value < top * _SECOND:
+                continue
+            if not math.isnan(levels[e]) and abs(mean[e, max(j - 4, 0)] / count[e] - levels[e]) > _ALIEN * value / count[e]:
+                continue
+            if value > top:
+                if at >= 0 and j - at > _BOX:
+                    rival = top
+                top, at = value, j
+            elif at >= 0 and j - at > _BOX:
                 rival = max(rival, value)
-        if rival < _SECOND * top:
+        if at >= 0 and rival < _SECOND * top:
             best[e] = at
             sign[e] = 1.0 if vote[e, at] > 0.0 else -1.0
     return best, sign
 
 
 @njit(cache=True)
-def fit(grey: Array, edge: Indices, edges: int, step: float, usable: Mask) -> tuple[Array, Array]:
-    """Offsets (N,) px of the blurred steps, NaN where there is none, and blur (E,) px of the edges."""
+def fit(
+    grey: Array, edge: Indices, gap: Array, levels: Array, step: float, usable: Mask
+) -> tuple[Array, Array, Array]:
+    """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
+
+    gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
+    belongs to which step is estimated, and what that leaves open of the place is the variance.
+    """
     n, size = grey.shape
-    half = size // 2
-    offsets, blur = np.full(n, np.nan), np.full(edges, np.nan)
+    edges, half = len(levels), size // 2
+    offsets, blur, opened = np.full(n, np.nan), np.full(edges, np.nan), np.zeros(edges)
     mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
         if usable[i]:
@@ -170,106 +214,174 @@ def fit(grey: Array, edge: Indices, edges: int, step: float, usable: Mask) -> tu
             count[edge[i]] += 1.0
     place = (np.arange(size) - half) * step
     rows = np.zeros((edges, 2, size))
-    contrast = np.zeros(edges)
     centre = np.full(edges, np.nan)
     for e in range(edges):
         if count[e] < 2:
             continue
-        ok, s0, sigma, c = _fit_mean(place, mean[e] / count[e])
-        if ok and abs(c) >= _LEAST_CONTRAST:
-            ok = _point_rows(place, s0, sigma, rows[e])
-        if ok and abs(c) >= _LEAST_CONTRAST:
-            centre[e], blur[e], contrast[e] = s0, sigma, c
+        x, variance = _fit_mean(place, mean[e] / count[e], gap[e])
+        contrast = max(abs(x[1]), abs(x[2]))
+        if contrast < _LEAST_CONTRAST or abs(x[3]) > 0.7 * half * step:
+            continue
+        if not math.isnan(levels[e]) and abs(x[0] - levels[e]) > _ALIEN * contrast + 3.0:
+            continue
+        if _point_rows(place, x, gap[e], rows[e]):
+            centre[e], blur[e], opened[e] = x[3], x[4], variance
     for i in range(n):
         e = edge[i]
         if not usable[i] or math.isnan(centre[e]):
             continue
-        c = np.dot(rows[e, 0], grey[i])
-        if c / contrast[e] < 0.3:
+        gain = np.dot(rows[e, 0], grey[i])
+        if gain < 0.3:
             continue
-        c = contrast[e] * min(max(c / contrast[e], 0.6), 1.6)
-        shift = np.dot(rows[e, 1], grey[i]) / c
+        shift = np.dot(rows[e, 1], grey[i]) / min(max(gain, 0.6), 1.6)
         if abs(shift) < 0.6 * half * step:
             offsets[i] = centre[e] + shift
-    return offsets, blur
+    return offsets, blur, opened
 
 
 @njit(cache=True)
-def _fit_mean(place: Array, g: Array) -> tuple[bool, float, float, float]:
-    """(found, s0, sigma, c) of a + c Phi((s - s0) / sigma) in g(place): Levenberg-Marquardt from the gradient's centroid."""
-    size = g.shape[0]
+def _basis(place: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
+    """Columns 1, Phi, Phi of the second step, and the two densities, at each place: (S, 5)."""
+    for j in range(place.shape[0]):
+        z = (place[j] - s0) / sigma
+        y = z - gap / sigma
+        basis[j, 0] = 1.0
+        basis[j, 1], basis[j, 2] = 0.5 * (1.0 + math.erf(z / _SQRT2)), 0.5 * (1.0 + math.erf(y / _SQRT2))
+        basis[j, 3] = math.exp(-0.5 * z * z) / _SQRT2PI / sigma
+        basis[j, 4] = math.exp(-0.5 * y * y) / _SQRT2PI / sigma
+
+
+@njit(cache=True)
+def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
+    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost."""
+    _basis(place, s0, sigma, gap, basis)
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for j in range(place.shape[0]):
+        for k in range(3):
+            right[k] += basis[j, k] * g[j]
+            for m in range(3):
+                normal[k, m] += basis[j, k] * basis[j, m]
+    _prefer_even(normal, right, gap, weight, 0.0, 0.0)
+    x[:3] = np.linalg.solve(normal, right)
+    x[3], x[4] = s0, sigma
+    cost = 0.0
+    for j in range(place.shape[0]):
+        cost += (g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]) ** 2
+    return cost + (weight * (x[1] - x[2]) ** 2 if gap > 0.0 else 0.0)
+
+
+@njit(cache=True)
+def _prefer_even(normal: Array, right: Array, gap: float, weight: float, c1: float, c2: float) -> None:
+    """Adds the weak belief c1 = c2 to normal equations, or, without a gap, c2 = 0."""
+    if gap > 0.0:
+        normal[1, 1] += weight
+        normal[2, 2] += weight
+        normal[1, 2] -= weight
+        normal[2, 1] -= weight
+        right[1] -= weight * (c1 - c2)
+        right[2] += weight * (c1 - c2)
+    else:
+        normal[2, :] = 0.0
+        normal[:, 2] = 0.0
+        normal[2, 2] = 1.0
+        right[2] = 0.0
+
+
+@njit(cache=True)
+def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float]:
+    """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), and the variance of s0.
+
+    Levenberg-Marquardt from the best of several places.
+    """
+    size = place.shape[0]
     reach = place[size - 1]
-    third = max(2, size // 4)
-    a, b = np.mean(g[:third]), np.mean(g[size - third :])
-    c = b - a
-    if abs(c) < 1.0:
-        return False, 0.0, 0.0, 0.0
-    moment, total = 0.0, 0.0
-    for j in range(1, size):
-        d = (g[j] - g[j - 1]) * (1.0 if c > 0 else -1.0)
-        if d > 0.0:
-            moment += d * d * 0.5 * (place[j] + place[j - 1])
-            total += d * d
-    x = np.array([a, c, moment / total, 0.8])
-    cost, damping = np.inf, 1e-3
-    jacobian, residual = np.empty((size, 4)), np.empty(size)
-    trial = x.copy()
-    normal, gradient = np.zeros((4, 4)), np.zeros(4)
-    for _ in range(12):
-        new_cost = 0.0
-        for j in range(size):
-            z = (place[j] - trial[2]) / trial[3]
-            residual[j] = g[j] - trial[0] - trial[1] * 0.5 * (1.0 + math.erf(z / _SQRT2))
-            new_cost += residual[j] ** 2
-        if new_cost < cost:
-            done = cost - new_cost < 1e-4 * new_cost
+    contrast = max(abs(np.mean(g[size - 3 :]) - np.mean(g[:3])), 0.5 * (g.max() - g.min()), 1.0)
+    weight = (2.0 / (1.5 * contrast)) ** 2  # the noise of a mean profile over how uneven the two steps may be
+    basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
+    cost = np.inf
+    for k in range(-4, 5):
+        value = _split(place, g, gap, weight, k * 0.15 * reach, 0.8, trial, basis)
+        if value < cost:
+            cost = value
             x[:] = trial
-            cost = new_cost
+    damping = 1e-3
+    normal, right = np.zeros((5, 5)), np.zeros(5)
+    for _ in range(10):
+        _normal_equations(place, g, gap, weight, x, basis, normal, right)
+        damped = normal.copy()
+        for k in range(5):
+            damped[k, k] += damping * normal[k, k] + 1e-9
+        step = np.linalg.solve(damped, right)
+        s0, sigma = x[3] + step[3], min(max(x[4] + step[4], 0.35), 0.6 * reach)
+        value = _split(place, g, gap, weight, min(max(s0, -reach), reach), sigma, trial, basis)
+        if value < cost:
+            done = cost - value < 1e-4 * cost
+            cost = value
+            x[:] = trial
+            damping *= 0.2
             if done:
                 break
-            damping *= 0.2
-            for j in range(size):
-                z = (place[j] - x[2]) / x[3]
-                density = math.exp(-0.5 * z * z) / _SQRT2PI / x[3]
-                jacobian[j, 0], jacobian[j, 1] = 1.0, 0.5 * (1.0 + math.erf(z / _SQRT2))
-                jacobian[j, 2], jacobian[j, 3] = -x[1] * density, -x[1] * density * z
-            normal = jacobian.T @ jacobian
-            gradient = jacobian.T @ residual
         else:
             damping *= 8.0
-        damped = normal.copy()
-        for k in range(4):
-            damped[k, k] += damping * normal[k, k] + 1e-9
-        trial = x + np.linalg.solve(damped, gradient)
-        trial[3] = min(max(trial[3], 0.35), 0.6 * reach)
-        trial[2] = min(max(trial[2], -reach), reach)
-    return abs(x[2]) < 0.7 * reach, x[2], x[3], x[1]
+    _normal_equations(place, g, gap, weight, x, basis, normal, right)
+    for k in range(5):
+        normal[k, k] += 1e-9
+    noise = max(cost / max(size - 5, 1), 1.0)
+    return x, (noise * np.linalg.inv(normal)[3, 3] if gap > 0.0 else 0.0)
 
 
 @njit(cache=True)
-def _point_rows(place: Array, s0: float, sigma: float, rows: Array) -> bool:
-    """Rows that take contrast c and c * shift out of one profile: least squares on 1, Phi, -phi / sigma."""
+def _normal_equations(
+    place: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
+) -> None:
+    """J^T J and J^T r at x = (a, c1, c2, s0, sigma)."""
+    _basis(place, x[3], x[4], gap, basis)
+    normal[:] = 0.0
+    right[:] = 0.0
+    row = np.empty(5)
+    for j in range(place.shape[0]):
+        z = (place[j] - x[3]) / x[4]
+        row[0], row[1], row[2] = 1.0, basis[j, 1], basis[j, 2]
+        row[3] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
+        row[4] = -x[1] * basis[j, 3] * z - x[2] * basis[j, 4] * (z - gap / x[4])
+        residual = g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]
+        for k in range(5):
+            right[k] += row[k] * residual
+            for m in range(5):
+                normal[k, m] += row[k] * row[m]
+    _prefer_even(normal, right, gap, weight, x[1], x[2])
+
+
+@njit(cache=True)
+def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
+    """Rows that take gain and gain * shift out of one profile: least squares on 1, the edge's own steps and their derivative."""
     size = place.shape[0]
+    basis = np.empty((size, 5))
+    _basis(place, x[3], x[4], gap, basis)
     jacobian = np.empty((size, 3))
     for j in range(size):
-        z = (place[j] - s0) / sigma
-        jacobian[j, 0], jacobian[j, 1] = 1.0, 0.5 * (1.0 + math.erf(z / _SQRT2))
-        jacobian[j, 2] = -math.exp(-0.5 * z * z) / _SQRT2PI / sigma
+        jacobian[j, 0], jacobian[j, 1] = 1.0, x[1] * basis[j, 1] + x[2] * basis[j, 2]
+        jacobian[j, 2] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
     normal = jacobian.T @ jacobian
-    if abs(np.linalg.det(normal)) < 1e-9:
+    scale = np.sqrt(np.array([normal[0, 0], normal[1, 1], normal[2, 2]])) + 1e-12
+    for k in range(3):
+        for m in range(3):
+            normal[k, m] /= scale[k] * scale[m]
+    if abs(np.linalg.det(normal)) < 1e-5:
         return False
-    rows[:] = np.linalg.solve(normal, jacobian.T.copy())[1:]
+    rows[:] = (np.linalg.solve(normal, (jacobian / scale).T.copy()).T / scale).T[1:]
     return True
 
 
 @njit(cache=True)
-def crossed(px: Array, normal: Array, edge: Indices, start: Array, end: Array, reach: float) -> Mask:
-    """Points (N,) whose profile, within reach px, meets another edge's chord start-end (E, 2)."""
+def crossed(px: Array, normal: Array, edge: Indices, partner: Indices, start: Array, end: Array, reach: float) -> Mask:
+    """Points (N,) whose profile, within reach px, meets the chord start-end (E, 2) of an edge that is neither its own nor
+    that one's partner (E,)."""
     n, edges = px.shape[0], start.shape[0]
     result = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         for e in range(edges):
-            if e == edge[i]:
+            if e == edge[i] or e == partner[edge[i]]:
                 continue
             au, av = start[e, 0] - px[i, 0], start[e, 1] - px[i, 1]
             bu, bv = end[e, 0] - px[i, 0], end[e, 1] - px[i, 1]

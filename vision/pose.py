@@ -27,12 +27,13 @@ from vision import outline
 from vision.edge_lines import EdgeLines, compress, fit_lines
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
-from vision.sensitivity import Eye, Samples, eyes, map_rows, pose_rows, rig_rows, sample_edges, view
-from vision.visibility import MapError, ModelEdges, visible_edges
+from vision.sensitivity import Eye, Samples, edge_gaps, eyes, map_rows, pose_rows, rig_rows, sample_edges, view
+from vision.visibility import Kind, MapError, ModelEdges, visible_edges
 
 Image = NDArray[np.uint8]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
+_SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 
 
@@ -93,6 +94,7 @@ class _Round:
     edges: ModelEdges
     samples: Samples
     lines: list[EdgeLines]
+    opened: Array  # (K, E) variance of the offsets that narrow walls add, px^2
     H: Array  # (K, E, 2, 6)
     N: Array  # (K, E, 2, P) by the unit-variance nuisances
     found: float
@@ -152,16 +154,26 @@ class _Fit:
         edges = self.edges()
         samples = sample_edges(edges, self.eyes[0][0], self.p_n, self.R_nb, config.spacing_px, config.most_points)
         count = len(edges.kind)
-        lines, H, N, seen_points, found_points = [], [], [], 0.0, 0.0
+        lines, opened, H, N, seen_points, found_points = [], [], [], [], 0.0, 0.0
         for eye, image in self.eyes:
             seen = view(edges, samples, eye, self.p_n, self.R_nb, self.landmarks)
             usable = seen.usable & ~outline_conflicts(edges, samples, seen.px, seen.normal, eye, self.p_n, self.R_nb, half, fine)
-            values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3 if fine else 1, usable)
-            grey = outline.along_contrast(values, samples.edge, count, usable)
+            gap = edge_gaps(edges, samples, seen, eye, self.p_n, self.R_nb)
             if fine:
-                offsets, _ = outline.fit(grey, samples.edge, count, 1.0, usable)
+                usable &= (edges.kind[samples.edge] != Kind.BASE) | (np.abs(gap[samples.edge]) >= half + 1.5)
             else:
-                offsets = outline.search(grey, samples.edge, count, 1.0, usable)
+                usable &= edges.kind[samples.edge] == Kind.ROOF
+            values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3 if fine else 1, usable)
+            grey, direction = outline.along_contrast(values, samples.edge, count, usable)
+            roof = edges.kind == Kind.ROOF
+            levels = outline.roof_levels(values, samples.edge, edges.landmark, roof, direction, usable)
+            if fine:
+                double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
+                offsets, _, variance = outline.fit(grey, samples.edge, double, levels, 1.0, usable)
+                opened.append(np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, variance))
+            else:
+                offsets = outline.search(grey, samples.edge, levels, 1.0, usable)
+                opened.append(np.zeros(count))
             line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
             lines.append(line)
             seen_points += float(usable.sum())
@@ -176,7 +188,7 @@ class _Fit:
                 mine = right == eye.right and root.size
                 rows.append(own @ root if mine else np.zeros((len(own), root.shape[1])))
             N.append(compress(line.gain, np.nan_to_num(np.hstack(rows)), samples.edge, count))
-        return _Round(edges, samples, lines, np.array(H), np.array(N), found_points / max(seen_points, 1.0))
+        return _Round(edges, samples, lines, np.array(opened), np.array(H), np.array(N), found_points / max(seen_points, 1.0))
 
 
 def _channels(image: Image) -> Image:
@@ -201,7 +213,7 @@ def outline_conflicts(
     count = len(edges.kind)
     ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
     reach = half + 1.5 if fine else 2.5
-    return outline.crossed(px, normal, samples.edge, ends[:count], ends[count:], reach)
+    return outline.crossed(px, normal, samples.edge, edges.partner, ends[:count], ends[count:], reach)
 
 
 def estimate_pose(
@@ -291,7 +303,7 @@ def _fine_step(fit: _Fit, seen: _Round) -> PoseEstimate | NoPose:
     """Step with the full covariance of the lines; edges that do not fit are left out one after the other."""
     config = fit.config
     mask, z, H, N = _system(seen)
-    V, _ = line_covariance(seen.lines, seen.samples.edge, config.noise)
+    V, _ = line_covariance(seen.lines, seen.samples.edge, seen.opened, config.noise)
     pictures = mask.shape[1]
     kept = mask.copy()
     dropped = 0

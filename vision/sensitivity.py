@@ -112,6 +112,25 @@ def _normal_rows(jacobian: Array, direction: Array, edge: Indices) -> tuple[Arra
     return normal, row
 
 
+def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n: Array, R_nb: Array) -> Array:
+    """Distance (E,) px along the normal, outwards, from each edge to its partner, the mean over its points; 0 without partner."""
+    gaps = np.zeros(len(edges.kind))
+    rows = np.flatnonzero(edges.partner[samples.edge] >= 0)
+    if not len(rows):
+        return gaps
+    p_nk, R_nk = eye.pose(p_n, R_nb)
+    edge = samples.edge[rows]
+    partner, t = edges.partner[edge], samples.t[rows, None]
+    direction = edges.end_n[partner] - edges.start_n[partner]
+    x_c = (edges.start_n[partner] + t * direction - p_nk) @ R_nk
+    normal, _ = _normal_rows(eye.camera.project_jacobian(x_c), direction @ R_nk, np.arange(len(rows)))
+    offset = np.sum((eye.camera.project(x_c) - seen.px[rows]) * normal, axis=1) / np.sum(seen.normal[rows] * normal, axis=1)
+    good = np.isfinite(offset)
+    total = np.bincount(edge[good], offset[good], minlength=len(gaps))
+    gaps[:] = total / np.maximum(np.bincount(edge[good], minlength=len(gaps)), 1)
+    return gaps
+
+
 def pose_rows(seen: EdgeView, samples: Samples, eye: Eye, p_n: Array, R_nb: Array) -> Array:
     """(N, 6) by dp_n and dtheta_n."""
     row_n = seen.row_c @ eye.pose(p_n, R_nb)[1].T  # n . du/dX
