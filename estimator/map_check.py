@@ -89,7 +89,7 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     found, count, missing = the_map.report, len(the_map), the_map.report.missing
     left_out = len(found.rejected)
     few = judge(
-        "landmarks", f"{count} of {found.features} features", fail=count == 0, warn=count < FEW,
+        "landmarks", f"{count}, from {found.features} features", fail=count == 0, warn=count < FEW,
         advice="give it polygons" if count == 0 else f"a fix wants {FEW} landmarks in view",
     )  # fmt: skip
     rejected = judge(

@@ -16,6 +16,7 @@ from models.map_properties import UNKNOWN, Attributes, Properties
 from models.map_table import Defaults, Finding, MapError, Weights
 from models.messages import Vec3
 
+DEFAULTED = ("height_m", "sigma_m", "ground_alt_m", "colour")  # properties that have a default
 FEW = "fewer than 3 corners"
 
 _Height = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
@@ -105,7 +106,7 @@ class Parts:
         self.weights: dict[int, Weights] = {}
         self.rejected: list[Finding] = []
         self.remarks: list[Finding] = []
-        self.missing: dict[str, int] = {"height_m": 0, "sigma_m": 0, "ground_alt_m": 0, "colour": 0}
+        self.missing = array("B")  # bit k: DEFAULTED[k]
 
     def add(self, number: int, raw: msgspec.Raw) -> None:
         """One feature: as we write it, which is quick, or as anybody does."""
@@ -154,8 +155,6 @@ class Parts:
             return
         if len(rings) > 1:
             self.remarks.append(Finding(number, name, f"{len(rings) - 1} holes are left out: the outer edge is the landmark"))
-        for missing in attributes.missing:
-            self.missing[missing] += 1
         if attributes.name:
             self.names[len(self.ids)] = attributes.name
         if attributes.weights:
@@ -164,8 +163,14 @@ class Parts:
         self.ids.append(name)
         self.numbers.extend(attributes.numbers)
         self.colours.extend(attributes.colour_bgr)
+        self.missing.append(sum(1 << DEFAULTED.index(name) for name in attributes.missing))
         self.counts.append(len(ring))
         self.coordinates.extend(chain.from_iterable(ring))
+
+    def missed(self, kept: NDArray[np.intp]) -> dict[str, int]:
+        """How many of the kept outlines took the default of a property."""
+        bits = np.array(self.missing, dtype=np.uint8)[kept]
+        return {name: int(np.sum(bits >> k & 1)) for k, name in enumerate(DEFAULTED)}
 
     def reject(self, bad: NDArray[np.bool_], text: str | list[str]) -> None:
         """Findings for the parts that are bad."""

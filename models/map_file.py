@@ -71,7 +71,7 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
         names={row: parts.names[i] for row, i in enumerate(kept.tolist()) if i in parts.names},
     )
     rejected = tuple(sorted(parts.rejected, key=lambda finding: finding.feature))
-    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missing)
+    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept))
 
 
 def _lonlat(crs: Any, xy: Array) -> Array:

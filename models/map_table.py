@@ -41,7 +41,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class MapReport(msgspec.Struct, frozen=True, eq=False):
-    """What reading a file found: rejected features, remarks on kept ones, how many lacked a property and got its default."""
+    """What reading a file found: rejected features, remarks, how many landmarks lacked a property and got its default."""
 
     features: int = 0
     rejected: tuple[Finding, ...] = ()

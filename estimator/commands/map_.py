@@ -147,7 +147,7 @@ def _say_built(the_map: "LandmarkMap", out: Path) -> None:
     found = the_map.report
     lat, lon, alt = the_map.origin
     if len(the_map):
-        typer.echo(f"{out}: {len(the_map)} landmarks of {found.features} features, origin {lat:.6f}, {lon:.6f}, {alt:.1f} m")
+        typer.echo(f"{out}: landmarks {len(the_map)}, from {found.features} features; origin {lat:.6f}, {lon:.6f}, {alt:.1f} m")
     assumed = [f"{name} {count}" for name, count in found.missing.items() if count]
     if assumed:
         note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
