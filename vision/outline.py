@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
+_STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 _SQRT2, _SQRT2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
@@ -70,8 +71,8 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
 
 
 @njit(cache=True)
-def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tuple[Array, Array]:
-    """Profiles (N, S) of one value, colour along the unit vector of each edge's contrast, and those vectors (E, C).
+def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> Array:
+    """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
     ground).
@@ -97,57 +98,75 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
         for j in range(size):
             for c in range(channels):
                 result[i, j] += values[i, j, c] * direction[edge[i], c]
-    return result, direction
+    return result
 
 
 @njit(cache=True)
-def roof_levels(values: Array, edge: Indices, landmark: Indices, roof: Mask, direction: Array, usable: Mask) -> Array:
-    """What the inner side of each roof edge must show (E,), NaN for other edges: the median colour of its landmark's inner rims.
+def off_roof(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> tuple[Array, Mask]:
+    """How far colours are from the roof's, and which edges have something else than the roof on their inner side.
 
-    values: profiles that run outwards; landmark, roof: (E,) of the edges.
+    values (N, S, C): profiles that run outwards; landmark, roof: (E,) of the edges. The roof's colour is the median of the inner
+    ends of its edges' profiles. Returns distances (N, S) along the profiles, 0 for edges that are not of a roof, and (E,) alien.
     """
     n, size, channels = values.shape
-    inner = size // 4
-    marks = 1 + (landmark.max() if len(landmark) else 0)
-    levels = np.full(len(landmark), np.nan)
+    inner, edges = size // 4, len(landmark)
+    marks = 1 + (landmark.max() if edges else 0)
+    colour = np.full((marks, channels), np.nan)
     rim = np.empty(n)
     for m in range(marks):
-        colour = np.empty(channels)
         for c in range(channels):
             count = 0
             for i in range(n):
                 if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
                     rim[count] = np.mean(values[i, :inner, c])
                     count += 1
-            colour[c] = np.median(rim[:count]) if count > 0 else np.nan
-        for e in range(len(landmark)):
-            if roof[e] and landmark[e] == m:
-                levels[e] = np.sum(colour * direction[e])
-    return levels
+            if count > 0:
+                colour[m, c] = np.median(rim[:count])
+    distance = np.zeros((n, size))
+    inside, outside, count = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros(edges)
+    for i in range(n):
+        e = edge[i]
+        if usable[i] and roof[e]:
+            count[e] += 1.0
+            for c in range(channels):
+                inside[e, c] += np.mean(values[i, :inner, c])
+                outside[e, c] += np.mean(values[i, size - inner :, c])
+            for j in range(size):
+                total = 0.0
+                for c in range(channels):
+                    total += (values[i, j, c] - colour[landmark[e], c]) ** 2
+                distance[i, j] = math.sqrt(total)
+    alien = np.zeros(edges, dtype=np.bool_)
+    for e in range(edges):
+        if count[e] > 0.0:
+            off = np.sqrt(np.sum((inside[e] / count[e] - colour[landmark[e]]) ** 2))
+            across = np.sqrt(np.sum(((outside[e] - inside[e]) / count[e]) ** 2))
+            alien[e] = off > _ALIEN * across + 4.0
+    return distance, alien
 
 
 @njit(cache=True)
-def search(grey: Array, edge: Indices, levels: Array, step: float, usable: Mask) -> Array:
-    """Offsets (N,) px of the step that all points of an edge vote for; NaN where there is none.
+def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask) -> Array:
+    """Offsets (N,) px at which all points of a roof edge leave the roof; NaN where there is no such place.
 
-    Box differences D_i(s) of all points are added with their sign; the offset of the largest |sum| wins whose inner side has the
-    edge's level (E,), unless a second one, farther off than a slope could explain, is nearly as large: such an edge stays out.
+    distance (N, S): from the roof's colour. Its box differences are added over the points of an edge; the offset of the largest
+    sum wins, if inside it is the roof, unless a second one, farther off than a slope could explain, is nearly as large.
     """
-    n, size = grey.shape
-    edges, last = len(levels), size - _BOX
+    n, size = distance.shape
+    last = size - _BOX
     response, vote = np.zeros((n, size)), np.zeros((edges, size))
     mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
         if usable[i]:
             count[edge[i]] += 1.0
-            mean[edge[i]] += grey[i]
+            mean[edge[i]] += distance[i]
             for j in range(_BOX, last):
                 total = 0.0
                 for k in range(1, _BOX + 1):
-                    total += grey[i, j + k] - grey[i, j - k]
+                    total += distance[i, j + k] - distance[i, j - k]
                 response[i, j] = total / _BOX
                 vote[edge[i], j] += response[i, j]
-    best, sign = _elect(vote, mean, count, levels)
+    best = _elect(vote, mean, count)
     offsets = np.full(n, np.nan)
     for i in range(n):
         e = edge[i]
@@ -156,11 +175,11 @@ def search(grey: Array, edge: Indices, levels: Array, step: float, usable: Mask)
         low, high = max(_BOX + 1, int(best[e] - _AGREE)), min(last - 2, int(best[e] + _AGREE))
         top, at = 0.0, -1
         for j in range(low, high + 1):
-            value = sign[e] * response[i, j]
-            if value > top and value >= sign[e] * response[i, j - 1] and value >= sign[e] * response[i, j + 1]:
+            value = response[i, j]
+            if value > top and value >= response[i, j - 1] and value >= response[i, j + 1]:
                 top, at = value, j
-        if at >= 0 and top > 0.4 * sign[e] * vote[e, int(best[e])] / count[e]:
-            before, after = sign[e] * response[i, at - 1], sign[e] * response[i, at + 1]
+        if at >= 0 and top > 0.4 * vote[e, int(best[e])] / count[e]:
+            before, after = response[i, at - 1], response[i, at + 1]
             curvature = before - 2.0 * top + after
             shift = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
             offsets[i] = (at + shift - size // 2) * step
@@ -168,36 +187,33 @@ def search(grey: Array, edge: Indices, levels: Array, step: float, usable: Mask)
 
 
 @njit(cache=True)
-def _elect(vote: Array, mean: Array, count: Array, levels: Array) -> tuple[Array, Array]:
-    """Best place (E,), -1 where none or ambiguous, and sign (E,) of the edges' votes (E, S)."""
+def _elect(vote: Array, mean: Array, count: Array) -> Array:
+    """Best place (E,), -1 where none or ambiguous, of the edges' votes (E, S); mean (E, S): summed distances from the roof."""
     edges, size = vote.shape
-    best, sign = np.full(edges, -1.0), np.ones(edges)
+    best = np.full(edges, -1.0)
     for e in range(edges):
         if count[e] < 2:
             continue
         top, rival, at = _LEAST_CONTRAST * count[e], 0.0, -1
         for j in range(_BOX + 1, size - _BOX - 1):
-            value = abs(vote[e, j])
-            peak = value > abs(vote[e, j - 1]) and value >= abs(vote[e, j + 1])
-            if not peak or value < top * _SECOND:
+            value = vote[e, j]
+            if value < top * _SECOND or value <= vote[e, j - 1] or value < vote[e, j + 1]:
                 continue
-            if not math.isnan(levels[e]) and abs(mean[e, max(j - 4, 0)] / count[e] - levels[e]) > _ALIEN * value / count[e]:
+            if mean[e, max(j - 4, 0)] > _ALIEN * mean[e, min(j + 4, size - 1)] + 8.0 * count[e]:
                 continue
             if value > top:
-                if at >= 0 and j - at > _BOX:
-                    rival = top
+                rival = top if at >= 0 and j - at > _BOX else rival
                 top, at = value, j
             elif at >= 0 and j - at > _BOX:
                 rival = max(rival, value)
         if at >= 0 and rival < _SECOND * top:
             best[e] = at
-            sign[e] = 1.0 if vote[e, at] > 0.0 else -1.0
-    return best, sign
+    return best
 
 
 @njit(cache=True)
 def fit(
-    grey: Array, edge: Indices, gap: Array, levels: Array, step: float, usable: Mask
+    grey: Array, edge: Indices, gap: Array, step: float, usable: Mask
 ) -> tuple[Array, Array, Array]:
     """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
 
@@ -205,7 +221,7 @@ def fit(
     belongs to which step is estimated, and what that leaves open of the place is the variance.
     """
     n, size = grey.shape
-    edges, half = len(levels), size // 2
+    edges, half = len(gap), size // 2
     offsets, blur, opened = np.full(n, np.nan), np.full(edges, np.nan), np.zeros(edges)
     mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
@@ -218,13 +234,16 @@ def fit(
     for e in range(edges):
         if count[e] < 2:
             continue
-        x, variance = _fit_mean(place, mean[e] / count[e], gap[e])
+        second = gap[e]
+        x, variance, misfit = _fit_mean(place, mean[e] / count[e], second)
+        if second == 0.0 and misfit > _STRIP_MISFIT:
+            second = _strip(place, mean[e] / count[e], misfit)
+            if second > 0.0:
+                x, variance, misfit = _fit_mean(place, mean[e] / count[e], second)
         contrast = max(abs(x[1]), abs(x[2]))
         if contrast < _LEAST_CONTRAST or abs(x[3]) > 0.7 * half * step:
             continue
-        if not math.isnan(levels[e]) and abs(x[0] - levels[e]) > _ALIEN * contrast + 3.0:
-            continue
-        if _point_rows(place, x, gap[e], rows[e]):
+        if _point_rows(place, x, second, rows[e]):
             centre[e], blur[e], opened[e] = x[3], x[4], variance
     for i in range(n):
         e = edge[i]
@@ -288,10 +307,9 @@ def _prefer_even(normal: Array, right: Array, gap: float, weight: float, c1: flo
 
 
 @njit(cache=True)
-def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float]:
-    """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), and the variance of s0.
-
-    Levenberg-Marquardt from the best of several places.
+def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float, float]:
+    """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
+    the mean squared misfit. Levenberg-Marquardt from the best of several places.
     """
     size = place.shape[0]
     reach = place[size - 1]
@@ -327,7 +345,24 @@ def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float]:
     for k in range(5):
         normal[k, k] += 1e-9
     noise = max(cost / max(size - 5, 1), 1.0)
-    return x, (noise * np.linalg.inv(normal)[3, 3] if gap > 0.0 else 0.0)
+    return x, (noise * np.linalg.inv(normal)[3, 3] if gap > 0.0 else 0.0), cost / size
+
+
+@njit(cache=True)
+def _strip(place: Array, g: Array, misfit: float) -> float:
+    """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
+    reach = place[place.shape[0] - 1]
+    contrast = max(g.max() - g.min(), 1.0)
+    weight = (2.0 / (1.5 * contrast)) ** 2
+    basis, x = np.empty((place.shape[0], 5)), np.zeros(5)
+    best, width = 0.3 * misfit * place.shape[0], 0.0
+    for k in range(4, 15):
+        gap = 0.5 * k
+        for m in range(-3, 4):
+            cost = _split(place, g, gap, weight, m * 0.15 * reach, 0.7, x, basis)
+            if cost < best:
+                best, width = cost, gap
+    return width
 
 
 @njit(cache=True)

@@ -164,15 +164,16 @@ class _Fit:
             else:
                 usable &= edges.kind[samples.edge] == Kind.ROOF
             values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3 if fine else 1, usable)
-            grey, direction = outline.along_contrast(values, samples.edge, count, usable)
             roof = edges.kind == Kind.ROOF
-            levels = outline.roof_levels(values, samples.edge, edges.landmark, roof, direction, usable)
+            distance, alien = outline.off_roof(values, samples.edge, edges.landmark, roof, usable)
             if fine:
+                usable &= ~alien[samples.edge]
+                grey = outline.along_contrast(values, samples.edge, count, usable)
                 double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
-                offsets, _, variance = outline.fit(grey, samples.edge, double, levels, 1.0, usable)
+                offsets, _, variance = outline.fit(grey, samples.edge, double, 1.0, usable)
                 opened.append(np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, variance))
             else:
-                offsets = outline.search(grey, samples.edge, levels, 1.0, usable)
+                offsets = outline.search(distance, samples.edge, count, 1.0, usable)
                 opened.append(np.zeros(count))
             line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
             lines.append(line)
