@@ -23,6 +23,7 @@ from vision.rectify import Image
 from vision.regions import Region
 
 Pixels = NDArray[np.int32]  # (N, 2) u, v
+_SQUARE = np.ones((5, 5), np.uint8)  # taken off a region's inside: half an edge has the gradient of an edge, but not its place
 _RIM = 2  # px around a region that belong to it: its edges are what can be matched
 
 
@@ -36,7 +37,7 @@ class Search:
     vertical_px: int = 2  # how far from the epipolar line a fine match may lie and still be measured
     template_px: int = 350  # pixels of a template at the coarse level
     cells: int = 24  # of a region, about
-    slope_tangent: float = 0.5  # sigma of the surfaces' tilt against the picture plane, tan
+    slope_tangent: float = 0.3  # sigma of the surfaces' tilt against the picture plane, tan
     noise_floor: float = 0.7  # levels: 8-bit quantisation and a little more
     rim_sigma_px: float = 0.08  # what the ground beside a region does to the disparity of a cell at its edge
 
@@ -168,39 +169,38 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
 def _fine(
     pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float, float]
 ) -> Match | Unmatched:
-    """From the region's own pixels; only where they are too plain from its rim too, which the ground beside it blurs."""
-    reasons = []
-    for rim, blur in ((0, 0.0), (_RIM, search.rim_sigma_px)):
-        match = _with_rim(pair, region, rig, search, start, (rim, blur))
-        if isinstance(match, Match) and (rim or match.plane.covariance[0, 0] < search.rim_sigma_px**2):
-            return match
-        reasons.append(match)
-    return reasons[1] if isinstance(reasons[1], Match) else reasons[0]
+    """From the region's inside if it has texture enough; else from its edges too, which the ground beside them moves."""
+    inside = cv2.erode(region.mask.view(np.uint8), _SQUARE, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
+    match = _cells(pair, region, rig, search, start, (inside, 0, 0.0))
+    if isinstance(match, Match) and match.plane.covariance[0, 0] < search.rim_sigma_px**2:
+        return match
+    with_edges = _cells(pair, region, rig, search, start, (correlation.padded(region.mask, _RIM), _RIM, search.rim_sigma_px))
+    return with_edges if isinstance(with_edges, Match) else match
 
 
-def _with_rim(
+def _cells(
     pair: _Pyramid,
     region: Region,
     rig: StereoRig,
     search: Search,
     start: tuple[int, int, float, float],
-    around: tuple[int, float],
+    where: tuple[NDArray[np.bool_], int, float],
 ) -> Match | Unmatched:
     """Cells and the plane through them, twice: the second time each cell is as inclined as the first plane."""
-    (disparity, vertical, score, gain), (rim, blur) = start, around
+    (disparity, vertical, score, gain), (mask, rim, blur) = start, where
     left, right = pair.grey(0)
-    mask = correlation.padded(region.mask, rim) if rim else region.mask
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)
-    size = max(int(np.sqrt(region.mask.sum() / search.cells)), 8)
+    size = max(int(np.sqrt(mask.sum() / search.cells)), 8)
     believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
-    guess = np.array([disparity, 0.0, 0.0, 0.0, 0.0])
+    plane = DisparityPlane(np.zeros(2), np.array([disparity, 0.0, 0.0]), np.eye(3), 1.0, 0)
     for _ in range(2):
+        guess = np.concatenate((plane.coefficients, plane.origin))
         cells, step, information = correlation.cells(left, right, mask, corner, size, guess, vertical, gain, search.noise_floor)
         sigmas = np.hypot(cells[:, 3], blur)
-        plane = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
-        if plane is None:
+        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
+        if fitted is None:
             return Unmatched(region, "no texture that could be matched")
-        guess = np.array([*plane.coefficients, *plane.origin])
+        plane = fitted
     if plane.used < 0.5 * len(cells) or plane.covariance[0, 0] > 1.0:
         return Unmatched(region, "no plane: the cells' disparities disagree")
     sigma = float(plane.scatter / np.sqrt(max(information, 1e-12)))

@@ -112,12 +112,12 @@ def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, leve
     if sigma > accuracy.most_depth_sigma * disparity:
         return Unmeasured(match.region, f"too far: disparity {disparity:.2f} +- {sigma:.2f} px")
     from_rig = _rig_error(rig, plane, outline, disparity)
-    values, jacobian, sides = _derivatives(match.region, plane, rig)
-    if not np.isfinite(jacobian).all():
+    values, of_plane, bends, of_sides = _spread(match.region, plane, own + from_rig, rig)
+    if not np.isfinite(of_plane).all():
         return Unmeasured(match.region, "the plane stands on edge")
-    of_sides = _side_sigmas(match.region, accuracy)
-    covariance = jacobian[:, :3] @ (own + from_rig) @ jacobian[:, :3].T
-    covariance += (sides * of_sides**2) @ sides.T + accuracy.all_edges_px**2 * np.outer(sides.sum(axis=1), sides.sum(axis=1))
+    of_all = accuracy.all_edges_px * of_sides.sum(axis=1)
+    of_sides = of_sides * _side_sigmas(match.region, accuracy)
+    covariance = of_plane @ of_plane.T + 3.0 * bends @ bends.T + of_sides @ of_sides.T + np.outer(of_all, of_all)
     inverse_depth = _inverse_depth(plane, rig)
     normal = -inverse_depth / np.linalg.norm(inverse_depth)
     e1, e2 = _axes(normal)
@@ -208,22 +208,26 @@ def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
     return np.sqrt(region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0) + accuracy.edge_px**2)
 
 
-def _derivatives(region: Region, plane: DisparityPlane, rig: StereoRig) -> tuple[Array, Array, Array]:
-    """Centre, distance, width, length, size, fill ratio, orientation; d/d(c, p, q) (9, 3); d/d(each side, outwards) (9, S)."""
+def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: StereoRig) -> tuple[Array, Array, Array, Array]:
+    """Centre, distance, width, length, size, fill ratio, orientation (9,); how they move with each standard deviation s of
+    the plane, in proportion to it (9, 3) and to its square (9, 3); and per pixel with each side of the outline, outwards (9, S).
+
+    A rectangle's fill ratio feels only the square of a tilt: y(+-s) = y +- a s + q s^2, and q s^2 has second moment 3 q^2.
+    """
     outline = region.outline
     moves = _side_moves(outline) if region.corners is not None else _arc_moves(outline)
-    extent = max(float(np.ptp(outline, axis=0).max()), 1.0)
-    step = 1e-4 * max(abs(plane.coefficients[0] - disparity_offset(rig)), 1e-3)
-    steps = np.array([step, step / extent, step / extent])
-    outlines = np.concatenate((np.repeat(outline[None], 4, axis=0), outline + 1e-3 * moves))
+    steps = np.linalg.cholesky(covariance + 1e-18 * np.eye(3)).T
+    outlines = np.concatenate((np.repeat(outline[None], 7, axis=0), outline + 1e-3 * moves))
     planes = np.repeat(plane.coefficients[None], len(outlines), axis=0)
-    planes[1:4] += np.diag(steps)
+    planes[1:4] += steps
+    planes[4:7] -= steps
     camera = np.array([rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy, rig.baseline_m, disparity_offset(rig)])
     table = _quantities(outlines, planes, plane.origin, camera)
     change = table[1:] - table[0]
     quarter = 0.5 * np.pi  # a square's length may become its width
     change[:, _ORIENTATION] = (change[:, _ORIENTATION] + 0.5 * quarter) % quarter - 0.5 * quarter
-    return table[0], change[:3].T / steps, change[3:].T / 1e-3
+    up, down = change[:3].T, change[3:6].T
+    return table[0], 0.5 * (up - down), 0.5 * (up + down), change[6:].T / 1e-3
 
 
 def _side_moves(corners: Array) -> Array:

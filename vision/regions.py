@@ -15,6 +15,7 @@ from models.messages import Array
 from vision.components import components
 from vision.polygon import fit_polygon
 from vision.rectify import Image, Mask
+from vision.refine import tighten
 from vision.segment import Labels
 
 _REACH = 3.0  # px from the pixels' border within which the edge is sought
@@ -80,13 +81,19 @@ def find_regions(image: Image, labels: Labels, limits: Limits | None = None, val
     for number in np.argsort(-table[:, 5])[: limits.most]:
         label, u0, v0, width, height, _ = (int(x) for x in table[number])
         mask = _fill(runs, run_component, number, u0, v0, width, height)
-        cut = u0 <= 1 or v0 <= 1 or u0 + width >= labels.shape[1] - 1 or v0 + height >= labels.shape[0] - 1
-        if valid is not None and not cut:
-            cut = not valid[v0 - 1 : v0 + height + 1, u0 - 1 : u0 + width + 1].all()
-        region = _region(image, mask, (u0, v0, width, height), cut, label)
+        mask, bbox = tighten(image, mask, (u0, v0, width, height))
+        region = _region(image, mask, bbox, _cut_off(bbox, labels.shape, valid), label)
         if region is not None:
             regions.append(region)
     return regions
+
+
+def _cut_off(bbox: tuple[int, int, int, int], shape: tuple[int, ...], valid: Mask | None) -> bool:
+    """Whether the picture, or what of it shows anything, ends beside the box."""
+    u0, v0, width, height = bbox
+    if u0 <= 1 or v0 <= 1 or u0 + width >= shape[1] - 1 or v0 + height >= shape[0] - 1:
+        return True
+    return valid is not None and not valid[v0 - 1 : v0 + height + 1, u0 - 1 : u0 + width + 1].all()
 
 
 def _region(image: Image, mask: NDArray[np.uint8], bbox: tuple[int, int, int, int], cut: bool, label: int) -> Region | None:
