@@ -11,7 +11,7 @@ from calib.errors import CalibrationError
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
 _VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"}
-_MOST_FRAMES = 300  # of a video or a log; evenly spread
+MOST_FRAMES = 300  # of a video or a log; evenly spread
 _LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: a picture so often, for so long
 
 
@@ -24,16 +24,16 @@ class Picture(NamedTuple):
     done: float
 
 
-def pictures(sources: Sequence[str], topic: str) -> Iterator[Picture]:
-    """All pictures of the sources in order. Raises CalibrationError where there is none, or a source cannot be read."""
+def pictures(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[Picture]:
+    """All pictures of the sources in order, of a video or log at most so many. Raises CalibrationError, too, where there is none."""
     files = [f for source in sources for f in _files(source)]
     for k, file in enumerate(files):
         if file.startswith("camera:"):
             source = _live(file.removeprefix("camera:"))
         elif Path(file).suffix.lower() == ".mcap":
-            source = _log(Path(file), topic)
+            source = _log(Path(file), topic, most)
         elif Path(file).suffix.lower() in _VIDEOS:
-            source = _video(Path(file))
+            source = _video(Path(file), most)
         else:
             source = _still(Path(file), k)
         for picture in source:
@@ -71,14 +71,14 @@ def _still(path: Path, k: int) -> Iterator[Picture]:
     yield Picture(path.name, int(numbers[-1]) if numbers else -1 - k, image[..., :3] if image.ndim == 3 else image, 1.0)
 
 
-def _video(path: Path) -> Iterator[Picture]:
+def _video(path: Path, most: int) -> Iterator[Picture]:
     import cv2
 
     video = cv2.VideoCapture(str(path))
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
     if not video.isOpened() or count == 0:
         raise CalibrationError(f"{path}: no video that can be read")
-    step = max(1, -(-count // _MOST_FRAMES))
+    step = max(1, -(-count // most))
     for frame in range(count):
         if not video.grab():
             break
@@ -104,14 +104,14 @@ def _live(device: str) -> Iterator[Picture]:
             yield Picture(f"picture {count}", count, image, elapsed / _LIVE_FOR_S)
 
 
-def _log(path: Path, topic: str) -> Iterator[Picture]:
+def _log(path: Path, topic: str, most: int) -> Iterator[Picture]:
     from logs.reader import LogReader
 
     with LogReader(path) as log:
         stamps = [r.log_time_ns for r in log if r.topic == topic]
     if not stamps:
         raise CalibrationError(f"{path}: no pictures under {topic} in it; name their topic")
-    step = max(1, -(-len(stamps) // _MOST_FRAMES))
+    step = max(1, -(-len(stamps) // most))
     with LogReader(path) as log:
         for k, record in enumerate(r for r in log if r.topic == topic):
             if k % step == 0:

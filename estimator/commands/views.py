@@ -6,7 +6,7 @@ from calib.chessboard import Board, View, Why, find, size_seen
 from calib.errors import CalibrationError
 from calib.mono import Dropped
 from calib.stereo import Pair
-from estimator.commands.picture_source import pictures
+from estimator.commands.picture_source import MOST_FRAMES, pictures
 from vision.rectify import Image
 
 Keyed = tuple[int, View]
@@ -16,13 +16,13 @@ _HINTS = 4  # pictures searched for a board of another size
 
 
 def gather(
-    sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None]
+    sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
     """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where no picture does."""
     views: list[Keyed] = []
     unused: list[Dropped] = []
     without: list[Image] = []
-    for picture in pictures(sources, topic):
+    for picture in pictures(sources, topic, most):
         found = find(picture.image, board, picture.name)
         if isinstance(found, View):
             views.append((picture.key, found))

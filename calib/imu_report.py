@@ -1,0 +1,151 @@
+"""Verdicts, tables and pictures of the two calibrations that have an IMU in them."""
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib.allan import Noise
+from calib.camera_imu import CameraImu
+from calib.imu import SixPosition, Static
+from calib.pictures import BLUE, GREEN, GREY, VERMILLION
+from calib.report import Table
+from calib.verdict import Figure as Fact
+from calib.verdict import Verdict
+from models import so3
+
+_COLOURS = (VERMILLION, GREEN, BLUE)  # x y z
+_LONGER: Final = "let the IMU lie still for longer: ten minutes for the noise, hours for the random walk"
+_MOVE: Final = "move more: turn briskly about all three axes and shake along all three, a minute, the whole board in view"
+_MODEL: Final = (
+    "innovations are larger than the noise says: give [imu] the noise of landfix calibrate imu, fix the board, check stamps"
+)
+_FEW: Final = "keep the whole board in the picture, in good light, so that more pictures count"
+
+
+def of_static(result: Static) -> Verdict:
+    """The verdict on noise figures."""
+    spread = max(n.density_sigma / max(n.density, 1e-30) for n in (*result.gyro, *result.accel))
+    return Verdict((
+        Fact("seconds at rest short of 600", max(600.0 - result.duration_s, 0.0), "s", 0.0, 580.0, _LONGER),
+        Fact("sigma of the noise density", 100.0 * spread, "%", 3.0, 15.0, _LONGER),
+    ))  # fmt: skip
+
+
+def of_camera_imu(result: CameraImu) -> Verdict:
+    """The verdict on a camera's place on the IMU."""
+    sigma = np.sqrt(np.diagonal(result.covariance))
+    return Verdict((
+        Fact("sigma of the translation", 1e3 * float(sigma[:3].max()), "mm", 3.0, 10.0, _MOVE),
+        Fact("sigma of the rotation", float(np.rad2deg(sigma[3:6].max())), "deg", 0.05, 0.2, _MOVE),
+        Fact("sigma of the time offset", 1e3 * float(sigma[6]), "ms", 0.3, 1.0, _MOVE),
+        Fact("mean square of the innovations", result.mean_square, "", 1.5, 9.0, _MODEL),
+        Fact("pictures short of 400", max(400.0 - len(result.innovations), 0.0), "", 0.0, 300.0, _FEW),
+    ))  # fmt: skip
+
+
+def static_tables(result: Static) -> list[Table]:
+    """Noise of each axis, and what the configuration takes."""
+    rows = []
+    for name, unit, noises in (("gyro", "rad/s", result.gyro), ("accel", "m/s^2", result.accel)):
+        for axis, n in zip("xyz", noises, strict=True):
+            walk = (
+                f"{n.walk:.3g} +- {n.walk_sigma:.1g}" if n.walk > 2.0 * n.walk_sigma else f"< {n.walk + 2.0 * n.walk_sigma:.2g}"
+            )
+            rows.append((f"{name} {axis}", f"{n.density:.4g} +- {n.density_sigma:.1g}", walk, f"{n.instability:.3g}", unit))
+    config = [(key, f"{value:.3g}") for key, value in result.config().items()]
+    header = ("axis", "noise density [1/sqrt(Hz)]", "random walk [1/s/sqrt(Hz)]", "bias instability", "of")
+    return [
+        (f"At rest for {result.duration_s:.0f} s at {result.rate_hz:.0f} Hz", header, rows),
+        ("[imu] of the configuration, at least (vibration in flight adds to it, up to 20 times)", (), config),
+    ]
+
+
+def six_table(result: SixPosition) -> Table:
+    """Scale and bias of the accelerometer."""
+    sigma = np.sqrt(np.diagonal(result.covariance))
+    rows = [
+        (f"axis {a}", f"{b:.4f} +- {sb:.1g}", f"{s:.5f} +- {ss:.1g}")
+        for a, b, s, sb, ss in zip("xyz", result.bias, result.scale, sigma[:3], sigma[3:], strict=True)
+    ]
+    title = (
+        f"Accelerometer, {len(result.positions)} positions, residual {result.residual:.4f} m/s^2: true = (read - bias) / scale"
+    )
+    return title, ("", "bias [m/s^2]", "scale"), rows
+
+
+def camera_imu_tables(result: CameraImu) -> list[Table]:
+    """Extrinsics with their standard deviations."""
+    sigma = np.sqrt(np.diagonal(result.covariance))
+    roll, pitch, yaw = np.rad2deg(so3.to_euler(so3.from_matrix(np.ascontiguousarray(result.R_bc))))
+    rows = [(f"p_bc {n}", f"{1e3 * x:.2f}", f"{1e3 * s:.2g}", "mm") for n, x, s in zip("xyz", result.p_bc, sigma, strict=False)]
+    rows += [
+        (f"rotation about {n} of the body", "", f"{np.rad2deg(s):.2g}", "deg") for n, s in zip("xyz", sigma[3:6], strict=True)
+    ]
+    rows += [("time offset (shutter minus stamp)", f"{1e3 * result.time_offset_s:.3f}", f"{1e3 * sigma[6]:.2g}", "ms")]
+    matrix = [("R_bc", " ".join(f"{x:+.6f}" for x in row)) for row in result.R_bc]
+    facts = [
+        ("R_bc as roll, pitch, yaw", f"{roll:.3f}, {pitch:.3f}, {yaw:.3f} deg"),
+        ("pictures used, left out", f"{len(result.innovations) + 1}, {result.dropped}"),
+        ("residual of the corners", f"{result.residual_px:.3f} px"),
+        ("first guess of the rotation, from rates alone, was off by", f"{result.rotation_only_deg:.3f} deg"),
+        ("mean square of the normalised innovations (1 is right)", f"{result.mean_square:.2f}"),
+    ]
+    return [
+        ("Camera on the body: x_b = R_bc x_c + p_bc", ("", "value", "+- sigma", "unit"), rows),
+        ("Result", (), [*facts, *matrix]),
+    ]
+
+
+def static_figure(result: Static) -> Figure:
+    """Allan deviation of the six axes with the fitted curves."""
+    figure = Figure(figsize=(12.0, 5.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _draw_allan(left, result.gyro, "gyroscope", "rad/s")
+    _draw_allan(right, result.accel, "accelerometer", "m/s^2")
+    return figure
+
+
+def camera_imu_figure(result: CameraImu) -> Figure:
+    """Normalised innovations over time and their distribution beside the normal one."""
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    axes = figure.subplots(2, 2, width_ratios=(3, 1))
+    for row, (part, what) in enumerate(((slice(0, 3), "position of the board"), (slice(3, 6), "rotation of the board"))):
+        for k, name in enumerate("xyz"):
+            axes[row, 0].plot(result.t_s, result.innovations[:, part][:, k], ".", markersize=2.5, color=_COLOURS[k], label=name)
+        for limit in (-2.0, 2.0):
+            axes[row, 0].axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
+        axes[row, 0].set_ylabel("normalised innovation")
+        axes[row, 0].set_title(f"{what}: dashed, 95 % of them if all is right", fontsize=10)
+        axes[row, 0].legend(fontsize=8, loc="upper right")
+        values = result.innovations[:, part].ravel()
+        z = np.linspace(-4.5, 4.5, 181)
+        axes[row, 1].hist(np.clip(values, -4.5, 4.5), bins=45, density=True, color=BLUE, alpha=0.6, label="innovations")
+        axes[row, 1].plot(z, np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi), color=VERMILLION, label="normal")
+        axes[row, 1].legend(fontsize=8)
+        axes[row, 1].set_title(f"RMS {np.sqrt(np.mean(values**2)):.2f} (1 is right)", fontsize=10)
+    axes[1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def _draw_allan(axes: Axes, noises: tuple[Noise, Noise, Noise], what: str, unit: str) -> None:
+    for name, n, colour in zip("xyz", noises, _COLOURS, strict=True):
+        axes.errorbar(
+            n.tau_s,
+            n.adev,
+            n.adev_sigma,
+            fmt="o",
+            markersize=3.5,
+            color=colour,
+            linewidth=0.8,
+            label=f"{name}: N = {n.density:.3g}",
+        )
+        axes.plot(n.tau_s, n.model(n.tau_s), color=colour, linewidth=0.9)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("averaging time [s]")
+    axes.set_ylabel(f"Allan deviation [{unit}]")
+    axes.set_title(f"{what}: measured (dots) and fitted; N [{unit}/sqrt(Hz)] is read at 1 s", fontsize=10)
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(fontsize=8)
