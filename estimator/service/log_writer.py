@@ -80,8 +80,8 @@ class LogWriter:
         self._config, self._name, self._metadata, self._attachments = config, name, dict(metadata), attachments
         self._queue: deque[_Item] = deque()
         self._images: deque[_Item] = deque()
-        self._put_bytes = self._taken_bytes = self._image_bytes = 0  # each is changed by one thread only
-        self._taken_image_bytes = 0
+        self._put_bytes = self._taken_bytes = 0  # each is changed by one thread only
+        self._image_lock, self._image_bytes, self._taken_image_bytes = threading.Lock(), 0, 0
         self._lost_inputs = self._dropped_outputs = self._dropped_images = 0
         self._unflushed: list[_Item] = []  # written, but not yet safe: a full disk tears it off
         self._state, self._problem = "recording", ""
@@ -114,15 +114,12 @@ class LogWriter:
         """Keep a picture; the oldest make room."""
         if not self._config.images or not is_known(arrival.schema):
             return
-        self._image_bytes += len(arrival.data)
-        self._images.append(_Item(*arrival))
-        while self._image_bytes - self._taken_image_bytes > self._config.image_queue_mb * _MB:
-            try:
-                oldest = self._images.popleft()
-            except IndexError:  # the log's thread was quicker
-                break
-            self._image_bytes -= len(oldest.data)
-            self._dropped_images += 1
+        with self._image_lock:
+            self._image_bytes += len(arrival.data)
+            self._images.append(_Item(*arrival))
+            while self._images and self._image_bytes - self._taken_image_bytes > self._config.image_queue_mb * _MB:
+                self._image_bytes -= len(self._images.popleft().data)
+                self._dropped_images += 1
 
     @property
     def waiting_bytes(self) -> int:
@@ -178,11 +175,11 @@ class LogWriter:
             recorder.write(*item)
             self._count(item)
         while True:
-            try:
+            with self._image_lock:
+                if not self._images:
+                    return
                 image = self._images.popleft()
-            except IndexError:
-                return
-            self._taken_image_bytes += len(image.data)
+                self._taken_image_bytes += len(image.data)
             recorder.write(*image)
             self._count(image)
 
@@ -246,7 +243,7 @@ class LogWriter:
         """Delete the oldest logs beyond keep_gb."""
         if not self._config.keep_gb:
             return
-        logs = sorted(folder.glob("*.mcap"), key=lambda p: p.name, reverse=True)
+        logs = sorted(folder.glob("landfix-*.mcap"), key=lambda p: p.name, reverse=True)
         total = 0
         for log in logs:
             total += log.stat().st_size

@@ -104,10 +104,11 @@ def client(port: int, **settings: object) -> Iterator[zenoh.Session]:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def fly(session: zenoh.Session, seconds: float, *, imu_hz: float = 200.0, fix_hz: float = 5.0, image_hz: float = 0.0) -> Vehicle:
-    """A vehicle that has flown."""
+def fly(session: zenoh.Session, seconds: float, *, gnss_hz: float = 5.0, fix_hz: float = 5.0, image_hz: float = 0.0) -> Vehicle:
+    """A vehicle that has flown, with 200 IMU samples a second, and has heard the last estimate."""
     vehicle = Vehicle(session, seed=1)
-    vehicle.fly(seconds, imu_hz, gnss_hz=5.0, fix_hz=fix_hz, image_hz=image_hz)
+    vehicle.fly(seconds, 200.0, gnss_hz=gnss_hz, fix_hz=fix_hz, image_hz=image_hz)
+    time.sleep(0.3)
     return vehicle
 
 

@@ -1,0 +1,122 @@
+"""What may happen to the process: killed, stopped, told to stop. The estimate goes on, the log has all but the last instant."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.service_vehicle import Vehicle, truth
+from estimator.service.recovery import torn_logs
+from logs.codec import Odometry
+from models.messages import Array
+from tests.service.flying import (
+    as_process,
+    assert_replay_says_the_same,
+    client,
+    environment,
+    fly,
+    free_port,
+    logs_of,
+    odometry,
+    records,
+    toml,
+    until,
+)
+
+SECOND = 1_000_000_000
+
+
+def _errors_in_sigma(estimates: list[Odometry]) -> Array:
+    errors = np.array([np.subtract(e.p_n, truth(e.t_ns)[0]) for e in estimates])
+    sigma = np.sqrt(np.array([np.diag(e.pose_covariance)[:3] for e in estimates]))
+    ratios: Array = np.abs(errors) / sigma
+    return ratios
+
+
+def test_after_kill_9_the_log_is_whole_and_the_estimate_goes_on_where_it_was(tmp_path: Path) -> None:
+    """No fix comes after the restart: without its last state the second daemon could say nothing."""
+    port = free_port()
+    text = toml(tmp_path, port, more="[service]\nwarm_restart_s = 50.0")
+    with as_process(text, tmp_path, port) as first, client(port) as session:
+        vehicle = Vehicle(session, seed=1)
+        vehicle.fly(3.0, 200.0, gnss_hz=5.0, fix_hz=5.0, image_hz=0.0)
+        first.kill()
+        killed_ns = time.time_ns()
+    (torn,) = torn_logs(tmp_path / "logs")
+    lost_s = (killed_ns - records(torn, "/imu")[-1].log_time_ns) * 1e-9
+    assert lost_s < 0.1
+    assert (tmp_path / "logs" / "landfix.state").exists()
+
+    with as_process(text, tmp_path, port), client(port) as session:
+        vehicle = fly(session, 1.0, fix_hz=0.0, gnss_hz=0.0)
+        until(lambda: not torn_logs(tmp_path / "logs")[:-1], "the torn log is made whole")
+    assert len(vehicle.latency_ns) >= 199
+    before, after = logs_of(tmp_path)
+    assert len(records(after, "/landfix/checkpoint")) == 1
+    gap_s = (odometry(after)[0].t_ns - odometry(before)[-1].t_ns) * 1e-9
+    assert 0.1 < gap_s < 60.0
+    assert _errors_in_sigma(odometry(after)).max() < 5.0
+    assert_replay_says_the_same(before, text)
+    assert_replay_says_the_same(after, text)
+
+
+def test_a_process_that_was_stopped_for_three_seconds_goes_on(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port)
+    with as_process(text, tmp_path, port) as daemon:
+        vehicle = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.service_vehicle", "--connect", f"tcp/127.0.0.1:{port}", "--seconds", "8",
+             "--imu-hz", "200", "--fix-hz", "5"],
+            env=environment(), stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        until(lambda: _estimates(tmp_path) > 200, "it flies")
+        daemon.send_signal(signal.SIGSTOP)
+        time.sleep(3.0)
+        daemon.send_signal(signal.SIGCONT)
+        flown = _estimates(tmp_path)
+        until(lambda: _estimates(tmp_path) > flown + 300, "it flies on")
+        daemon.send_signal(signal.SIGTERM)
+        assert daemon.wait(30) == 0
+        vehicle.kill()
+        vehicle.wait()
+    (log,) = logs_of(tmp_path)
+    estimates = odometry(log)
+    assert np.isfinite([e.p_n for e in estimates]).all()
+    assert _errors_in_sigma(estimates[-100:]).max() < 5.0
+    assert_replay_says_the_same(log, text)
+
+
+def _estimates(folder: Path) -> int:
+    files = [f for f in logs_of(folder) if f.stat().st_size > 8]
+    return len(odometry(files[-1])) if files else 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_told_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: signal.Signals) -> None:
+    port = free_port()
+    text = toml(tmp_path, port)
+    with as_process(text, tmp_path, port) as daemon:
+        with client(port) as session:
+            vehicle = fly(session, 1.0)
+        daemon.send_signal(number)
+        assert daemon.wait(20) == 0
+    assert torn_logs(tmp_path / "logs") == []
+    assert len(records(logs_of(tmp_path)[0], "/imu")) == vehicle.sent["/imu"]
+    assert (tmp_path / "stderr.txt").read_text() == ""
+
+
+def test_what_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port)
+    file = tmp_path / "vehicle.toml"
+    with as_process(text, tmp_path, port):
+        second = subprocess.run(
+            [sys.executable, "-m", "estimator", "run", "-c", str(file)], capture_output=True, text=True, check=False, timeout=60
+        )
+    assert second.returncode == 1
+    assert second.stderr.count("\n") == 1
+    assert str(port) in second.stderr
