@@ -213,12 +213,13 @@ def _elect(vote: Array, mean: Array, count: Array) -> Array:
 
 @njit(cache=True)
 def fit(
-    grey: Array, edge: Indices, gap: Array, step: float, usable: Mask
+    grey: Array, edge: Indices, gap: Array, farthest: float, step: float, usable: Mask
 ) -> tuple[Array, Array, Array]:
     """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
 
     gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
-    belongs to which step is estimated, and what that leaves open of the place is the variance.
+    belongs to which step is estimated, and what that leaves open of the place is the variance. No edge is farther off than `farthest`
+    px on the mean.
     """
     n, size = grey.shape
     edges, half = len(gap), size // 2
@@ -235,13 +236,13 @@ def fit(
         if count[e] < 2:
             continue
         second = gap[e]
-        x, variance, misfit = _fit_mean(place, mean[e] / count[e], second)
+        x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
         if second == 0.0 and misfit > _STRIP_MISFIT:
-            second = _strip(place, mean[e] / count[e], misfit)
+            second = _strip(place, mean[e] / count[e], misfit, farthest)
             if second > 0.0:
-                x, variance, misfit = _fit_mean(place, mean[e] / count[e], second)
+                x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
         contrast = max(abs(x[1]), abs(x[2]))
-        if contrast < _LEAST_CONTRAST or abs(x[3]) > 0.7 * half * step:
+        if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest:
             continue
         if _point_rows(place, x, second, rows[e]):
             centre[e], blur[e], opened[e] = x[3], x[4], variance
@@ -307,7 +308,7 @@ def _prefer_even(normal: Array, right: Array, gap: float, weight: float, c1: flo
 
 
 @njit(cache=True)
-def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float, float]:
+def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
     the mean squared misfit. Levenberg-Marquardt from the best of several places.
     """
@@ -318,7 +319,7 @@ def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float, float]:
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
     cost = np.inf
     for k in range(-4, 5):
-        value = _split(place, g, gap, weight, k * 0.15 * reach, 0.8, trial, basis)
+        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis)
         if value < cost:
             cost = value
             x[:] = trial
@@ -349,9 +350,8 @@ def _fit_mean(place: Array, g: Array, gap: float) -> tuple[Array, float, float]:
 
 
 @njit(cache=True)
-def _strip(place: Array, g: Array, misfit: float) -> float:
+def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
     """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
-    reach = place[place.shape[0] - 1]
     contrast = max(g.max() - g.min(), 1.0)
     weight = (2.0 / (1.5 * contrast)) ** 2
     basis, x = np.empty((place.shape[0], 5)), np.zeros(5)
@@ -359,8 +359,8 @@ def _strip(place: Array, g: Array, misfit: float) -> float:
     for k in range(4, 15):
         gap = 0.5 * k
         for m in range(-3, 4):
-            cost = _split(place, g, gap, weight, m * 0.15 * reach, 0.7, x, basis)
-            if cost < best:
+            cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis)
+            if cost < best and abs(x[1]) > 0.5 * abs(x[2]):
                 best, width = cost, gap
     return width
 

@@ -41,7 +41,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How outlines are looked for and when a fit is believed."""
 
     windows_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
-    fits: Annotated[int, Meta(ge=1, description="rounds of sub-pixel fits after the searches")] = 2
+    farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
     fit_half_px: Annotated[int, Meta(ge=3, description="half width of the sub-pixel fit")] = 5
     spacing_px: Annotated[float, Meta(gt=0, description="distance of points along an edge")] = 3.0
     most_points: Annotated[int, Meta(ge=4, description="on one edge")] = 24
@@ -148,9 +148,9 @@ class _Fit:
             end_n=edges.end_n + np.einsum("eij,ej->ei", edges.map_end, shift),
         )
 
-    def look(self, half: int, fine: bool) -> _Round:
-        """Find the outline in the pictures from the present pose, within half px, and linearise."""
-        config = self.config
+    def look(self, half: int, farthest: float = 0.0) -> _Round:
+        """Look for the outline from the present pose within half px, or fit its edges not farther off than that, and linearise."""
+        config, fine = self.config, farthest > 0.0
         edges = self.edges()
         samples = sample_edges(edges, self.eyes[0][0], self.p_n, self.R_nb, config.spacing_px, config.most_points)
         count = len(edges.kind)
@@ -170,7 +170,7 @@ class _Fit:
                 usable &= ~alien[samples.edge]
                 grey = outline.along_contrast(values, samples.edge, count, usable)
                 double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
-                offsets, _, variance = outline.fit(grey, samples.edge, double, 1.0, usable)
+                offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
                 opened.append(np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, variance))
             else:
                 offsets = outline.search(distance, samples.edge, count, 1.0, usable)
@@ -231,18 +231,17 @@ def estimate_pose(
     if not fit.eyes:
         return NoPose("no_picture")
     for half in config.windows_px:
-        seen = fit.look(half, fine=False)
+        seen = fit.look(half)
         if refusal := _enough(seen, config):
             return refusal
-        _coarse_step(fit, seen)
-    for last in range(config.fits - 1, -1, -1):
-        seen = fit.look(config.fit_half_px, fine=True)
+        _robust_step(fit, seen, 1.0)
+    for farthest in config.farthest_px:
+        seen = fit.look(config.fit_half_px, farthest)
         if refusal := _enough(seen, config):
             return refusal
-        result = _fine_step(fit, seen)
-        if last == 0 or isinstance(result, NoPose):
-            return result
-    raise AssertionError
+        if farthest != config.farthest_px[-1]:
+            _robust_step(fit, seen, 0.3)
+    return _fine_step(fit, seen)
 
 
 def _enough(seen: _Round, config: PoseConfig) -> NoPose | None:
@@ -274,12 +273,12 @@ def _solve(fit: _Fit, H: Array, N: Array, weight: Array, z: Array) -> tuple[Arra
     return solution[:6], solution[6:], omega
 
 
-def _coarse_step(fit: _Fit, seen: _Round) -> None:
+def _robust_step(fit: _Fit, seen: _Round, common_px: float) -> None:
     """Iteratively reweighted step: an edge caught by a shadow or a neighbour is an outlier as a whole."""
     mask, z, H, N = _system(seen)
     unit = np.array([line.unit for line in seen.lines]).transpose(1, 0, 2, 3)
-    white, common = 0.5, np.array([1.0, 0.7])
-    block = white * unit + np.diag(common**2)
+    block = (0.5 * unit + np.diag([1.0, 0.5])) * common_px**2
+    block[:, :, 0, 0] += seen.opened.T
     inverse = np.linalg.inv(block)
     inverse[~mask[:, :, 0]] = 0.0
     count = mask.shape[0] * mask.shape[1]
