@@ -62,11 +62,13 @@ def _brightness_flaw(image: Image) -> str | None:
 
 def _torn_flaw(image: Image) -> str | None:
     """Rows that are constant, or copies of the row above, at the lower end: the rest never arrived."""
-    sample: NDArray[Any] = image[:, ::_STEP]
-    constant = (sample == sample[:, :1]).reshape(len(sample), -1).all(axis=1)
-    copied = np.append(False, (sample[1:] == sample[:-1]).reshape(len(sample) - 1, -1).all(axis=1))
-    lost = constant | copied
-    whole = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
-    if len(lost) - whole > _LOST_PART * len(lost):
-        return f"torn: nothing below row {whole}"
+    row = whole = len(image) - 1
+    while row > 0 and (_same(image[row, ::_STEP], image[row, :1]) or _same(image[row, ::_STEP], image[row - 1, ::_STEP])):
+        row -= 1
+    if whole - row > _LOST_PART * len(image):
+        return f"torn: nothing below row {row}"
     return None
+
+
+def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    return bool((a == b).all())

@@ -205,7 +205,7 @@ def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
     if region.corners is None:
         return np.full(_ARCS, np.hypot(region.edge_sigma_px, accuracy.edge_px))
     length = np.linalg.norm(np.roll(region.corners, -1, axis=0) - region.corners, axis=1)
-    return np.sqrt(region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0) + accuracy.edge_px**2)
+    return np.asarray(np.sqrt(region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0) + accuracy.edge_px**2))
 
 
 def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: StereoRig) -> tuple[Array, Array, Array, Array]:
@@ -230,25 +230,33 @@ def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: Stere
     return table[0], 0.5 * (up - down), 0.5 * (up + down), change[6:].T / 1e-3
 
 
+@njit(cache=True)
 def _side_moves(corners: Array) -> Array:
     """(K, K, 2): how the corners move when side i (from corner i to i + 1) moves outwards by one."""
-    along = np.roll(corners, -1, axis=0) - corners
-    normals = np.column_stack((-along[:, 1], along[:, 0])) / np.linalg.norm(along, axis=1)[:, None]
-    moves = np.zeros((len(corners), len(corners), 2))
-    for i in range(len(corners)):
-        before, after = i - 1, (i + 1) % len(corners)
-        moves[i, i] = np.linalg.solve(np.stack((normals[before], normals[i])), (0.0, 1.0))
-        moves[i, after] = np.linalg.solve(np.stack((normals[i], normals[after])), (1.0, 0.0))
+    count = corners.shape[0]
+    normals, moves = np.empty((count, 2)), np.zeros((count, count, 2))
+    for i in range(count):
+        du, dv = corners[(i + 1) % count] - corners[i]
+        normals[i, 0], normals[i, 1] = -dv / np.hypot(du, dv), du / np.hypot(du, dv)
+    for i in range(count):  # the corner where side i begins: n_before . m = 0 or 1, n_i . m = 1 or 0
+        a, b = normals[i - 1], normals[i]
+        det = a[0] * b[1] - a[1] * b[0]
+        moves[i, i, 0], moves[i, i, 1] = -a[1] / det, a[0] / det
+        moves[i - 1, i, 0], moves[i - 1, i, 1] = b[1] / det, -b[0] / det
     return moves
 
 
+@njit(cache=True)
 def _arc_moves(contour: Array) -> Array:
     """(_ARCS, N, 2): how the points move when one arc of the contour moves outwards by one."""
-    along = np.roll(contour, -2, axis=0) - np.roll(contour, 2, axis=0)
-    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
-    normals = np.column_stack((-along[:, 1], along[:, 0])) / length[:, None]
-    arc = np.arange(len(contour)) * _ARCS // len(contour)
-    return np.asarray(np.where((arc == np.arange(_ARCS)[:, None])[..., None], normals, 0.0))
+    count = contour.shape[0]
+    moves = np.zeros((_ARCS, count, 2))
+    for i in range(count):
+        du, dv = contour[(i + 2) % count] - contour[(i - 2) % count]
+        length = max(np.hypot(du, dv), 1e-9)
+        arc = i * _ARCS // count
+        moves[arc, i, 0], moves[arc, i, 1] = -dv / length, du / length
+    return moves
 
 
 @njit(cache=True)

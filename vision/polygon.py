@@ -27,10 +27,17 @@ def fit_polygon(contour: Array) -> Array | None:
     return None
 
 
+@njit(cache=True)
 def _indices(contour: Array, guess: Array) -> NDArray[np.int64]:
     """Where the guessed corners stand in the contour, ascending."""
-    distance = ((contour[None] - guess[:, None]) ** 2).sum(axis=2)
-    return np.unique(distance.argmin(axis=1))
+    found = np.empty(guess.shape[0], np.int64)
+    for i in range(guess.shape[0]):
+        least = np.inf
+        for k in range(contour.shape[0]):
+            square = (contour[k, 0] - guess[i, 0]) ** 2 + (contour[k, 1] - guess[i, 1]) ** 2
+            if square < least:
+                least, found[i] = square, k
+    return np.unique(found)
 
 
 @njit(cache=True)

@@ -121,28 +121,47 @@ def sharpen(image: Image, outline: Array) -> tuple[Array, float]:
     difference between the colours inside and outside, so a region as bright as its surroundings but of another colour has an
     edge too. The sigma is what the points scatter about their neighbours' line.
     """
-    planes = image if image.ndim == 3 else image[..., None]
-    moved, found = _sharpen(planes, outline, _normals(outline))
-    if found < 8:
-        return moved, 0.5
-    across = moved - 0.5 * (np.roll(moved, 2, axis=0) + np.roll(moved, -2, axis=0))
-    deviation = np.abs(np.einsum("ni,ni->n", across, _normals(moved)))
-    return moved, float(np.clip(1.4826 * np.median(deviation) / np.sqrt(1.5), 0.02, 1.0))
+    moved, found = _sharpen(image if image.ndim == 3 else image[..., None], outline, _normals(outline))
+    return moved, _scatter(moved) if found >= 8 else 0.5
 
 
-def _normals(outline: Array, span: int = 3) -> Array:
+@njit(cache=True)
+def _normals(outline: Array) -> Array:
     """Unit normals (N, 2) to the outside of a closed outline that runs anticlockwise as seen in the picture (v down)."""
-    along = np.roll(outline, -span, axis=0) - np.roll(outline, span, axis=0)
-    for k in range(1, span):
-        along += np.roll(outline, -k, axis=0) - np.roll(outline, k, axis=0)
-    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-    return np.column_stack((-along[:, 1], along[:, 0])) / length[:, None]
+    n = outline.shape[0]
+    normals = np.empty_like(outline)
+    for i in range(n):
+        du, dv = 0.0, 0.0
+        for k in range(1, 4):  # over three neighbours each way
+            after, before = outline[(i + k) % n], outline[(i - k) % n]
+            du += after[0] - before[0]
+            dv += after[1] - before[1]
+        length = max(np.hypot(du, dv), 1e-9)
+        normals[i, 0], normals[i, 1] = -dv / length, du / length
+    return normals
 
 
+@njit(cache=True)
+def _scatter(outline: Array) -> float:
+    """Standard deviation [px] of an outline's points across it: each against the chord of its second neighbours."""
+    n = outline.shape[0]
+    normals = _normals(outline)
+    across = np.empty(n)
+    for i in range(n):
+        after, before = outline[(i + 2) % n], outline[(i - 2) % n]
+        du, dv = outline[i, 0] - 0.5 * (after[0] + before[0]), outline[i, 1] - 0.5 * (after[1] + before[1])
+        across[i] = abs(du * normals[i, 0] + dv * normals[i, 1])
+    return float(min(max(1.4826 * np.median(across) / np.sqrt(1.5), 0.02), 1.0))
+
+
+@njit(cache=True)
 def _area(outline: Array) -> float:
     """Area inside a closed outline, positive if it runs anticlockwise as seen in the picture (v down)."""
-    u, v = outline[:, 0], outline[:, 1]
-    return float(-0.5 * np.sum(u * np.roll(v, -1) - np.roll(u, -1) * v))
+    twice, n = 0.0, outline.shape[0]
+    for i in range(n):
+        a, b = outline[i - 1], outline[i]
+        twice += a[1] * b[0] - a[0] * b[1]
+    return 0.5 * twice
 
 
 @njit(cache=True)
