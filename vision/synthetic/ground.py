@@ -75,9 +75,10 @@ class Ground:
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         size = 1 << (side - 1).bit_length()
         square = cv2.resize(image[top : top + side, left : left + side], (size, size), interpolation=cv2.INTER_CUBIC)
-        mirrored = np.vstack([np.hstack([square, square[:, ::-1]]), np.hstack([square[::-1], square[::-1, ::-1]])])
-        # Texture axes are north and east, picture rows run south.
-        laid = np.ascontiguousarray(np.transpose(mirrored[::-1], (1, 0, 2)))
+        north_up = square[::-1]  # picture rows run south
+        eastward = np.hstack([north_up, north_up[:, ::-1]])
+        mirrored = np.vstack([eastward, eastward[::-1]])
+        laid = np.ascontiguousarray(np.transpose(mirrored, (1, 0, 2)), dtype=np.float32)  # s is north, t is east
         return cls(pyramid(laid), _detail(), metres_per_px * side / size, detail_contrast=detail_contrast)
 
     @property
