@@ -15,6 +15,7 @@ from estimator.initialise import InitialiseConfig
 from estimator.publish import OutputConfig
 from estimator.service.clock import ClockConfig
 from estimator.service.daemon import ServiceConfig
+from estimator.service.handover import AutopilotConfig, Px4Config
 from estimator.service.log_writer import LogConfig
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.sources.gnss import GnssConfig
@@ -94,6 +95,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     clock: ClockConfig = ClockConfig()
     log: LogConfig = LogConfig()
     zenoh: ZenohConfig = ZenohConfig()
+    autopilot: AutopilotConfig = AutopilotConfig()
+    px4: Px4Config = Px4Config()
 
     def fusion(self) -> FusionConfig:
         """What the estimator needs."""
@@ -113,6 +116,11 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             return Decoder(self.inputs, self.mounting())
         except ValueError as error:
             raise ConfigError(f"[inputs]: {error}") from None
+
+    @property
+    def geoid_m(self) -> float:
+        """Height of the geoid above the ellipsoid."""
+        return self.map.geoid_m
 
     def mounting(self) -> ImuMounting:
         """How the IMU sits in the vehicle."""

@@ -10,13 +10,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from estimator.fusion import Fusion, FusionConfig
+from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
 from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
+from estimator.service.handover import AutopilotConfig, Handover, Px4Config
 from estimator.service.log_writer import LogConfig, LogWriter
-from estimator.service.ports import Arrival
+from estimator.service.ports import Arrival, Outbox
+from estimator.service.px4_link import Px4Link
 from estimator.service.recovery import recover_in_background
 from estimator.service.state_file import StateKeeper
 from estimator.service.status import Status
@@ -45,6 +47,14 @@ class RunConfig(Protocol):
     def log(self) -> LogConfig: ...  # noqa: D102
     @property
     def zenoh(self) -> ZenohConfig: ...  # noqa: D102
+    @property
+    def autopilot(self) -> AutopilotConfig: ...  # noqa: D102
+    @property
+    def px4(self) -> Px4Config: ...  # noqa: D102
+    @property
+    def estimator(self) -> EstimatorConfig: ...  # noqa: D102
+    @property
+    def geoid_m(self) -> float: ...  # noqa: D102
     @property
     def output(self) -> OutputConfig: ...  # noqa: D102
     @property
@@ -88,8 +98,13 @@ def assembled(
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
         parts = {"clock": stamps.report, "log": log.report}
+        outboxes: list[Outbox] = [bus] if bus else []
         if bus:
             parts["zenoh"] = bus.report
+        if bus and config.px4.enabled:
+            px4 = _px4(config, bus, clock)
+            parts["px4"] = px4.report
+            outboxes.append(px4)
         status = Status(clock.now_ns(), parts)
         mailbox = Mailbox(clock, log, images, config.mounting())
         daemon = Daemon(
@@ -97,7 +112,7 @@ def assembled(
             decoder=config.decoder(),
             publisher=Publisher(config.output),
             mailbox=mailbox,
-            outboxes=[bus] if bus else [],
+            outboxes=outboxes,
             log=log,
             stamps=stamps,
             clock=clock,
@@ -182,6 +197,12 @@ def _bus(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, images
     bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), images)
     stack.callback(bus.close)
     return bus
+
+
+def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
+    handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+    rate_hz = config.autopilot.odometry_hz
+    return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, handover, rate_hz, config.geoid_m)
 
 
 @contextmanager

@@ -1,0 +1,138 @@
+"""The messages of PX4 that we send, as its zenoh module expects them: XCDR1, little endian, fields in the order of the .msg file.
+
+The definitions are written out for their hashes, which are part of the keys; the bytes are packed by hand.
+"""
+
+import struct
+from functools import cache
+from typing import Final
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from models import so3
+from models.messages import Array, Estimate, Vec3, vec3
+from models.state import E, X
+
+VEHICLE_ODOMETRY: Final = "px4_msgs/msg/VehicleOdometry"
+AUX_GLOBAL_POSITION: Final = "px4_msgs/msg/AuxGlobalPosition"
+VEHICLE_GLOBAL_POSITION: Final = "px4_msgs/msg/VehicleGlobalPosition"
+
+DEFINITIONS: Final = {
+    VEHICLE_ODOMETRY: """\
+# us since the start of PX4; of sending, and of validity
+uint64 timestamp
+uint64 timestamp_sample
+# 1: NED
+uint8 pose_frame
+# m
+float32[3] position
+# wxyz, body FRD -> frame
+float32[4] q
+# 1: NED
+uint8 velocity_frame
+# m/s
+float32[3] velocity
+# rad/s, body FRD
+float32[3] angular_velocity
+# m^2, rad^2 about the body's axes, m^2/s^2
+float32[3] position_variance
+float32[3] orientation_variance
+float32[3] velocity_variance
+uint8 reset_counter
+# -1: failed, 0: unknown, 1 to 100
+int8 quality
+""",
+    AUX_GLOBAL_POSITION: """\
+uint64 timestamp
+uint64 timestamp_sample
+# must be that of EKF2_AGPx_ID
+uint8 id
+# 2: vision
+uint8 source
+# deg
+float64 lat
+float64 lon
+# m above mean sea level; sigmas in m
+float32 alt
+float32 eph
+float32 epv
+uint8 lat_lon_reset_counter
+""",
+    VEHICLE_GLOBAL_POSITION: """\
+uint64 timestamp
+uint64 timestamp_sample
+# deg
+float64 lat
+float64 lon
+# m above mean sea level, above the ellipsoid
+float32 alt
+float32 alt_ellipsoid
+bool lat_lon_valid
+bool alt_valid
+float32 delta_alt
+float32 delta_terrain
+uint8 lat_lon_reset_counter
+uint8 alt_reset_counter
+uint8 terrain_reset_counter
+# m, sigma
+float32 eph
+float32 epv
+float32 terrain_alt
+bool terrain_alt_valid
+bool dead_reckoning
+""",
+}
+
+_HEAD: Final = b"\x00\x01\x00\x00"
+_ODOMETRY: Final = struct.Struct("<4sQQB3x3f4fB3x3f3f3f3f3fBb")
+_AUX: Final = struct.Struct("<4sQQBB6xddfffB")
+_GLOBAL: Final = struct.Struct("<4sQQddff??2xffBBBxfff??")
+_NED, _VISION = 1, 2
+_BYTE: Final = 256
+
+
+@cache
+def type_hash(schema: str) -> str:
+    """RIHS01 hash of one of DEFINITIONS."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(DEFINITIONS[schema], schema))
+    return store.hash_rihs01(schema)
+
+
+def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, quality: int) -> bytes:
+    """The estimate in NED; attitude variances about the body's axes, as ours are."""
+    q = so3.normalise(e.nav[X.Q])
+    v = np.diag(e.covariance)
+    numbers = vec3(e.nav[X.P]), tuple(q.tolist()), vec3(e.nav[X.V]), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
+    p, q_nb, velocity, gyro, var_p, var_theta, var_v = numbers
+    counter = e.reset_counter % _BYTE
+    return _ODOMETRY.pack(
+        _HEAD, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality
+    )
+
+
+def aux_global_position(
+    e: Estimate, lla: tuple[float, float, float], geoid_m: float, sent_us: int, sample_us: int, slot: int
+) -> bytes:
+    """PX4 1.18 and newer. slot: EKF2_AGPx_ID."""
+    eph, epv = _sigmas(e.covariance)
+    lat, lon, alt = lla
+    return _AUX.pack(_HEAD, sent_us, sample_us, slot, _VISION, lat, lon, alt - geoid_m, eph, epv, e.reset_counter % _BYTE)
+
+
+def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int, sample_us: int) -> bytes:
+    """PX4 1.16 and 1.17, under the key of the auxiliary position."""
+    eph, epv = _sigmas(e.covariance)
+    lat, lon, alt = lla
+    counter = e.reset_counter % _BYTE
+    heights, nothing = (alt - geoid_m, alt), (0.0, 0.0)
+    return _GLOBAL.pack(
+        _HEAD, sent_us, sample_us, lat, lon, *heights, True, True, *nothing, counter, 0, 0, eph, epv, 0.0, False, False
+    )
+
+
+def _sigmas(covariance: Array) -> tuple[float, float]:
+    """Horizontal (of the longest axis) and vertical standard deviation of the position, m."""
+    position = covariance[E.P, E.P]
+    return float(np.sqrt(np.linalg.eigvalsh(position[:2, :2])[-1])), float(np.sqrt(position[2, 2]))
