@@ -18,8 +18,9 @@ from estimator.service.daemon import ServiceConfig
 from estimator.service.handover import AutopilotConfig, Px4Config
 from estimator.service.log_writer import LogConfig
 from estimator.service.zenoh_config import ZenohConfig
+from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
-from estimator.sources.pose import PoseConfig
+from estimator.sources.pose import LANDMARKS, PoseConfig
 from estimator.strict_toml import ConfigError
 from logs.codec import Decoder, ImuMounting, Topics
 from models.imu import Coast, ImuNoise
@@ -53,7 +54,9 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
     )
-    baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure")] = _TOPICS.baro
+    baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = (
+        _TOPICS.baro
+    )
     pose_fix: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/PoseWithCovarianceStamped in map")] = (
         _TOPICS.pose_fix
     )
@@ -85,6 +88,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     inputs: Inputs = Inputs()
     gnss: GnssConfig = GnssConfig()
     pose_fix: PoseConfig = PoseConfig()
+    landmark_fix: PoseConfig = LANDMARKS
+    baro: BaroConfig = BaroConfig()
     map: Map = Map()
     rig: Rig = Rig()
     output: OutputConfig = OutputConfig()
@@ -105,6 +110,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             coast=self.coast,
             gnss=self.gnss,
             pose_fix=self.pose_fix,
+            landmark_fix=self.landmark_fix,
+            baro=self.baro,
             initialise=self.initialise,
             estimator=self.estimator,
             origin=self.map.origin,

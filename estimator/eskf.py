@@ -5,13 +5,13 @@ zero after every update (Sola 2017, sec. 6):
 
     x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                                                     (eq. 287)
 
-P may carry, behind the 15 error states, errors that are *considered*: they repeat from fix to fix (map, rig, slow GNSS), take
-part in S and in the correlations, and are never corrected (Schmidt 1966). With the optimal gain for the others this is the
-full update whose considered block and mean are put back (Bierman 1977, sec. VIII.3).
+P may carry, behind the 15 error states, slow errors: they repeat from fix to fix (map, rig, slow GNSS, zero of a barometer)
+and take part in S and in the correlations. Most are *considered*: never corrected (Schmidt 1966). With the optimal gain for
+the others this is the full update whose considered block and mean are put back (Bierman 1977, sec. VIII.3).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -24,32 +24,41 @@ from models.measurements import Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.state import E, X, sound
 
+_LONG_S = 1e9
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 
 
 @dataclass(frozen=True, slots=True)
-class Considered:
+class SlowErrors:
     """Slow errors behind the 15 states of P: first-order Gauss-Markov, named blocks of them.
 
-    columns: where a block stands in P; tau_s, sigma2: (k,) of all states.
+    columns: where a block stands in P; tau_s, sigma2, mean: (k,) of all; estimated: (k,) 1 where corrected, 0 where considered.
     """
 
     columns: dict[str, slice]
     tau_s: Array
     sigma2: Array
+    mean: Array
+    estimated: Array
 
-    def also(self, block: str, sigma2: Array, tau_s: float) -> "Considered":
-        """With one more block behind the others."""
-        start = E.SIZE + len(self.tau_s)
-        return Considered(
-            self.columns | {block: slice(start, start + len(sigma2))},
-            np.append(self.tau_s, np.full(len(sigma2), tau_s)),
+    def also(self, block: str, sigma2: Array, tau_s: float, *, estimated: bool) -> "SlowErrors":
+        """With one more block behind the others, of mean zero."""
+        start, k = E.SIZE + len(self.tau_s), len(sigma2)
+        return SlowErrors(
+            self.columns | {block: slice(start, start + k)},
+            np.append(self.tau_s, np.full(k, tau_s)),
             np.append(self.sigma2, sigma2),
+            np.append(self.mean, np.zeros(k)),
+            np.append(self.estimated, np.full(k, float(estimated))),
         )
 
+    def moved(self, by: Array) -> "SlowErrors":
+        """With the means of what is estimated moved; by: (k,)."""
+        return replace(self, mean=self.mean + self.estimated * by)
 
-NOTHING_CONSIDERED = Considered({}, np.zeros(0), np.zeros(0))
+
+NO_SLOW_ERRORS = SlowErrors({}, *(np.zeros(0) for _ in range(4)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,34 +81,57 @@ class Innovation:
 class Eskf:
     """State, covariance and time of one filter."""
 
-    __slots__ = ("considered", "constants", "cov", "sound", "t_ns", "x")
+    __slots__ = ("constants", "cov", "slow", "sound", "t_ns", "x")
 
-    def __init__(self, t_ns: int, x: Array, cov: Array, constants: Array, considered: Considered = NOTHING_CONSIDERED) -> None:
+    def __init__(self, t_ns: int, x: Array, cov: Array, constants: Array, slow: SlowErrors = NO_SLOW_ERRORS) -> None:
         self.t_ns, self.x, self.cov = t_ns, x, cov
-        self.constants, self.considered = constants, considered
+        self.constants, self.slow = constants, slow
         self.sound = True  # state.sound of the present state
 
     def copy(self) -> "Eskf":
         """An independent filter in the same state."""
-        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.considered)
+        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow)
 
     def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
-        c = self.considered
+        s = self.slow
         self.sound = imu.propagate(
-            self.x, self.cov, samples.t_ns, samples.u, samples.count, index, self.t_ns, to_ns, self.constants, c.tau_s, c.sigma2
+            self.x, self.cov, samples.t_ns, samples.u, samples.count, index, self.t_ns, to_ns, self.constants, s.tau_s, s.sigma2
         )  # fmt: skip
         self.t_ns = to_ns
 
-    def consider(self, block: str, covariance: Array, tau_s: float) -> None:
-        """From now on take the slow error `block` into account; covariance: (k, k), steady. Once known it stays as it is."""
-        if block in self.considered.columns:
-            return
+    def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> bool:
+        """From now on take the slow error `block` into account. False: it is known already.
+
+        covariance: (k, k), steady; with `walk` (k,), variance per second, that of the start of a random walk, which is estimated.
+        """
+        if block in self.slow.columns:
+            return False
         n, k = len(self.cov), len(covariance)
         wider = np.zeros((n + k, n + k))
         wider[:n, :n], wider[n:, n:] = self.cov, covariance
         self.cov = wider
-        self.considered = self.considered.also(block, np.diag(covariance).copy(), tau_s)
+        if walk is None:
+            self.slow = self.slow.also(block, np.diag(covariance).copy(), tau_s, estimated=False)
+        else:  # the limit of sigma^2 (1 - exp(-2 dt / tau)) for a long tau
+            self.slow = self.slow.also(block, 0.5 * _LONG_S * walk, _LONG_S, estimated=True)
+        return True
+
+    def zero(self, block: str, seen: Innovation) -> None:
+        """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,
+
+        ds = -(H dx + v),   cov(ds, dx) = -P H^T,   var(ds) = H P H^T + R               (H of all states but s itself)
+        """
+        column = self.slow.columns[block].start
+        h = seen.h[0].copy()
+        h[column] = 0.0
+        cross = -h @ self.cov
+        variance = h @ self.cov @ h + seen.noise[0, 0]
+        self.cov[column, :], self.cov[:, column] = cross, cross
+        self.cov[column, column] = variance
+        by = np.zeros(len(self.slow.mean))
+        by[column - E.SIZE] = seen.nu[0]
+        self.slow = self.slow.moved(by)
 
     def widen(self, factor: float) -> None:
         """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
@@ -107,14 +139,17 @@ class Eskf:
         scale[E.P], scale[E.V], scale[E.THETA] = factor, factor, factor
         self.cov = self.cov * np.outer(scale, scale)
 
-    def innovation(self, z: Measurement, gyro_b: Array, slow_error: str | None = None) -> Innovation:
-        """z against the present state; slow_error: the considered block that shifts its leading components."""
+    def innovation(
+        self, z: Measurement, gyro_b: Array, slow_error: str | None = None, slow_jacobian: Array | None = None
+    ) -> Innovation:
+        """z against the present state; slow_error: the block it carries, with H of it (m, k); None: rows of I."""
         nu, h = z.evaluate(self.x, gyro_b)
         if len(self.cov) > E.SIZE:
             h = np.hstack([h, np.zeros((len(nu), len(self.cov) - E.SIZE))])
             if slow_error is not None:
-                columns = self.considered.columns[slow_error]
-                h[:, columns] = np.eye(columns.stop - columns.start)[z.rows]
+                columns = self.slow.columns[slow_error]
+                h[:, columns] = np.eye(columns.stop - columns.start)[z.rows] if slow_jacobian is None else slow_jacobian
+                nu = nu - h[:, E.SIZE :] @ self.slow.mean
         s = innovation_covariance(self.cov, h, z.noise)
         distance2, logdet = mahalanobis(nu, s)
         return Innovation(nu, h, z.noise, s, distance2, logdet)
@@ -123,7 +158,10 @@ class Eskf:
         """Fuse a measurement that has passed its gate."""
         dx, cov = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
         if len(cov) > E.SIZE:
-            cov[E.SIZE :, E.SIZE :] = self.cov[E.SIZE :, E.SIZE :]
+            considered = E.SIZE + np.flatnonzero(self.slow.estimated == 0.0)
+            kept = np.ix_(considered, considered)
+            cov[kept] = self.cov[kept]
+            self.slow = self.slow.moved(dx[E.SIZE :])
         self.cov = cov
         self.sound = inject(self.x, self.cov, dx[: E.SIZE])
 

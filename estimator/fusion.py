@@ -10,9 +10,11 @@ from msgspec import Meta
 from estimator.eskf import Eskf
 from estimator.history import Entry, History
 from estimator.initialise import InitialiseConfig
-from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.aids import aid_of
+from estimator.sources.baro import BaroConfig
+from estimator.sources.gnss import GnssConfig
 from estimator.sources.imu import sample_refusal
-from estimator.sources.pose import PoseConfig, pose_aid
+from estimator.sources.pose import LANDMARKS, PoseConfig
 from estimator.sources.source import Aid, Refusal
 from estimator.tracker import Tracker, TrackerConfig
 from models import so3, state
@@ -22,16 +24,11 @@ from models.messages import (
     AidStatus,
     Array,
     Checkpoint,
-    Baro,
     Estimate,
-    GnssFix,
-    GnssVelocity,
     Health,
     ImuSample,
     Input,
-    LandmarkFix,
     Output,
-    PoseFix,
     Reason,
     Reset,
     Tick,
@@ -66,6 +63,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     coast: Coast = Coast()
     gnss: GnssConfig = GnssConfig()
     pose_fix: PoseConfig = PoseConfig()
+    landmark_fix: PoseConfig = LANDMARKS
+    baro: BaroConfig = BaroConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     origin: tuple[float, float, float] | None = None
@@ -129,22 +128,15 @@ class Fusion:
 
     def _other(self, message: Input) -> list[Output]:
         match message:
-            case PoseFix() | LandmarkFix():
-                return self._aid(message, pose_aid(message, self._config.pose_fix))
-            case GnssFix():
-                return self._aid(message, position_aid(message, self._config.gnss))
-            case GnssVelocity():
-                return self._aid(message, velocity_aid(message, self._config.gnss))
             case Tick():
                 return self._tick(message)
             case Checkpoint():
                 return self._resume(message)
             case Unusable():
                 return [self._refuse(message, Refusal(Reason.MALFORMED, message.detail))]
-            case Baro():
-                return [self._refuse(message, Refusal(Reason.UNSUPPORTED, "the barometer is not configured"))]
             case _:
-                return [self._refuse(message, Refusal(Reason.UNKNOWN_TOPIC))]
+                aid = aid_of(message, self._config)
+                return self._aid(message, Refusal(Reason.UNKNOWN_TOPIC) if aid is None else aid)
 
     def _aid(self, message: Input, aid: Aid | Refusal) -> list[Output]:
         """A measurement takes its place; it is processed before the next output."""

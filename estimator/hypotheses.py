@@ -145,9 +145,7 @@ class Hypotheses:
         if doubt is None:
             return None
         believed = [
-            seen[j].log_likelihood
-            for j, other in enumerate(self.members)
-            if j != k and passed[j] and aid.topic not in other.doubts
+            seen[j].log_likelihood for j, other in enumerate(self.members) if j != k and passed[j] and aid.topic not in other.doubts
         ]
         return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
 
@@ -218,9 +216,11 @@ class Hypotheses:
 
 
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
-    """The measurement seen from one filter, its slow error considered."""
+    """The measurement seen from one filter, with its slow error."""
     slow = aid.slow_error
     if slow is None:
         return eskf.innovation(z, gyro_b)
-    eskf.consider(slow.block, slow.covariance, slow.tau_s)
-    return eskf.innovation(z, gyro_b, slow.block)
+    jacobian = slow.jacobian(eskf.x) if slow.jacobian else None
+    if eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk) and slow.walk is not None:
+        eskf.zero(slow.block, eskf.innovation(z, gyro_b, slow.block, jacobian))
+    return eskf.innovation(z, gyro_b, slow.block, jacobian)

@@ -26,32 +26,27 @@ from numpy.typing import NDArray
 from estimator.hypotheses import Hypothesis
 from estimator.initialise import InitialiseConfig
 from estimator.samples import ImuBuffer
-from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.imu import sample_refusal
-from estimator.sources.pose import PoseConfig, pose_aid
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.source import Aid
 from estimator.tracker import Tracker, TrackerConfig
 from models import imu, so3
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
-from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, LandmarkFix, PoseFix
+from models.messages import Array, ImuSample, Input
 from models.state import E, X, local, retract
 
 _SPACING_NS = 100_000_000  # between nodes where there is no aid
 _FUTURE_NS = 1_000_000_000  # a stamp further ahead of its stream's clock is a broken one
 
 
-class SmootherConfig(Protocol):
+class SmootherConfig(SourcesConfig, Protocol):
     """What the smoother needs of the configuration (estimator.fusion.FusionConfig has it)."""
 
     @property
     def imu(self) -> ImuNoise: ...  # noqa: D102
     @property
     def coast(self) -> Coast: ...  # noqa: D102
-    @property
-    def gnss(self) -> GnssConfig: ...  # noqa: D102
-    @property
-    def pose_fix(self) -> PoseConfig: ...  # noqa: D102
     @property
     def initialise(self) -> InitialiseConfig: ...  # noqa: D102
     @property
@@ -149,22 +144,9 @@ def sort(messages: Iterable[Input], config: SmootherConfig) -> tuple[ImuBuffer, 
             if sample_refusal(message) is None:
                 samples.insert(message)
                 newest_ns, arrived_ns = samples.newest_ns, message.arrived_ns
-        elif isinstance(aid := _aid(message, config), Aid):
+        elif isinstance(aid := aid_of(message, config), Aid):
             aids.setdefault(aid.order, aid)
     return samples, [aids[order] for order in sorted(aids)]
-
-
-def _aid(message: Input, config: SmootherConfig) -> Aid | Refusal | None:
-    """The message as a measurement; None where it is none."""
-    match message:
-        case PoseFix() | LandmarkFix():
-            return pose_aid(message, config.pose_fix)
-        case GnssFix():
-            return position_aid(message, config.gnss)
-        case GnssVelocity():
-            return velocity_aid(message, config.gnss)
-        case _:
-            return None
 
 
 def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[tuple[float, Node | None]]:

@@ -141,7 +141,10 @@ class Tracker:
         z = aid.measurement(self.origin)
         if z is None:
             return Decision(Reason.NO_ORIGIN, detail="give [map] origin to use GNSS beside fixes on a local map")
-        state = self.sources.get(aid.topic, SourceState()).arrive(aid.rules, aid.t_ns, alone=self._alone(aid))
+        state = self.sources.get(aid.topic, SourceState())
+        if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
+            return Decision(Reason.THINNED)
+        state = state.arrive(aid.rules, aid.t_ns, alone=self._alone(aid))
         if aid.absolute:
             self.absolute |= {aid.topic}
         gyro_b = self._gyro(samples)
@@ -241,7 +244,9 @@ class Tracker:
     def _alone(self, aid: Aid) -> bool:
         """No other absolute source is active that could vouch for this one."""
         return not any(
-            topic != aid.topic and topic in self.absolute and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
+            topic not in {aid.topic, aid.witness}
+            and topic in self.absolute
+            and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()
         )
 

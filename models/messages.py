@@ -155,7 +155,6 @@ class Reason(StrEnum):
     GATED = "gated"  # chi-square test failed
     PROBATION = "probation"  # source has just come (back); consistent, but not yet trusted
     STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
-    WAITING = "waiting"  # newer than the newest IMU sample
     ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
     THINNED = "thinned"  # too soon after the last one to be news
     TOO_OLD = "too_old"  # older than history_s

@@ -115,4 +115,5 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         absolute=False,
         log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
         measurement=lambda _: z,
+        receiver=velocity.topic.rpartition("/")[0] or None,  # /gnss/velocity comes from /gnss
     )

@@ -29,12 +29,15 @@ _ATTITUDES = {(True, True, True): "full", (True, True, False): "tilt", (False, F
 
 
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
-    """[pose_fix]: how pose fixes are judged."""
+    """[pose_fix], [landmark_fix]: how pose fixes from outside, and those of our own landmarks, are judged."""
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: Annotated[
         float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
     ] = 0.2
+
+
+LANDMARKS = PoseConfig(tilt_deg=0.0)  # our own: they say which of their errors repeat
 
 
 def given_components(cov: Array) -> NDArray[np.bool_]:

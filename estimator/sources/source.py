@@ -31,6 +31,9 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gate_probability: Annotated[
         float, Meta(gt=0.5, lt=1, description="share of good measurements that pass the chi-square gate")
     ] = 0.9999
+    spacing_s: Annotated[
+        float, Meta(ge=0, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 0.0
     timeout_s: Annotated[float, Meta(gt=0, description="s: silent for longer, the source has stopped")] = 5.0
     false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.05
     lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 1.5
@@ -50,7 +53,7 @@ class Aid:
     """A message that passed its checks, as a measurement.
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
-    on the map; log_false: ln of the probability density of a false reading; slow_error: which considered errors it carries, with
+    on the map; log_false: ln of the probability density of a false reading; slow_error: which slow errors it carries, with
     their covariance if the message brings it.
     """
 
@@ -65,15 +68,27 @@ class Aid:
     measurement: Callable[[Origin | None], Measurement | None]
     slow_error: "SlowError | None" = None
     geodetic: tuple[float, float, float] | None = None
+    receiver: str | None = None
+
+    @property
+    def witness(self) -> str:
+        """The topic of its receiver's positions, which cannot vouch for it, or its own."""
+        return self.receiver or self.topic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlowError:
-    """An error that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s."""
+    """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s [s].
+
+    jacobian(x): d z / d s, (m, k), of all components of the measurement; None: s shifts the leading components one by one.
+    walk: (k,) variance per second: s is estimated as a random walk, s_0 from the first reading on; None: it is considered.
+    """
 
     block: str
     covariance: Array
     tau_s: float
+    jacobian: Callable[[Array], Array] | None = None
+    walk: Array | None = None
 
 
 class Refusal(NamedTuple):

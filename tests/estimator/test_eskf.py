@@ -9,7 +9,7 @@ from estimator.eskf import Eskf, Innovation, inject
 from estimator.samples import ImuBuffer
 from models import so3
 from models.imu import Coast, ImuNoise, constants
-from models.measurements import Pose, Position
+from models.measurements import Height, Pose, Position
 from models.messages import Array, ImuSample
 from models.state import E, X, local, retract
 
@@ -172,8 +172,64 @@ def test_a_block_once_known_stays_as_it_is() -> None:
     eskf.consider("map", np.eye(6) * 0.09, 1e9)
     eskf.consider("map", np.eye(6) * 4.0, 10.0)
     assert eskf.cov.shape == (E.SIZE + 6, E.SIZE + 6)
-    np.testing.assert_array_equal(eskf.considered.sigma2, np.full(6, 0.09))
-    np.testing.assert_array_equal(eskf.considered.tau_s, np.full(6, 1e9))
+    np.testing.assert_array_equal(eskf.slow.sigma2, np.full(6, 0.09))
+    np.testing.assert_array_equal(eskf.slow.tau_s, np.full(6, 1e9))
+
+
+# --- slow errors that are estimated ----------------------------------------------------------------------------------------
+
+
+def _zero_and_slope(x: Array) -> Array:
+    return np.array([[1.0, -x[X.P][2]]])
+
+
+def test_an_unknown_zero_is_set_by_the_first_reading_which_then_says_nothing_about_the_state() -> None:
+    eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
+    x, cov = eskf.x.copy(), eskf.cov.copy()
+    eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
+    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", _zero_and_slope(x)))
+    seen = eskf.innovation(z, GYRO, "baro", _zero_and_slope(x))
+    assert seen.nu[0] == pytest.approx(0.0, abs=1e-12)
+    assert eskf.slow.mean[0] == pytest.approx(240.0 + x[X.P][2])
+    eskf.update(seen)
+    np.testing.assert_allclose(eskf.x, x, atol=1e-12)
+    np.testing.assert_allclose(eskf.cov[: E.SIZE, : E.SIZE], cov, atol=1e-12)
+
+
+def test_the_zero_is_as_uncertain_as_height_and_reading_and_goes_with_the_height() -> None:
+    eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
+    slope = _zero_and_slope(eskf.x)
+    down, zero, temperature = E.P.stop - 1, E.SIZE, E.SIZE + 1
+    eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
+    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", slope))
+    height = eskf.cov[down, down]
+    assert eskf.cov[zero, zero] == pytest.approx(height + 0.5 + (0.04 * slope[0, 1]) ** 2)
+    assert eskf.cov[zero, down] == pytest.approx(height)  # too deep by as much as the zero is too high
+    assert eskf.cov[zero, temperature] == pytest.approx(-slope[0, 1] * 0.04**2)
+
+
+def test_estimation_is_the_kalman_filter_of_the_larger_state() -> None:
+    eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
+    slope = _zero_and_slope(eskf.x)
+    eskf.consider("map", np.eye(6) * 0.09, 1e9)
+    eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
+    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", slope))
+    seen = eskf.innovation(Height(243.0, np.array([[0.5]])), GYRO, "baro", slope)
+    assert seen.nu[0] == pytest.approx(3.0)
+    gain = (eskf.cov @ seen.h.T / seen.s)[:, 0]
+    mean, block = eskf.slow.mean.copy(), eskf.cov[-2:, -2:] - np.outer(gain, gain)[-2:, -2:] * seen.s
+    eskf.update(seen)
+    np.testing.assert_allclose(eskf.slow.mean[-2:], mean[-2:] + 3.0 * gain[-2:], rtol=1e-12)
+    np.testing.assert_array_equal(eskf.slow.mean[:-2], 0.0)  # the map's error is considered
+    np.testing.assert_allclose(eskf.cov[-2:, -2:], block, atol=1e-12)
+
+
+def test_an_estimated_error_walks() -> None:
+    eskf, samples = _filter(), _at_rest(2001)
+    eskf.consider("baro", np.diag([1.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
+    eskf.propagate(samples, 1, 10 * 10**9)
+    assert eskf.cov[E.SIZE, E.SIZE] == pytest.approx(1.1, rel=1e-6)
+    assert eskf.cov[E.SIZE + 1, E.SIZE + 1] == pytest.approx(0.04**2, rel=1e-6)
 
 
 # --- propagation, copies ---------------------------------------------------------------------------------------------------
@@ -194,7 +250,7 @@ def test_a_copy_goes_its_own_way() -> None:
     assert (eskf.t_ns, other.t_ns) == (0, 10**9)
     np.testing.assert_array_equal(eskf.x, _truth())
     np.testing.assert_array_equal(eskf.cov, _covariance())
-    assert eskf.considered.columns == {}
+    assert eskf.slow.columns == {}
 
 
 def test_widening_lets_position_velocity_and_attitude_be_less_certain_and_keeps_correlations() -> None:

@@ -68,7 +68,9 @@ def _asymmetric(n: int) -> Array:
 
 BAD: dict[str, tuple[Input, Reason]] = {
     "torn message": (Unusable(NOW, NOW, "/pose_fix", "12 bytes are missing"), Reason.MALFORMED),
-    "barometer that is not configured": (Baro(NOW, NOW, 101325.0, 4.0), Reason.UNSUPPORTED),
+    "pressure NaN": (Baro(NOW, NOW, math.nan, 4.0), Reason.NOT_FINITE),
+    "pressure in hPa": (Baro(NOW, NOW, 1013.25 / 2, 4.0), Reason.IMPLAUSIBLE),
+    "pressure negative": (Baro(NOW, NOW, -101325.0, 4.0), Reason.IMPLAUSIBLE),
     "IMU NaN": (_imu(gyro_b=(math.nan, 0.0, 0.0)), Reason.NOT_FINITE),
     "IMU Inf": (_imu(accel_b=(0.0, 0.0, math.inf)), Reason.NOT_FINITE),
     "IMU huge": (_imu(accel_b=(0.0, 1e308, 0.0)), Reason.IMPLAUSIBLE),

@@ -54,6 +54,7 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
+ALL = Topics(baro=("/baro",))  # every input, the optional one too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -167,7 +168,7 @@ def test_imu_axes_and_mounting(mounting: ImuMounting, expected: Vec3) -> None:
     # GIVEN bytes whose numbers are 1 2 3, written for an IMU along the body's FRD axes
     data = encode_input(ImuSample(T_NS, ARRIVED_NS, (1.0, 2.0, 3.0), (10.0, 20.0, 30.0)), ImuMounting("frd")).data
     # WHEN they are read as those of an IMU that sits otherwise
-    sample = Decoder(mounting=mounting).decode("/imu", schemas.IMU, data, ARRIVED_NS)
+    sample = Decoder(ALL, mounting).decode("/imu", schemas.IMU, data, ARRIVED_NS)
     # THEN the body's rates are the turned ones
     assert isinstance(sample, ImuSample)
     np.testing.assert_allclose(sample.gyro_b, expected, atol=1e-12)
@@ -183,7 +184,7 @@ def test_what_is_not_given_stays_in_its_place() -> None:
     message.pose.covariance = wire.ravel()
     data = bytes(STORE.serialize_cdr(message, schemas.POSE_FIX))
     # WHEN it is read
-    got = Decoder().decode("/pose_fix", schemas.POSE_FIX, data, ARRIVED_NS)
+    got = Decoder(ALL).decode("/pose_fix", schemas.POSE_FIX, data, ARRIVED_NS)
     # THEN they are unknown east, down and yaw, and nothing else has become unknown
     assert isinstance(got, PoseFix)
     expected = np.diag([2.0, np.nan, 1e6, 0.2, 0.1, -1.0])
@@ -199,7 +200,7 @@ def test_unknown_velocity_covariances() -> None:
         covariance36[0] = first
         message.twist.covariance = covariance36
         data = bytes(STORE.serialize_cdr(message, schemas.TWIST))
-        got = Decoder().decode("/gnss/velocity", schemas.TWIST, data, ARRIVED_NS)
+        got = Decoder(ALL).decode("/gnss/velocity", schemas.TWIST, data, ARRIVED_NS)
         assert isinstance(got, GnssVelocity)
         assert (got.covariance_n is not None) == known
 
@@ -212,7 +213,7 @@ def test_unknown_velocity_covariances() -> None:
 def test_inputs_round_trip(message: Input, mounting: ImuMounting) -> None:
     encoded = encode_input(message, mounting)
     assert encoded.topic == message.topic
-    got = Decoder(mounting=mounting).decode(*encoded, ARRIVED_NS)
+    got = Decoder(ALL, mounting).decode(*encoded, ARRIVED_NS)
     same(got, message)
 
 
@@ -224,20 +225,20 @@ times = st.integers(0, 2**31 * 10**9 - 1)
 @given(t_ns=times, gyro=vectors, accel=vectors)
 def test_imu_round_trip_over_the_message_space(t_ns: int, gyro: Vec3, accel: Vec3) -> None:
     sample = ImuSample(t_ns, ARRIVED_NS, gyro, accel)
-    same(Decoder().decode(*encode_input(sample), ARRIVED_NS), sample)
+    same(Decoder(ALL).decode(*encode_input(sample), ARRIVED_NS), sample)
 
 
 @given(t_ns=times, p_n=vectors, rates=st.tuples(finite, finite, finite, finite).filter(lambda q: np.linalg.norm(q) > 1e-3))
 def test_pose_round_trip_over_the_message_space(t_ns: int, p_n: Vec3, rates: Quat) -> None:
     w, x, y, z = so3.normalise(np.array(rates))
     fix = PoseFix(t_ns, ARRIVED_NS, p_n, (float(w), float(x), float(y), float(z)), covariance(6))
-    same(Decoder().decode(*encode_input(fix), ARRIVED_NS), fix)
+    same(Decoder(ALL).decode(*encode_input(fix), ARRIVED_NS), fix)
 
 
 def test_the_common_covariance_of_a_pose_fix_is_added() -> None:
     own, common = covariance(6), covariance(6, 1)
     fix = PoseFix(T_NS, ARRIVED_NS, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), own, common)
-    got = Decoder().decode(*encode_input(fix), ARRIVED_NS)
+    got = Decoder(ALL).decode(*encode_input(fix), ARRIVED_NS)
     assert isinstance(got, PoseFix)
     exact(got.covariance, own + common)
 
@@ -271,7 +272,7 @@ def test_imu_with_any_frame_id_is_what_rosbags_reads(frame_id: str, little_endia
     message.orientation_covariance = rng.standard_normal(9)
     message.angular_velocity_covariance = rng.standard_normal(9)
     data = bytes(STORE.serialize_cdr(message, schemas.IMU, little_endian=little_endian))
-    got = Decoder(mounting=ImuMounting("frd")).decode("/imu", schemas.IMU, data, ARRIVED_NS)
+    got = Decoder(ALL, ImuMounting("frd")).decode("/imu", schemas.IMU, data, ARRIVED_NS)
     assert isinstance(got, ImuSample)
     assert got.t_ns == T_NS
     assert got.arrived_ns == ARRIVED_NS
@@ -457,7 +458,7 @@ def flip(data: bytes, bit: int) -> bytes:
 def test_random_bytes_never_raise(index: int, data: bytes) -> None:
     encoded = ENCODED[index]
     for start in (b"", encoded.data[:4], encoded.data[:16]):
-        got = Decoder().decode(encoded.topic, encoded.schema, start + data, ARRIVED_NS)
+        got = Decoder(ALL).decode(encoded.topic, encoded.schema, start + data, ARRIVED_NS)
         assert isinstance(got, Input)
         assert got.topic == encoded.topic
         assert got.arrived_ns == ARRIVED_NS
@@ -468,21 +469,21 @@ def test_flipped_bits_never_raise(index: int, bits: list[int]) -> None:
     topic, schema, data = ENCODED[index]
     for bit in bits:
         data = flip(data, bit)
-    assert isinstance(Decoder().decode(topic, schema, data, ARRIVED_NS), Input)
+    assert isinstance(Decoder(ALL).decode(topic, schema, data, ARRIVED_NS), Input)
 
 
 @pytest.mark.parametrize("encoded", ENCODED, ids=lambda e: e.topic)
 def test_a_message_cut_anywhere_is_unusable(encoded: tuple[str, str, bytes]) -> None:
     topic, schema, data = encoded
     for size in range(len(data)):
-        got = Decoder().decode(topic, schema, data[:size], ARRIVED_NS)
+        got = Decoder(ALL).decode(topic, schema, data[:size], ARRIVED_NS)
         assert isinstance(got, Unusable)
         assert (got.t_ns, got.arrived_ns, got.topic) == (ARRIVED_NS, ARRIVED_NS, topic)
         assert "\n" not in got.detail
 
 
 def test_wrong_type_short_type_name_unknown_topic_and_nonsense_stamp() -> None:
-    decode: Callable[..., Input | None] = Decoder().decode
+    decode: Callable[..., Input | None] = Decoder(ALL).decode
     topic, schema, data = ENCODED[0]
     got = decode(topic, schemas.NAV_SAT_FIX, data, ARRIVED_NS)
     assert isinstance(got, Unusable)

@@ -80,6 +80,7 @@ def test_the_configuration_beside_it(flight: Path, tmp_path: Path) -> None:
         "gnss": ["/gnss"],
         "gnss_velocity": ["/gnss/velocity"],
         "pose_fix": ["/pose_fix"],
+        "baro": ["/baro"],
     }
     assert config["gnss"] == {"delay_s": 0.0, "antenna_b_m": [0.0, 0.0, 0.0]}
     assert len(config["map"]["origin"]) == 3
@@ -109,7 +110,7 @@ def test_all_of_settings_reaches_the_text() -> None:
     config = tomllib.loads(text)
     assert config == {
         "imu": {"axes": "flu", "gyro_noise": 1.5e-3, "accel_noise": 0.25, "gyro_walk": 3e-5, "accel_walk": 4e-3},
-        "inputs": {"imu": ["/imu"], "gnss": ["/gnss", "/gnss2"], "gnss_velocity": ["/gnss/velocity"]},
+        "inputs": {"imu": ["/imu"], "gnss": ["/gnss", "/gnss2"], "gnss_velocity": ["/gnss/velocity"], "baro": ["/baro"]},
         "gnss": {"delay_s": 0.21, "antenna_b_m": [0.1, -0.2, 0.3], "slow_sigma_m": 0.02},
         "map": {"origin": [47.3977412345, -8.5455, 488.25]},
     }

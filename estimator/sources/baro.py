@@ -1,0 +1,70 @@
+"""A barometer: height above where it was first read, by the standard atmosphere.
+
+    z = h + s_0 + s_1 h + v,   h = -p_d
+
+Its zero s_0 is unknown (weather, datum): the first reading sets it, from then on it drifts. s_1 is what the air's temperature
+makes of a climb, 0.4 % for each degree off the standard atmosphere. Both are estimated.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from estimator.sources.source import Aid, Refusal, SlowError, SourceRules, log_false, order
+from models.measurements import Height
+from models.messages import Array, Baro, Reason
+from models.state import X
+
+_LOWEST_PA, _HIGHEST_PA = 1_000.0, 120_000.0  # 31 km up; 1.4 km below the sea
+_SEA_LEVEL_PA, _EXPONENT, _SCALE_M = 101_325.0, 0.190263, 44_330.8
+_FALSE_HEIGHT_M = 50.0
+
+
+class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
+
+    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.01
+    spacing_s: Annotated[
+        float, Meta(ge=0, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 1.0
+    sigma_m: Annotated[float, Meta(gt=0, description="m: error by gusts and airspeed; a message's own noise is added")] = 2.0
+    drift_m_sqrt_s: Annotated[float, Meta(gt=0, description="m/sqrt(s): drift of the zero")] = 0.1
+    temperature_sigma_k: Annotated[float, Meta(ge=0, description="K: how far the air is from the standard atmosphere")] = 15.0
+
+
+def height_m(pressure_pa: float) -> float:
+    """h = 44330.8 (1 - (p / 101325 Pa)^0.190263), m: pressure height in the standard atmosphere."""
+    return float(_SCALE_M * (1.0 - (pressure_pa / _SEA_LEVEL_PA) ** _EXPONENT))
+
+
+def _slow_jacobian(x: Array) -> Array:
+    """Of (s_0, s_1), (1, 2)."""
+    return np.array([[1.0, -x[X.P][2]]])
+
+
+def baro_aid(reading: Baro, config: BaroConfig) -> Aid | Refusal:
+    """A pressure as a measurement of height."""
+    pressure, variance = reading.pressure_pa, reading.variance_pa2
+    if not math.isfinite(pressure):
+        return Refusal(Reason.NOT_FINITE, "pressure")
+    if not _LOWEST_PA < pressure < _HIGHEST_PA:
+        return Refusal(Reason.IMPLAUSIBLE, f"{pressure:.4g} Pa is no air pressure: pascal are expected")
+    metres_per_pa = _SCALE_M * _EXPONENT / pressure * (pressure / _SEA_LEVEL_PA) ** _EXPONENT
+    given = variance * metres_per_pa**2 if math.isfinite(variance) and variance > 0 else 0.0
+    z = Height(height_m(pressure), np.array([[config.sigma_m**2 + given]]))
+    walk = np.array([config.drift_m_sqrt_s**2, 0.0])
+    slow = np.diag([0.0, (config.temperature_sigma_k / 288.15) ** 2])
+    return Aid(
+        t_ns=reading.t_ns,
+        arrived_ns=reading.arrived_ns,
+        topic=reading.topic,
+        kind="baro",
+        order=order(reading.t_ns, "baro", reading.topic, pressure, variance),
+        rules=config,
+        absolute=False,
+        log_false=log_false(config, [_FALSE_HEIGHT_M]),
+        measurement=lambda _: z,
+        slow_error=SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),
+    )
