@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
+_FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
@@ -242,7 +243,7 @@ def fit(
             if second > 0.0:
                 x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
         contrast = max(abs(x[1]), abs(x[2]))
-        if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest:
+        if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest or abs(x[1]) < _FIRST * contrast:
             continue
         if _point_rows(place, x, second, rows[e]):
             centre[e], blur[e], opened[e] = x[3], x[4], variance
@@ -320,9 +321,11 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
     cost = np.inf
     for k in range(-4, 5):
         value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis)
-        if value < cost:
+        if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
             cost = value
             x[:] = trial
+    if cost == np.inf:
+        return x, 0.0, 0.0
     damping = 1e-3
     normal, right = np.zeros((5, 5)), np.zeros(5)
     for _ in range(10):
@@ -360,7 +363,7 @@ def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
         gap = 0.5 * k
         for m in range(-3, 4):
             cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis)
-            if cost < best and abs(x[1]) > 0.5 * abs(x[2]):
+            if cost < best and abs(x[1]) > _FIRST * abs(x[2]):
                 best, width = cost, gap
     return width
 
