@@ -1,0 +1,239 @@
+"""The map drawn into a picture from an estimated pose, and how far its outlines lie from the edges that are seen there.
+
+The augmented-reality test as a number: outlines of a true map, projected from a true pose, cover the picture's own edges; what is
+left between them, along the normals of the outlines, is the residual in pixels.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import CameraModel
+from models.landmarks import Landmark
+from models.messages import Array
+from vision import outline
+from vision.sensitivity import Eye, sample_edges, view
+from vision.visibility import Kind, ModelEdges, hidden, visible_edges
+
+Picture = NDArray[np.uint8]
+Bgr = tuple[int, int, int]
+
+IDENTIFIED: Bgr = (90, 230, 80)  # green
+MAPPED: Bgr = (60, 190, 255)  # amber: in the map, not used
+RESIDUAL: Bgr = (255, 90, 255)  # magenta
+_DARK: Bgr = (25, 25, 25)
+_WHITE: Bgr = (255, 255, 255)
+_SHIFT = 4  # binary digits of a pixel that OpenCV's lines know
+_PIECES = 12  # of an edge, so that it bends with the lens
+_SPACING_PX, _MOST_POINTS, _HALF_PX = 4.0, 40, 6
+_MAGNIFIED = 10.0  # residuals are drawn so much longer
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Points (N, 2) on the outlines of one landmark in view, unit normals (N, 2), and where the seen edge lies along them.
+
+    offset_px: (N,), NaN where no edge is found within 6 px.
+    """
+
+    id: str
+    px: Array
+    normal: Array
+    offset_px: Array
+
+    @property
+    def found(self) -> float:
+        """Share of the points where an edge is."""
+        return float(np.mean(np.isfinite(self.offset_px)))
+
+    @property
+    def spread_px(self) -> float:
+        """1.4826 median |offset|, the RMS without points that caught another thing's edge; NaN where nothing is found."""
+        offsets = self.offset_px[np.isfinite(self.offset_px)]
+        return 1.4826 * float(np.median(np.abs(offsets))) if len(offsets) else float("nan")
+
+
+def outline_residuals(
+    picture: Picture, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]
+) -> list[Residuals]:
+    """Residuals of the roof outlines of those landmarks that are in view, in a picture (H, W) or (H, W, 3)."""
+    landmarks = in_view(camera, p_nc, R_nc, landmarks)
+    if not landmarks:
+        return []
+    eye = Eye(camera, np.eye(3), np.zeros(3), right=False)
+    edges = _roofs(visible_edges(landmarks, p_nc))
+    samples = sample_edges(edges, eye, p_nc, R_nc, _SPACING_PX, _MOST_POINTS)
+    seen = view(edges, samples, eye, p_nc, R_nc, landmarks)
+    usable = seen.usable & camera.contains(seen.px, _HALF_PX + 2.0)
+    channels = np.ascontiguousarray(picture if picture.ndim == 3 else picture[:, :, None])
+    values = outline.profiles(channels, seen.px, seen.normal, _HALF_PX, 1.0, 3, usable)
+    grey = outline.along_contrast(values, samples.edge, len(edges.kind), usable)
+    offsets = outline.fit(grey, samples.edge, np.zeros(len(edges.kind)), _HALF_PX - 1.0, 1.0, usable)[0]
+    owner = edges.landmark[samples.edge]
+    residuals = []
+    for i in np.unique(owner[usable]).tolist():
+        mine = usable & (owner == i)
+        residuals.append(Residuals(landmarks[i].id, seen.px[mine], seen.normal[mine], offsets[mine]))
+    return residuals
+
+
+def draw_overlay(
+    picture: Picture,
+    camera: CameraModel,
+    p_nc: Array,
+    R_nc: Array,
+    landmarks: Sequence[Landmark],
+    identified: Collection[str] = (),
+    residuals: Sequence[Residuals] = (),
+    caption: Sequence[str] = (),
+) -> Picture:
+    """A copy (H, W, 3) of the picture with the landmarks' visible edges and names; identified ones (by id) stand out.
+
+    residuals: drawn as strokes ten times their length, and their spread beside the name; caption: lines at the lower left.
+    """
+    canvas: Picture = np.array(picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2), order="C")
+    scale = max(1.0, min(canvas.shape[:2]) / 480.0)
+    landmarks = in_view(camera, p_nc, R_nc, landmarks)
+    lines = _lines(camera, p_nc, R_nc, landmarks)
+    used = [mark.id in identified for mark in landmarks]
+    order = sorted(range(len(landmarks)), key=lambda i: used[i])  # identified ones on top
+    for i in order:
+        colour, width = (IDENTIFIED, 2.0) if used[i] else (MAPPED, 1.0)
+        _draw_lines(canvas, lines[i], colour, width * scale)
+    for residual in residuals:
+        _draw_residuals(canvas, residual, scale)
+    spread = {residual.id: residual.spread_px for residual in residuals if np.isfinite(residual.spread_px)}
+    taken = _draw_caption(canvas, caption, scale)
+    for i in reversed(order):
+        text = landmarks[i].label + (f"  {spread[landmarks[i].id]:.2f} px" if landmarks[i].id in spread else "")
+        _draw_name(canvas, text, lines[i], IDENTIFIED if used[i] else MAPPED, scale, taken)
+    return canvas
+
+
+def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[Landmark]:
+    """Those of the landmarks whose bounding sphere may reach into the picture."""
+    corners = np.array(
+        [[0.0, 0.0], [camera.width - 1.0, 0.0], [0.0, camera.height - 1.0], [camera.width - 1.0, camera.height - 1.0]]
+    )
+    widest = float(np.max(np.arccos(np.clip(np.nan_to_num(camera.ray(corners), nan=0.0)[:, 2], 0.0, 1.0))))
+    kept = []
+    for mark in landmarks:
+        centre = np.array([*mark.centre_n, mark.base_d - mark.height_m / 2])
+        radius = float(np.hypot(np.hypot(*(mark.outline_n - mark.centre_n).T).max(), mark.height_m / 2))
+        offset_c = (centre - p_nc) @ R_nc
+        distance = float(np.linalg.norm(offset_c))
+        if distance <= radius or np.arccos(offset_c[2] / distance) - np.arcsin(radius / distance) <= widest:
+            kept.append(mark)
+    return kept
+
+
+def _roofs(edges: ModelEdges) -> ModelEdges:
+    roof = edges.kind == Kind.ROOF
+    return ModelEdges(
+        edges.start_n[roof], edges.end_n[roof], edges.landmark[roof], edges.kind[roof], np.full(int(roof.sum()), -1),
+        edges.map_start[roof], edges.map_end[roof],
+    )  # fmt: skip
+
+
+def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
+    """Per landmark its visible edges in the picture: kind and points (P, 2), cut where they are hidden or out of sight."""
+    lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
+    if not landmarks:
+        return lines
+    edges = visible_edges(landmarks, p_nc)
+    t = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    points_n = edges.start_n[:, None] + t * (edges.end_n - edges.start_n)[:, None]
+    flat = points_n.reshape(-1, 3)
+    px = camera.project((flat - p_nc) @ R_nc)
+    near = np.array([3.0 * camera.width, 3.0 * camera.height])
+    with np.errstate(invalid="ignore"):
+        shown = np.all(np.abs(px) < near, axis=1) & ~hidden(flat, p_nc, landmarks)
+    px, shown = px.reshape(len(points_n), -1, 2), shown.reshape(len(points_n), -1)
+    for edge in range(len(px)):
+        breaks = np.flatnonzero(~shown[edge])
+        for part in np.split(np.arange(len(t)), np.unique(np.concatenate((breaks, breaks + 1)))):
+            if len(part) > 1:
+                lines[edges.landmark[edge]].append((Kind(int(edges.kind[edge])), px[edge, part]))
+    return lines
+
+
+def _draw_lines(canvas: Picture, lines: list[tuple[Kind, Array]], colour: Bgr, width: float) -> None:
+    """Light on dark, so that it shows on any ground; the roof is thicker than the sides."""
+    for under in (True, False):
+        for kind, px in lines:
+            thick = max(1, round(width if kind == Kind.ROOF else width / 2)) + (2 if under else 0)
+            cv2.polylines(canvas, [_fixed(px)], False, _DARK if under else colour, thick, cv2.LINE_AA, _SHIFT)
+
+
+def _draw_residuals(canvas: Picture, residual: Residuals, scale: float) -> None:
+    found = np.abs(np.nan_to_num(residual.offset_px)) * _MAGNIFIED > 2.0 * scale  # shorter ones would hide the outline
+    start = residual.px[found]
+    end = start + _MAGNIFIED * residual.offset_px[found, None] * residual.normal[found]
+    for a, b in zip(start, end, strict=True):
+        cv2.line(canvas, _fixed(a).tolist(), _fixed(b).tolist(), RESIDUAL, max(1, round(scale)), cv2.LINE_AA, _SHIFT)
+
+
+def _fixed(px: Array) -> NDArray[np.int32]:
+    fixed: NDArray[np.int32] = np.rint(px * 2**_SHIFT).astype(np.int32)
+    return fixed
+
+
+@lru_cache(1)
+def _font() -> "cv2.FontFace":
+    return cv2.FontFace("sans")
+
+
+def _text_size(text: str, size: int) -> tuple[int, int]:
+    """Width, and height of a line."""
+    _, _, width, _ = cv2.getTextSize((10_000, 1000), text, (0, 0), _font(), size, 500)
+    return width, round(1.25 * size)
+
+
+def _write(canvas: Picture, text: str, left: int, top: int, size: int, colour: Bgr) -> None:
+    """Text on a darkened ground whose upper left corner is (left, top)."""
+    width, height = _text_size(text, size)
+    pad = max(2, size // 4)
+    ground = canvas[max(top, 0) : max(top + height + pad, 0), max(left - pad, 0) : max(left + width + pad, 0)]
+    ground[:] = (0.35 * ground).astype(np.uint8)
+    cv2.putText(canvas, text, (left, top + size), colour, _font(), size, 500)
+
+
+def _draw_caption(canvas: Picture, caption: Sequence[str], scale: float) -> list[tuple[int, int, int, int]]:
+    """The lines at the lower left; returns the boxes (left, top, right, bottom) they take."""
+    size = round(14 * scale)
+    boxes = []
+    for k, text in enumerate(reversed(caption)):
+        width, height = _text_size(text, size)
+        top = canvas.shape[0] - (k + 1) * (height + round(5 * scale)) - round(4 * scale)
+        _write(canvas, text, round(8 * scale), top, size, _WHITE)
+        boxes.append((0, top, round(8 * scale) + width, top + height))
+    return boxes
+
+
+def _draw_name(
+    canvas: Picture, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
+) -> None:
+    """At the middle of the roof as far as it is in view, else above or under it; left out where there is no room."""
+    roof = [px for kind, px in lines if kind == Kind.ROOF]
+    if not roof:
+        return
+    rows, columns = canvas.shape[:2]
+    px = np.clip(np.concatenate(roof), 0.0, [columns - 1.0, rows - 1.0])
+    low, high = px.min(axis=0), px.max(axis=0)
+    if np.any(high - low < 2.0):  # only its border
+        return
+    size = round((14 if colour == IDENTIFIED else 12) * scale)
+    width, height = _text_size(text, size)
+    middle = 0.5 * (low + high)
+    for v in (middle[1] - height / 2, low[1] - height - 4 * scale, high[1] + 4 * scale):
+        left = round(min(max(middle[0] - width / 2, 4.0), columns - width - 4.0))
+        top = round(min(max(v, 2.0), rows - height - 4.0))
+        box = (left, top, left + width, top + height)
+        if all(box[2] < other[0] or other[2] < box[0] or box[3] < other[1] or other[3] < box[1] for other in taken):
+            taken.append(box)
+            _write(canvas, text, left, top, size, colour)
+            return
