@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import calibrate, demo, doctor, evaluate, recover, replay, run, simulate
+from estimator.commands import calibrate, demo, doctor, evaluate, monitor, recover, replay, run, simulate
 from estimator.commands import import_ as import_command
 from estimator.commands import map_ as map_command
 from estimator.version import version
@@ -77,6 +77,7 @@ def _landfix(
 app.command("demo")(demo.command)
 app.command("replay")(replay.command)
 app.command("run")(run.command)
+app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)

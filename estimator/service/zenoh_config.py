@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _LOOPBACK = ("127.", "localhost", "[::1]")
 _LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe")
+_CLOSED = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": False}
 _DROP = "transport/link/tx/queue/congestion_control/drop"
 
 
@@ -60,10 +61,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> "zenoh.Config":
     """The session's configuration; inputs and outputs: key expressions of both, for the access control. Raises ConfigError."""
-    import zenoh  # noqa: PLC0415  (every command reads the configuration, few open a session)
-
     check(config)
-    made = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": config.mode,
         "listen/endpoints": config.listen,
@@ -71,13 +69,25 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
+        **_CLOSED,
         "transport/link/rx/max_message_size": config.largest_image_mb * 1_000_000,
         f"{_DROP}/wait_before_drop": 100,  # us; the estimate is newer than what waits
         f"{_DROP}/max_wait_before_drop_fragments": 1000,
-        **_security(config.security, folder, inputs, outputs),
+        **_identity(config.security, folder),
+        **_doorkeeper(config.security, folder, inputs, outputs),
     }
+    return _made(settings)
+
+
+def client_config(config: ZenohConfig, folder: Path, endpoint: str) -> "zenoh.Config":
+    """Of somebody who only listens to the daemon, as whom the configuration says. Raises ConfigError."""
+    return _made({"mode": "client", "connect/endpoints": [endpoint], **_CLOSED, **_identity(config.security, folder)})
+
+
+def _made(settings: dict[str, Any]) -> "zenoh.Config":
+    import zenoh  # noqa: PLC0415  (every command reads the configuration, few open a session)
+
+    made = zenoh.Config()
     for key, value in settings.items():
         made.insert_json5(key, json.dumps(value))
     return made
@@ -110,23 +120,30 @@ def is_local(endpoint: str) -> bool:
     return protocol in _LOCAL_PROTOCOLS or address.startswith(_LOOPBACK)
 
 
-def _security(security: SecurityConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
+def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
+    """Who we are to others."""
     settings: dict[str, Any] = {}
-    if security.users_file:
-        settings["transport/auth/usrpwd/dictionary_file"] = _file(folder, security.users_file)
     if security.user and security.password_file:
         settings["transport/auth/usrpwd/user"] = security.user
         settings["transport/auth/usrpwd/password"] = Path(_file(folder, security.password_file)).read_text().strip()
     if security.certificate_file and security.key_file and security.ca_file:
-        certificate, key = _file(folder, security.certificate_file), _file(folder, security.key_file)
         settings |= {
             "transport/link/tls/root_ca_certificate": _file(folder, security.ca_file),
-            "transport/link/tls/listen_certificate": certificate,
-            "transport/link/tls/listen_private_key": key,
-            "transport/link/tls/connect_certificate": certificate,
-            "transport/link/tls/connect_private_key": key,
+            "transport/link/tls/connect_certificate": _file(folder, security.certificate_file),
+            "transport/link/tls/connect_private_key": _file(folder, security.key_file),
             "transport/link/tls/enable_mtls": True,
         }
+    return settings
+
+
+def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
+    """Who may come, and what they may do."""
+    settings: dict[str, Any] = {}
+    if security.users_file:
+        settings["transport/auth/usrpwd/dictionary_file"] = _file(folder, security.users_file)
+    if security.certificate_file and security.key_file:
+        settings["transport/link/tls/listen_certificate"] = _file(folder, security.certificate_file)
+        settings["transport/link/tls/listen_private_key"] = _file(folder, security.key_file)
     if security.feeders or security.listeners:
         settings["access_control"] = access_control(security, inputs, outputs)
         settings["transport/shared_memory/enabled"] = False  # a way around the access control

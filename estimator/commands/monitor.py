@@ -1,0 +1,43 @@
+"""landfix monitor."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from estimator.commands.console import ConfigFile, Json
+
+
+def command(
+    config: ConfigFile = None,
+    connect: Annotated[
+        str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the daemon listens; default: as in FILE.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.1, help="Stop after so long; default: when told to (Ctrl-C).")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option("--svg", metavar="FILE.svg", help="Write the last screen as a picture.")] = None,
+    json: Json = False,
+) -> None:
+    """Watch a running daemon: mode, position, 95 % radius, sources, latencies, log.
+
+    It only listens, and the daemon never waits for it. With --json it prints what the daemon says about itself, once.
+
+    \b
+    Examples:
+      landfix monitor                                 the daemon on this machine
+      landfix monitor -c vehicle.toml                 where, and as whom, the configuration says
+      landfix monitor --connect tcp/10.0.0.5:7447
+      landfix monitor --json                          once, for a program
+      landfix monitor --seconds 5 --svg now.svg       a picture for a report
+    """
+    from estimator.config import load
+    from estimator.service import monitor
+
+    loaded = load(config)
+    with monitor.connected(loaded.zenoh, config.parent if config else Path(), connect) as (session, endpoint):
+        if json:
+            typer.echo(monitor.status(session))
+        else:
+            monitor.watch(session, loaded.zenoh.domain, endpoint, seconds, picture)

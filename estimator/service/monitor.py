@@ -1,0 +1,229 @@
+"""What `landfix monitor` shows: the daemon as seen from outside, over Zenoh, in one screen."""
+
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import zenoh
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from estimator.service.zenoh_bus import BusError
+from estimator.service.zenoh_config import ZenohConfig, client_config
+from estimator.service.zenoh_keys import rmw_key
+from logs import schemas
+from logs.codec import Odometry, decode_aid_status, decode_odometry
+from logs.schemas import STORE
+from models import so3
+
+_STALE_S: Final = 2.0
+_RATE_S: Final = 3.0
+_RECENT: Final = 200  # measurements of a source whose fate is shown
+_MODES: Final = {"aided": "green", "dead_reckoning": "yellow", "coasting": "red", "aligning": "yellow", "starting": "yellow"}
+_WIDTH: Final = 100
+_REFRESH_HZ: Final = 5.0
+_ANSWER_S: Final = 3.0
+
+
+class View:
+    """Collects what comes in; render() makes a screen of it. now_s: of a steady clock."""
+
+    def __init__(self) -> None:
+        self.health: dict[str, str] = {}
+        self.daemon: dict[str, str] = {}
+        self.odometry: Odometry | None = None
+        self.place: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_m
+        self._heard_s: dict[str, float] = {}
+        self._arrivals: dict[str, deque[float]] = {}
+        self._aids: dict[str, deque[tuple[str, float, float, str]]] = {}  # reason, test ratio, delay, detail
+
+    def hear(self, topic: str, data: bytes, now_s: float) -> None:
+        """One message of the daemon's."""
+        self._heard_s[topic] = now_s
+        self._arrivals.setdefault(topic, deque(maxlen=3000)).append(now_s)
+        if topic == "/landfix/odometry":
+            self.odometry = decode_odometry(data)
+        elif topic == "/landfix/health":
+            self.health = _values(data)
+        elif topic == "/landfix/daemon":
+            self.daemon = _values(data)
+        elif topic == "/landfix/aid_status":
+            status = decode_aid_status(data)
+            seen = self._aids.setdefault(status.topic, deque(maxlen=_RECENT))
+            seen.append((status.reason, status.test_ratio, status.delay_s, status.detail))
+        elif topic == "/landfix/global":
+            message: Any = STORE.deserialize_cdr(data, schemas.NAV_SAT_FIX)
+            self.place = message.latitude, message.longitude, message.altitude
+
+    def render(self, now_s: float, connected: str) -> RenderableType:
+        """The screen."""
+        age_s = now_s - max(self._heard_s.values(), default=-math.inf)
+        if age_s > _STALE_S:
+            text = "nothing heard yet" if math.isinf(age_s) else f"nothing heard for {age_s:.0f} s"
+            return Panel(Text(f"{text} from {connected}; is landfix running, and may we listen?", style="red"), width=_WIDTH)
+        return Group(self._state(now_s), self._sources(), self._works())
+
+    def _state(self, now_s: float) -> Panel:
+        health, mode = self.health, self.health.get("mode", "unknown")
+        table = _table("", "")
+        table.add_row("mode", Text(mode, style=f"bold {_MODES.get(mode, 'red')}"))
+        table.add_row("last absolute fix", _age(health.get("absolute_age_s")))
+        table.add_row("95 % radius", _metres(health.get("radius95_m")))
+        if o := self.odometry:
+            n, e, d = o.p_n
+            table.add_row("position", f"north {n:9.2f} m   east {e:9.2f} m   up {-d:8.2f} m")
+            roll, pitch, yaw = (math.degrees(a) for a in so3.to_euler(np.array(o.q_nb_wxyz)))
+            speed = math.hypot(*o.v_n)
+            attitude = f"roll {roll:6.1f}°  pitch {pitch:6.1f}°  heading {yaw % 360:5.1f}°"
+            table.add_row("attitude, speed", f"{attitude}   {speed:5.1f} m/s")
+        if self.place:
+            lat, lon, alt = self.place
+            table.add_row("on Earth", f"{lat:.6f}°  {lon:.6f}°  {alt:.1f} m")
+        table.add_row("estimates", f"{self._rate('/landfix/odometry', now_s):.0f} Hz, {health.get('reset_counter', '?')} resets")
+        if detail := health.get("detail"):
+            table.add_row("says", Text(detail, style="yellow"))
+        return Panel(table, title="landfix", title_align="left", width=_WIDTH)
+
+    def _sources(self) -> Panel:
+        table = _table("source", "state", "rate", "delay", "test ratio", "fate of the last measurements", header=True)
+        rates = {key.removeprefix("rate_hz "): rate for key, rate in self.daemon.items() if key.startswith("rate_hz ")}
+        for topic in sorted({*rates, *self._aids} - {"", "/landfix/tick", "/landfix/checkpoint"}):
+            seen = self._aids.get(topic, ())
+            ratios = sorted(ratio for reason, ratio, _, _ in seen if reason in {"fused", "gated"})
+            delay = f"{seen[-1][2] * 1e3:.0f} ms" if seen else ""
+            ratio = f"{ratios[len(ratios) // 2]:.2f}" if ratios else ""
+            state = self.health.get(f"sources {topic}", "")
+            colour = {"active": "green", "starting": "yellow", "stopped": "red"}.get(state, "")
+            fates = _fates(reason for reason, *_ in seen)
+            table.add_row(topic, Text(state, style=colour), f"{rates.get(topic, '0')} Hz", delay, ratio, fates)
+        return Panel(table, title="sources", title_align="left", width=_WIDTH)
+
+    def _works(self) -> Panel:
+        table, d = _table("", ""), self.daemon
+        for title, name in (("sensor to estimate", "latency_ms"), ("of that, here", "handling_ms")):
+            quantiles = " / ".join(d.get(f"{name} {k}", "-") for k in ("p50", "p99", "max"))
+            table.add_row(title, f"{quantiles} ms   (p50 / p99 / max)")
+        state = d.get("log state", "unknown")
+        lost = d.get("log lost_inputs", "0")
+        colour = "green" if state in {"recording", "off"} and lost == "0" else "red"
+        written_mb, waiting_kb = float(d.get("log bytes_written", "0")) / 1e6, float(d.get("log waiting_bytes", "0")) / 1e3
+        table.add_row("log", Text(f"{state}   {written_mb:.1f} MB, {waiting_kb:.0f} kB waiting", style=colour))
+        table.add_row("", d.get("log file", ""))
+        dropped = f"{lost} inputs, {d.get('log dropped_images', '0')} pictures, {d.get('log dropped_outputs', '0')} outputs"
+        table.add_row("not logged", Text(dropped, style="" if lost == "0" else "red"))
+        refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('unbelieved_stamps', '0')} with unbelievable stamps"
+        table.add_row("refused", refused)
+        steps = d.get("clock wall_steps", "0")
+        clock = f"wall clock {float(d.get('clock wall_ahead_s', '0')):+.3f} s since the start, {steps} steps"
+        table.add_row("clock", Text(clock, style="" if steps == "0" else "yellow"))
+        table.add_row("running", f"{float(d.get('uptime_s', '0')):.0f} s, {d.get('zenoh peers', '0')} others on the bus")
+        return Panel(table, title="daemon", title_align="left", width=_WIDTH)
+
+    def _rate(self, topic: str, now_s: float) -> float:
+        arrivals = [t for t in self._arrivals.get(topic, ()) if now_s - t <= _RATE_S]
+        return len(arrivals) / _RATE_S
+
+
+@contextmanager
+def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterator[tuple[zenoh.Session, str]]:
+    """A session with the daemon, and where that is. Raises BusError when nobody answers."""
+    endpoint = endpoint or (config.listen or config.connect)[0]
+    try:
+        session = zenoh.open(client_config(config, folder, endpoint))
+    except zenoh.ZError:
+        raise BusError(f"{endpoint}: no daemon listens there, or it does not let us in") from None
+    with session:
+        yield session, endpoint
+
+
+def status(session: zenoh.Session) -> str:
+    """The daemon's own account, JSON. Raises BusError when there is none."""
+    for reply in session.get("landfix/status", timeout=_ANSWER_S):
+        if reply.ok is not None:
+            return reply.ok.payload.to_string()
+    raise BusError("the daemon does not answer; is landfix running, and may we ask?")
+
+
+def watch(session: zenoh.Session, domain: int, endpoint: str, seconds: float | None, picture: Path | None) -> None:
+    """Show the screen until told to stop, or for so long; keep the last one as a picture. Raises BusError when it cannot."""
+    view = View()
+    kept = _listen(session, domain, view)
+    console = Console()
+    end_s = time.monotonic() + (seconds or math.inf)
+    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live, suppress(KeyboardInterrupt):
+        while time.monotonic() < end_s:
+            if console.is_terminal:
+                live.update(view.render(time.monotonic(), endpoint), refresh=True)
+            time.sleep(1.0 / _REFRESH_HZ)
+    for subscriber in kept:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+    screen = view.render(time.monotonic(), endpoint)
+    if not console.is_terminal:
+        console.print(screen)
+    if picture is not None:
+        _save(screen, picture)
+
+
+def _save(screen: RenderableType, picture: Path) -> None:
+    paper = Console(record=True, width=_WIDTH, file=StringIO())
+    paper.print(screen)
+    try:
+        paper.save_svg(str(picture), title="landfix monitor")
+    except OSError as error:
+        raise BusError(f"{picture}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subscriber[None]]:
+    """Let the view hear the daemon; the subscribers are to be kept."""
+    topics = {
+        "/landfix/odometry": schemas.ODOMETRY,
+        "/landfix/health": schemas.DIAGNOSTICS,
+        "/landfix/daemon": schemas.DIAGNOSTICS,
+        "/landfix/aid_status": schemas.AID_STATUS,
+        "/landfix/global": schemas.NAV_SAT_FIX,
+    }
+
+    def hear(topic: str) -> Callable[[zenoh.Sample], None]:
+        return lambda sample: view.hear(topic, sample.payload.to_bytes(), time.monotonic())
+
+    return [session.declare_subscriber(rmw_key(domain, topic, schema), hear(topic)) for topic, schema in topics.items()]
+
+
+def _values(data: bytes) -> dict[str, str]:
+    """The keys and values of a DiagnosticArray's first status."""
+    message: Any = STORE.deserialize_cdr(data, schemas.DIAGNOSTICS)
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+def _fates(reasons: Iterable[str]) -> Text:
+    """120 fused, 3 gated."""
+    counted = Counter(reasons).most_common()
+    return Text(", ").join(Text(f"{n} {reason}", style="green" if reason == "fused" else "yellow") for reason, n in counted)
+
+
+def _age(given: str | None) -> Text:
+    age_s = float(given or "inf")
+    if math.isinf(age_s):
+        return Text("never", style="yellow")
+    return Text(f"{age_s:.1f} s ago", style="green" if age_s < _STALE_S + 1 else "yellow")
+
+
+def _metres(given: str | None) -> str:
+    radius_m = float(given or "inf")
+    return "unknown" if math.isinf(radius_m) else f"{radius_m:.2f} m"
+
+
+def _table(*columns: str, header: bool = False) -> Table:
+    table = Table(box=None, show_header=header, pad_edge=False, header_style="dim")
+    for k, name in enumerate(columns):
+        table.add_column(name, style="dim" if k == 0 and not header else "", no_wrap=k == 0)
+    return table
