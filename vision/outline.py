@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
+_CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
@@ -72,26 +73,37 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
 
 
 @njit(cache=True)
-def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> Array:
-    """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast.
+def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tuple[Array, Mask]:
+    """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground).
+    ground). A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
     """
     n, size, channels = values.shape
     third = size // 3
-    sums = np.zeros((edges, 3, channels))
+    sums, count = np.zeros((edges, 3, channels)), np.zeros(edges)
+    bright = np.zeros((edges, channels))
     for i in range(n):
         if usable[i]:
-            for j in range(3 * third):
-                at = j if j < 2 * third else size - 1 - (j - 2 * third)
-                for c in range(channels):
-                    sums[edge[i], j // third, c] += values[i, at, c]
-    direction = np.empty((edges, channels))
+            e = edge[i]
+            count[e] += third
+            for c in range(channels):
+                for j in range(size):
+                    bright[e, c] += values[i, j, c] >= _CLIPPED
+                for j in range(third):
+                    sums[e, 0, c] += values[i, j, c]
+                    sums[e, 1, c] += values[i, third + j, c]
+                    sums[e, 2, c] += values[i, size - 1 - j, c]
+    direction, clipped = np.empty((edges, channels)), np.zeros(edges, dtype=np.bool_)
     for e in range(edges):
         across = sums[e, 2] - sums[e, 0]
         middle = sums[e, 1] - 0.5 * (sums[e, 0] + sums[e, 2])
         d = across if np.sum(across**2) >= np.sum(middle**2) else middle
+        free = np.where(bright[e] > 0.1 * count[e], 0.0, d)
+        clipped[e] = np.sum(free**2) < (2.0 * _LEAST_CONTRAST * count[e]) ** 2
+        clipped[e] = clipped[e] and np.sum(free**2) < np.sum(d**2)
+        if not clipped[e]:
+            d = free
         norm = math.sqrt(np.sum(d**2))
         direction[e] = d / norm if norm > 0.0 else np.full(channels, 1.0 / math.sqrt(channels))
     result = np.zeros((n, size))
@@ -99,7 +111,7 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> Ar
         for j in range(size):
             for c in range(channels):
                 result[i, j] += values[i, j, c] * direction[edge[i], c]
-    return result
+    return result, clipped
 
 
 @njit(cache=True)

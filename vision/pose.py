@@ -34,6 +34,7 @@ Image = NDArray[np.uint8]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
+_CLIPPED_PX = 0.25  # how far saturation may shift an edge
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 
 
@@ -168,10 +169,11 @@ class _Fit:
             distance, alien = outline.off_roof(values, samples.edge, edges.landmark, roof, usable)
             if fine:
                 usable &= ~alien[samples.edge]
-                grey = outline.along_contrast(values, samples.edge, count, usable)
+                grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
                 double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
                 offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
-                opened.append(np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, variance))
+                variance += np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, 0.0)
+                opened.append(variance + np.where(clipped, _CLIPPED_PX**2, 0.0))
             else:
                 offsets = outline.search(distance, samples.edge, count, 1.0, usable)
                 opened.append(np.zeros(count))
