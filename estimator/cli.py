@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import calibrate, demo, doctor, evaluate, monitor, recover, replay, run, simulate
+from estimator.commands import calibrate, demo, doctor, evaluate, measure, monitor, recover, replay, run, simulate
 from estimator.commands import import_ as import_command
 from estimator.commands import map_ as map_command
 from estimator.version import version
@@ -85,6 +85,7 @@ app.add_typer(map_command.app, name="map")
 app.command("recover")(recover.command)
 app.command("doctor")(doctor.command)
 app.add_typer(calibrate.app, name="calibrate")
+app.command("measure")(measure.command)
 
 
 def main() -> None:

@@ -3,14 +3,14 @@
 check -> rectify -> median -> segment -> regions -> correspond -> measure
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from vision import check, enhance, epipolar
-from vision.correspond import Match, Search, correspond
+from vision.correspond import Match, Search, Unmatched, correspond
 from vision.measure import Accuracy, Level, Measured, Unmeasured, measure
 from vision.rectify import Image, Mask, Rectification, rectify
 from vision.regions import Limits, Region, find_regions
@@ -24,9 +24,9 @@ class Settings:
     colours_bgr: tuple[tuple[float, float, float], ...] = ()
     space: Space = "hsv"
     median_window: int = 3
-    limits: Limits = Limits()
-    search: Search = Search()
-    accuracy: Accuracy = Accuracy()
+    limits: Limits = field(default_factory=Limits)
+    search: Search = field(default_factory=Search)
+    accuracy: Accuracy = field(default_factory=Accuracy)
     level: Level | None = None
 
 
@@ -56,15 +56,16 @@ def survey(left: Image, right: Image, rectification: Rectification, settings: Se
     regions = segment_regions(seen, rectification.left.valid if rectification.left else None, settings)
     matches = correspond(grey(seen), other, regions, rectification.rig, settings.search)
     residual = epipolar.region_residual(matches) or epipolar.edge_residual(grey(seen), other, rectification.rig)
-    measured, unmeasured = [], []
-    for match in matches:
-        result: Measured | Unmeasured
-        if isinstance(match, Match):
-            result = measure(match, rectification.rig, settings.accuracy, settings.level)
-        else:
-            result = Unmeasured(match.region, match.reason)
-        (measured if isinstance(result, Measured) else unmeasured).append(result)
-    return Survey(seen, tuple(measured), tuple(unmeasured), residual, epipolar.pair_reason(matches, residual))
+    results = [_measured(m, rectification, settings) for m in matches]
+    measured = tuple(r for r in results if isinstance(r, Measured))
+    unmeasured = tuple(r for r in results if isinstance(r, Unmeasured))
+    return Survey(seen, measured, unmeasured, residual, epipolar.pair_reason(matches, residual))
+
+
+def _measured(match: Match | Unmatched, rectification: Rectification, settings: Settings) -> Measured | Unmeasured:
+    if isinstance(match, Unmatched):
+        return Unmeasured(match.region, match.reason)
+    return measure(match, rectification.rig, settings.accuracy, settings.level)
 
 
 def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> list[Region]:
