@@ -109,23 +109,19 @@ def _name(bgr: tuple[float, float, float]) -> str:
 
 def _print(found: "Survey") -> None:
     if found.measured:
-        header = ("", "colour", "R,G,B", "distance m", "width m", "length m", "size m2", "fill ratio", "")
-        rows = [
-            [str(k), _name(m.region.colour_bgr), _rgb(m), *_quantities(m), _remark(m)] for k, m in enumerate(found.measured, 1)
-        ]
-        print_table("Regions, each +- one standard deviation", rows, header)
+        header = ("", "colour", "distance m", "width m", "length m", "size m2", "fill ratio")
+        rows = [[_number(k, m), _name(m.region.colour_bgr), *_quantities(m)] for k, m in enumerate(found.measured, 1)]
+        print_table("Regions, each ± one standard deviation", rows, header)
     else:
         note("no region could be measured")
+    if any(m.region.touches_border for m in found.measured):
+        note("> cut off by the picture: at least so large")
     for reason, count in Counter(u.reason.partition(":")[0] for u in found.unmeasured).most_common():
         note(f"{count} not measured: {reason}")
 
 
-def _rgb(measured: "Measured") -> str:
-    return ",".join(f"{x:.0f}" for x in measured.region.colour_bgr[::-1])
-
-
-def _remark(measured: "Measured") -> str:
-    return "cut off by the picture: at least this large" if measured.region.touches_border else ""
+def _number(k: int, measured: "Measured") -> str:
+    return f"{k}>" if measured.region.touches_border else str(k)
 
 
 def _quantities(measured: "Measured") -> list[str]:
@@ -135,8 +131,8 @@ def _quantities(measured: "Measured") -> list[str]:
     texts = []
     for quantity in QUANTITIES:
         sigma = measured.sigma(quantity)
-        digits = max(0, min(4, 1 - math.floor(math.log10(max(sigma, 1e-6)))))
-        texts.append(f"{getattr(measured, quantity):.{digits}f} +- {sigma:.{digits}f}")
+        digits = max(0, min(4, -math.floor(math.log10(max(sigma, 1e-6)))))
+        texts.append(f"{getattr(measured, quantity):.{digits}f} ±{sigma:.{digits}f}")
     return texts
 
 
