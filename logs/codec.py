@@ -14,15 +14,17 @@ from logs.decoding import (
     Topics,
     decode_aid_status,
     decode_odometry,
+    decode_vision_request,
     is_own_transform,
 )
-from logs.encoding import Encoded, encode, encode_input, encode_slow, encode_truth
+from logs.encoding import VISION_REQUEST_TOPIC, Encoded, encode, encode_input, encode_slow, encode_truth
 from logs.schemas import SCHEMAS, type_hash
 
 __all__ = [
     "CHECKPOINT_TOPIC",
     "SCHEMAS",
     "TICK_TOPIC",
+    "VISION_REQUEST_TOPIC",
     "Decoder",
     "Encoded",
     "ImuMounting",
@@ -30,6 +32,7 @@ __all__ = [
     "Topics",
     "decode_aid_status",
     "decode_odometry",
+    "decode_vision_request",
     "encode",
     "encode_input",
     "encode_slow",

@@ -22,12 +22,14 @@ from models.messages import (
     Input,
     LandmarkFix,
     LastGnss,
+    PictureName,
     PoseFix,
     Quat,
     Reason,
     Tick,
     Unusable,
     Vec3,
+    VisionRequest,
     vec3,
 )
 from models.state import E
@@ -164,6 +166,15 @@ def decode_aid_status(data: bytes) -> AidStatus:
         replayed=message.replayed,
         detail=message.detail,
     )
+
+
+def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
+    """Read back. Raises ValueError for bytes that are no VisionRequest."""
+    message = _deserialize(data, schemas.VISION_REQUEST)
+    p_n, q_nb_wxyz, covariance = _pose(message.pose)
+    named = ((message.left_topic, message.left_stamp), (message.right_topic, message.right_stamp))
+    left, right = (PictureName(topic, _t_ns(stamp)) if topic else None for topic, stamp in named)
+    return VisionRequest(_t_ns(message.header.stamp), arrived_ns, p_n, q_nb_wxyz, covariance, left, right, int(message.run))
 
 
 def is_own_transform(data: bytes) -> bool:

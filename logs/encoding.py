@@ -23,6 +23,7 @@ from models.messages import (
     LandmarkFix,
     Mode,
     Output,
+    PictureName,
     PoseFix,
     Quat,
     Reset,
@@ -30,9 +31,12 @@ from models.messages import (
     Unusable,
     Vec3,
     VisionReport,
+    VisionRequest,
     vec3,
 )
 from models.state import E, X
+
+VISION_REQUEST_TOPIC: Final = "/landfix/vision_request"
 
 _MAP: Final = "map"
 _BODY: Final = "base_link"
@@ -62,24 +66,26 @@ def encode(output: Output) -> list[Encoded]:
         values = cdr_fast.odometry_values(output.nav, output.covariance, *output.gyro_b)
         return [Encoded("/landfix/odometry", schemas.ODOMETRY, cdr_fast.odometry(output.t_ns, values))]
     if isinstance(output, AidStatus):
-        return [_encoded("/landfix/aid_status", schemas.AID_STATUS, **_aid_status(output))]
+        return [packed("/landfix/aid_status", schemas.AID_STATUS, **_aid_status(output))]
     if isinstance(output, Health):
-        return [_encoded("/landfix/health", schemas.DIAGNOSTICS, header=_header(output.t_ns, ""), status=[_diagnostic(output)])]
+        return [packed("/landfix/health", schemas.DIAGNOSTICS, header=header_of(output.t_ns, ""), status=[_diagnostic(output)])]
     if isinstance(output, VisionReport):
-        return [_encoded("/landfix/vision", schemas.VISION_REPORT, **_vision_report(output))]
-    return [_encoded("/landfix/reset", schemas.RESET, **_reset(output))]
+        return [packed("/landfix/vision", schemas.VISION_REPORT, **_vision_report(output))]
+    if isinstance(output, VisionRequest):
+        return [packed(VISION_REQUEST_TOPIC, schemas.VISION_REQUEST, **_vision_request(output))]
+    return [packed("/landfix/reset", schemas.RESET, **_reset(output))]
 
 
 def encode_slow(estimate: Estimate) -> list[Encoded]:
     """The estimate for viewers: PoseStamped, TF and, where the origin is known, NavSatFix. At most 30 Hz, says the caller."""
     p_n, q = vec3(estimate.nav[X.P]), estimate.nav[X.Q]
-    header = _header(estimate.t_ns, _MAP)
+    header = header_of(estimate.t_ns, _MAP)
     pose = _pose(p_n, (float(q[0]), float(q[1]), float(q[2]), float(q[3])))
     transform = _new("geometry_msgs/msg/Transform", translation=_vector(axes.world(p_n)), rotation=pose.orientation)
     stamped = _new("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=_BODY, transform=transform)
     slow = [
-        _encoded("/landfix/pose", schemas.POSE, header=header, pose=pose),
-        _encoded("/tf", schemas.TF, transforms=[stamped]),
+        packed("/landfix/pose", schemas.POSE, header=header, pose=pose),
+        packed("/tf", schemas.TF, transforms=[stamped]),
     ]
     if origin := Origin.of(estimate.origin):
         lla = origin.to_geodetic(p_n)
@@ -103,35 +109,33 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
     """
     match message:
         case ImuSample():
-            return _encoded(message.topic, schemas.IMU, **_imu(message, mounting or ImuMounting()))
+            return packed(message.topic, schemas.IMU, **_imu(message, mounting or ImuMounting()))
         case GnssFix():
             lla = message.lat_deg, message.lon_deg, message.alt_m
             return _nav_sat_fix(message.topic, message.t_ns, "gnss", lla, message.covariance_n, message.status)
         case GnssVelocity():
-            return _encoded(message.topic, schemas.TWIST, **_gnss_velocity(message))
+            return packed(message.topic, schemas.TWIST, **_gnss_velocity(message))
         case PoseFix():
             common = message.covariance_common
             total = message.covariance if common is None else message.covariance + common
             pose = _pose_with_covariance(message.p_n, message.q_nb_wxyz, total)
-            return _encoded(message.topic, schemas.POSE_FIX, header=_header(message.t_ns, _MAP), pose=pose)
+            return packed(message.topic, schemas.POSE_FIX, header=header_of(message.t_ns, _MAP), pose=pose)
         case LandmarkFix():
-            return _encoded(message.topic, schemas.LANDMARK_FIX, **_landmark_fix(message))
+            return packed(message.topic, schemas.LANDMARK_FIX, **_landmark_fix(message))
         case Baro():
-            pressure, header = message.pressure_pa, _header(message.t_ns, _BODY)
-            return _encoded(
-                message.topic, schemas.PRESSURE, header=header, fluid_pressure=pressure, variance=message.variance_pa2
-            )
+            pressure, header = message.pressure_pa, header_of(message.t_ns, _BODY)
+            return packed(message.topic, schemas.PRESSURE, header=header, fluid_pressure=pressure, variance=message.variance_pa2)
         case Tick():
-            return _encoded(message.topic, schemas.HEADER, stamp=_time(message.t_ns), frame_id="")
+            return packed(message.topic, schemas.HEADER, stamp=_time(message.t_ns), frame_id="")
         case Checkpoint():
-            return _encoded(message.topic, schemas.CHECKPOINT, **_checkpoint(message))
+            return packed(message.topic, schemas.CHECKPOINT, **_checkpoint(message))
         case Unusable():
             raise ValueError(f"{message.topic}: a message that could not be read ({message.detail}) cannot be written")
 
 
 def _aid_status(status: AidStatus) -> dict[str, Any]:
     return {
-        "header": _header(status.t_ns, ""),
+        "header": header_of(status.t_ns, ""),
         "arrived": _time(status.arrived_ns),
         "topic": status.topic,
         "kind": status.kind,
@@ -168,7 +172,7 @@ def _diagnostic(health: Health) -> Any:
 
 def _reset(reset: Reset) -> dict[str, Any]:
     return {
-        "header": _header(reset.t_ns, _MAP),
+        "header": header_of(reset.t_ns, _MAP),
         "counter": reset.counter,
         "delta_position": _vector(axes.world(reset.delta_p_n)),
         "delta_velocity": _vector(axes.world(reset.delta_v_n)),
@@ -178,7 +182,7 @@ def _reset(reset: Reset) -> dict[str, Any]:
 
 def _vision_report(report: VisionReport) -> dict[str, Any]:
     return {
-        "header": _header(report.t_ns, "camera"),
+        "header": header_of(report.t_ns, "camera"),
         "outcome": report.outcome,
         "detail": report.detail,
         "regions": report.regions,
@@ -190,13 +194,26 @@ def _vision_report(report: VisionReport) -> dict[str, Any]:
     }
 
 
+def _vision_request(request: VisionRequest) -> dict[str, Any]:
+    left, right = request.left or PictureName("", 0), request.right or PictureName("", 0)
+    return {
+        "header": header_of(request.t_ns, _MAP),
+        "pose": _pose_with_covariance(request.p_n, request.q_nb_wxyz, request.covariance),
+        "left_topic": left.topic,
+        "left_stamp": _time(left.t_ns),
+        "right_topic": right.topic,
+        "right_stamp": _time(right.t_ns),
+        "run": request.run,
+    }
+
+
 def _imu(sample: ImuSample, mounting: ImuMounting) -> dict[str, Any]:
     """Orientation is not measured: -1 says so (sensor_msgs/msg/Imu); zero covariances are unknown ones."""
     not_measured = np.zeros(9)
     not_measured[0] = -1.0
     R_ib = mounting.matrix().T
     return {
-        "header": _header(sample.t_ns, _BODY if mounting.axes == "flu" else _BODY_FRD),
+        "header": header_of(sample.t_ns, _BODY if mounting.axes == "flu" else _BODY_FRD),
         "orientation": _quaternion((1.0, 0.0, 0.0, 0.0)),
         "orientation_covariance": not_measured,
         "angular_velocity": _vector(vec3(R_ib @ sample.gyro_b)),
@@ -212,13 +229,13 @@ def _gnss_velocity(velocity: GnssVelocity) -> dict[str, Any]:
         covariance[:3, :3] = axes.world_covariance(velocity.covariance_n)
     twist = _new("geometry_msgs/msg/Twist", linear=_vector(axes.world(velocity.v_n)), angular=_vector((0.0, 0.0, 0.0)))
     with_covariance = _new("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel())
-    return {"header": _header(velocity.t_ns, _MAP), "twist": with_covariance}
+    return {"header": header_of(velocity.t_ns, _MAP), "twist": with_covariance}
 
 
 def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
     common = np.zeros((6, 6)) if fix.covariance_common is None else axes.world_covariance(fix.covariance_common)
     return {
-        "header": _header(fix.t_ns, _MAP),
+        "header": header_of(fix.t_ns, _MAP),
         "pose": _pose_with_covariance(fix.p_n, fix.q_nb_wxyz, fix.covariance),
         "covariance_common": common.ravel(),
         "landmarks": list(fix.landmarks),
@@ -229,7 +246,7 @@ def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
 
 def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
     return {
-        "header": _header(checkpoint.t_ns, _MAP),
+        "header": header_of(checkpoint.t_ns, _MAP),
         "nav": checkpoint.nav,
         "covariance": checkpoint.covariance.ravel(),
         "last_absolute_ns": checkpoint.last_absolute_ns,
@@ -241,10 +258,10 @@ def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
 
 def _nav_sat_fix(topic: str, t_ns: int, frame: str, lla: Vec3, covariance_n: Array | None, status: int) -> Encoded:
     covariance = np.zeros((3, 3)) if covariance_n is None else axes.world_covariance(covariance_n)
-    return _encoded(
+    return packed(
         topic,
         schemas.NAV_SAT_FIX,
-        header=_header(t_ns, frame),
+        header=header_of(t_ns, frame),
         status=_new("sensor_msgs/msg/NavSatStatus", status=status, service=0),
         latitude=lla[0],
         longitude=lla[1],
@@ -277,7 +294,8 @@ def _vector(v: Vec3) -> Any:
     return _new("geometry_msgs/msg/Vector3", x=v[0], y=v[1], z=v[2])
 
 
-def _header(t_ns: int, frame: str) -> Any:
+def header_of(t_ns: int, frame: str) -> Any:
+    """A std_msgs/msg/Header."""
     return _new(schemas.HEADER, stamp=_time(t_ns), frame_id=frame)
 
 
@@ -292,5 +310,6 @@ def _new(name: str, /, **fields: Any) -> Any:
     return make(**fields)
 
 
-def _encoded(topic: str, schema: str, /, **fields: Any) -> Encoded:
+def packed(topic: str, schema: str, /, **fields: Any) -> Encoded:
+    """A message of these fields in CDR."""
     return Encoded(topic, schema, bytes(STORE.serialize_cdr(_new(schema, **fields), schema, little_endian=True)))

@@ -25,6 +25,7 @@ CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
 LANDMARK_FIX: Final = "landfix_msgs/msg/LandmarkFix"
 AID_STATUS: Final = "landfix_msgs/msg/AidStatus"
 VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
+VISION_REQUEST: Final = "landfix_msgs/msg/VisionRequest"
 RESET: Final = "landfix_msgs/msg/Reset"
 CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
@@ -83,6 +84,20 @@ float64[] similarities
 # RMS of the outline fit, px; NaN without a fit.
 float64 residual_px
 float64 processing_s
+""",
+    VISION_REQUEST: """\
+# Look for landmarks in these pictures. What vision answers follows from this, the pictures and the requests before it.
+# header.stamp: exposure; header.frame_id: map (ENU at the map origin).
+std_msgs/Header header
+# Where base_link (FLU) is believed to have been, with the covariance of LandmarkFix.
+geometry_msgs/PoseWithCovariance pose
+# Topic and stamp of the picture of each camera; an empty topic: there is none.
+string left_topic
+builtin_interfaces/Time left_stamp
+string right_topic
+builtin_interfaces/Time right_stamp
+# Counts the runs of vision: each begins without memory of earlier pictures.
+uint32 run
 """,
     RESET: """\
 # The estimate jumped: new = old (+) delta.

@@ -91,6 +91,30 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     topic: str = "/landfix/fix"
 
 
+class PictureName(msgspec.Struct, frozen=True):
+    """Which picture: its topic and the stamp of its exposure."""
+
+    topic: str
+    t_ns: int
+
+
+class VisionRequest(msgspec.Struct, frozen=True, eq=False):
+    """Look for landmarks in these pictures, taken at t_ns where the vehicle is believed to have been.
+
+    covariance: (6, 6), x y z rx ry rz in NED axes, as PoseFix; left, right: None where that camera gave none; run: of vision,
+    which begins each without memory of earlier pictures.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    p_n: Vec3
+    q_nb_wxyz: Quat
+    covariance: Array
+    left: PictureName | None
+    right: PictureName | None
+    run: int = 0
+
+
 class Baro(msgspec.Struct, frozen=True, eq=False):
     """Static pressure, Pa, and its variance (0 where unknown)."""
 
@@ -268,7 +292,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     detail: str = ""
 
 
-Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport
+Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport | VisionRequest
 
 
 def vec3(v: Any) -> Vec3:

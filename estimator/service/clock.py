@@ -7,7 +7,6 @@ From messages that go one way only a is known from above, a <= t' - arrival + de
 tells most; from a question and its answer a is known within half the time that both took (Cristian 1989).
 """
 
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -208,21 +207,3 @@ class Stamps:
         self._lags[topic] = 0
         del self._trials[topic]
         return offset.ours(stamp_ns)
-
-
-_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
-_HEAD: Final = 4  # bytes of encapsulation; a std_msgs/Header begins right behind
-
-
-def stamp_of(data: bytes) -> int | None:
-    """header.stamp of a CDR message that begins with a std_msgs/Header, ns; None where there is none."""
-    if len(data) < _HEAD + _LITTLE.size:
-        return None
-    sec, nanosec = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, _HEAD)
-    return None if nanosec >= SECOND_NS else sec * SECOND_NS + nanosec
-
-
-def restamped(data: bytes, t_ns: int) -> bytes:
-    """The same message with another header.stamp."""
-    stamp = (_LITTLE if data[1] & 1 else _BIG).pack(*divmod(t_ns, SECOND_NS))
-    return data[:_HEAD] + stamp + data[_HEAD + _LITTLE.size :]

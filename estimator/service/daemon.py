@@ -13,10 +13,11 @@ from msgspec import Meta
 
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
-from estimator.service.clock import SECOND_NS, Clock, Stamps, restamped, stamp_of
+from estimator.service.clock import SECOND_NS, Clock, Stamps
 from estimator.service.ports import Arrival, Log, Outbox
 from estimator.service.status import Status
 from logs.codec import Decoder, ImuMounting, encode_input
+from logs.stamps import restamped, stamp_of
 from models.messages import Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Offset, Stamps, restamped, stamp_of
+from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Offset, Stamps
 from logs.codec import encode_input
+from logs.stamps import restamped, stamp_of
 from models.messages import ImuSample
 
 START_NS = 1_795_000_000 * SECOND_NS
