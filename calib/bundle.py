@@ -26,7 +26,7 @@ from models.messages import Array
 _STEPS: Final = 60
 _CONVERGED: Final = 1e-10  # relative decrease of the cost
 _POSE = 6
-_INDEPENDENT: Final = 1.35  # leaving out independent views moves the solution this much (variance ratio) by chance
+_INDEPENDENT: Final = 2.0  # variance ratio that errors independent from corner to corner hardly reach by chance
 
 
 class Seen(NamedTuple):
@@ -236,19 +236,21 @@ def _solution(problem: Problem, terms: list[_Terms], mask: NDArray[np.bool_], co
 
 
 def _widened(H: Array, H_i: list[Array], g_i: list[Array], sigma2: float) -> float:
-    """Variance of leaving each view out, (V - 1) / V sum d d^T with d = (H - H_i)^-1 g_i, over sigma^2 H^-1; at least 1."""
-    views = len(H_i)
-    if views < 4:
-        return 1.0
+    """What leaving out each view does, over what independent errors would make it do; 1 unless it is clearly more.
+
+    sum_i d_i^T H d_i / (sigma^2 sum_i tr((H - H_i)^-1 H_i)),   d_i = (H - H_i)^-1 g_i
+    """
     scale = np.sqrt(np.diagonal(H))
-    ratio = 0.0
+    over = np.outer(scale, scale)
+    moved, expected = 0.0, 0.0
     for part, g in zip(H_i, g_i, strict=True):
-        rest = (H - part) / np.outer(scale, scale)
+        rest = (H - part) / over
         if np.linalg.cond(rest) > 1e13:
             return 1.0  # without this view there is no solution: nothing to compare
         d = np.linalg.solve(rest, g / scale)
-        ratio += float(d @ (H / np.outer(scale, scale)) @ d)
-    ratio *= (views - 1) / views / sigma2 / len(H)
+        moved += float(d @ (H / over) @ d)
+        expected += float(np.trace(np.linalg.solve(rest, part / over)))
+    ratio = moved / (sigma2 * expected)
     return ratio if ratio > _INDEPENDENT else 1.0
 
 

@@ -1,9 +1,9 @@
 """Camera on an IMU: rotation, translation and time offset from a moving recording of a fixed board.
 
-    min_theta sum_k e_k^T e_k,   theta = (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
+    min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-with e the normalised innovations of a filter that is told theta (grey_box.py). The covariance of theta is (J^T J)^-1, J = de/dtheta,
-times the innovations' mean square where that is above 1, plus what the camera's own covariance does to theta.
+with e the normalised innovations of a filter that is told them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
+times the innovations' mean square where that is above 1, plus what the camera's own covariance does to them.
 """
 
 from collections.abc import Callable, Sequence

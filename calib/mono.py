@@ -39,7 +39,7 @@ _FLAGS = {
     Lens.TWO: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3,
     Lens.FOUR: cv2.CALIB_FIX_K3,
     Lens.FIVE: 0,
-    Lens.EIGHT: cv2.CALIB_RATIONAL_MODEL,
+    Lens.EIGHT: 0,  # begins as Brown's: OpenCV's rational fits may have a pole in the picture
 }
 _COUNT = {Lens.TWO: 4, Lens.FOUR: 4, Lens.FIVE: 5, Lens.EIGHT: 8, Lens.FISHEYE: 8}
 
@@ -103,14 +103,14 @@ def start(views: Sequence[View], board: Board, lens: Lens) -> Problem:
 def _zhang(x_o: list[Array], px: list[Array], size: tuple[int, int], lens: Lens) -> tuple[CameraModel, list[Pose]]:
     objects = [x.astype(np.float32) for x in x_o]
     images = [p.astype(np.float32).reshape(-1, 1, 2) for p in px]
-    K0, k0 = np.eye(3), np.zeros(_COUNT[lens])
+    K0, k0 = np.eye(3), np.zeros(5)
     try:
         _, K, k, rvecs, tvecs, _, _, _ = cv2.calibrateCameraExtended(objects, images, size, K0, k0, flags=_FLAGS[lens])
     except cv2.error:
         raise CalibrationError(
             "the views do not determine a camera: tilt the board 20-45 degrees, each way, and do it again"
         ) from None
-    k = np.asarray(k, dtype=np.float64).ravel()[: _COUNT[lens]]
+    k = np.concatenate((np.asarray(k, dtype=np.float64).ravel()[:5], np.zeros(3)))[: _COUNT[lens]]
     camera = CameraModel(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), tuple(float(x) for x in k))
     return camera, [Pose.of_vectors(r, t) for r, t in zip(rvecs, tvecs, strict=True)]
 
