@@ -14,7 +14,7 @@ def sampled(polygon: np.ndarray, n: int = 64) -> np.ndarray:
     for (u0, v0), (u1, v1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if v0 != v1:
             inside ^= ((v0 > v) != (v1 > v)) & (u < u0 + (v - v0) * (u1 - u0) / (v1 - v0))
-    return inside.reshape(H, n, W, n).mean(axis=(1, 3))
+    return np.asarray(inside.reshape(H, n, W, n).mean(axis=(1, 3)))
 
 
 def polygons() -> list[np.ndarray]:

@@ -94,7 +94,7 @@ def test_edges_lie_on_the_true_polygon(height: float, psf: float) -> None:
     outward = []
     for _ in range(12):
         solid = box(0.0, 0.0, height, (BRIGHT, BRIGHT, BRIGHT), turn=rng.uniform(0, math.pi))
-        p, R = pose(rng.uniform(22, 60), *rng.uniform(-0.12, 0.12, 2), rng.uniform(-3, 3))
+        p, R = pose(rng.uniform(22, 60), rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12), rng.uniform(-3, 3))
         image = render(world_of(solid), CAMERA, p, R, replace(IDEAL, psf_sigma_px=psf), rng)[:, :, 1]
         px, normal = project(solid, height, p, R)
         seen = np.all((px > 8) & (px < np.array([631, 471])), axis=1)
@@ -149,14 +149,14 @@ def test_nearer_solids_hide_farther_ones() -> None:
     world = replace(make_world(5, spec).world, ground=PLAIN)
     checked = 0
     for _ in range(3):
-        p, R = pose(rng.uniform(14, 40), *rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3))
+        p, R = pose(rng.uniform(14, 40), rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(-3, 3))
         labels = render_labels(world, CAMERA, p, R)
         v, u = np.mgrid[3:480:7, 3:640:7].reshape(2, -1)
         rays = CAMERA.ray(np.column_stack([u, v]).astype(float)) @ R.T
         cast = first_hits(world.solids, p, rays)
         agree = cast == labels[v, u]
         assert agree.mean() > 0.985  # what is left lies on borders of pixels
-        checked += np.count_nonzero(cast >= 0)
+        checked += int(np.count_nonzero(cast >= 0))
     assert checked > 4000
 
 
@@ -218,7 +218,8 @@ def test_ground_moves_as_the_camera_model_says() -> None:
     (p, R), (p2, R2) = pose(30.0), pose(30.4, 0.01, -0.015, 0.03)
     p2 = p2 + np.array([0.3, 0.5, 0.0])
     first, second = (
-        cv2.cvtColor(render(world, CAMERA, *at, IDEAL, np.random.default_rng(1)), cv2.COLOR_BGR2GRAY) for at in ((p, R), (p2, R2))
+        cv2.cvtColor(render(world, CAMERA, at, axes, IDEAL, np.random.default_rng(1)), cv2.COLOR_BGR2GRAY)
+        for at, axes in ((p, R), (p2, R2))
     )
     v, u = np.mgrid[40:440:40, 40:600:40].reshape(2, -1)
     px = np.column_stack([u, v]).astype(float)
@@ -242,7 +243,7 @@ def test_ground_has_enough_to_hold_on_to(height: float, pitch_deg: float) -> Non
     scene = make_world(11, WorldSpec(area_m=200.0))
     R_nb = so3.matrix(so3.from_euler(0.0, math.radians(pitch_deg), 0.7))
     left, _ = render_pair(scene.world, scene.rig, np.array([3.0, 4.0, -height]), R_nb, Conditions(), np.random.default_rng(1))
-    assert len(cv2.SIFT_create().detect(cv2.cvtColor(left, cv2.COLOR_BGR2GRAY))) >= 500
+    assert len(cv2.SIFT.create().detect(cv2.cvtColor(left, cv2.COLOR_BGR2GRAY))) >= 500
 
 
 def test_noise_is_shot_and_read_noise() -> None:

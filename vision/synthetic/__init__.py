@@ -5,6 +5,7 @@ from vision.synthetic.ground import Ground
 from vision.synthetic.render import render, render_labels, render_pair
 from vision.synthetic.rigs import draw_rig, make_rig
 from vision.synthetic.scenes import Scene, WorldSpec, make_world
+from vision.synthetic.truth import Sight, Stretch, sights
 from vision.synthetic.world import Look, Solid, Sun, World
 
 __all__ = [
@@ -14,7 +15,9 @@ __all__ = [
     "Image",
     "Look",
     "Scene",
+    "Sight",
     "Solid",
+    "Stretch",
     "Sun",
     "World",
     "WorldSpec",
@@ -25,4 +28,5 @@ __all__ = [
     "render",
     "render_labels",
     "render_pair",
+    "sights",
 ]

@@ -7,7 +7,7 @@ The sensor is linear (no gamma): where an edge lies does not depend on its contr
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -46,9 +46,9 @@ IDEAL = Conditions(vignetting=0.0, psf_sigma_px=0.0, read_sigma=0.0, shot=0.0)  
 
 
 def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: float, exposure_s: float) -> tuple[float, float]:
-    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)) of a camera moving at velocity_c [m/s], turning at rate_c [rad/s], both in c.
+    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)), in the middle of the picture, for ground at depth_m.
 
-    At the middle of the picture, for ground at depth_m.
+    velocity_c [m/s], rate_c [rad/s]: of the camera, in its own axes.
     """
     du = -(velocity_c[0] / depth_m + rate_c[1])
     dv = -(velocity_c[1] / depth_m - rate_c[0])
@@ -56,35 +56,35 @@ def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: f
 
 
 def expose(light: Grid, conditions: Conditions, vignette: Grid, rng: np.random.Generator) -> Image:
-    """The picture (h, w, 3) of the light (h, w, 3) that falls on the sensor; vignette (h, w): squared radius, 1 in the corners."""
+    """The picture (h, w, 3) of the light (h, w, 3) on the sensor; vignette (h, w): squared radius, 1 in the corners."""
     c = conditions
     if c.psf_sigma_px > 0.0:
-        light = cv2.sepFilter2D(light, -1, *(2 * [_gauss(c.psf_sigma_px)]), borderType=cv2.BORDER_REPLICATE).astype(np.float32)
+        lens = _gauss(c.psf_sigma_px)
+        light = np.asarray(cv2.sepFilter2D(light, -1, lens, lens, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
     if math.hypot(*c.blur_px) > 0.05:
-        light = cv2.filter2D(light, -1, _line(*c.blur_px), borderType=cv2.BORDER_REPLICATE).astype(np.float32)
+        light = np.asarray(cv2.filter2D(light, -1, _line(*c.blur_px), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
     gain = (c.exposure * np.array(c.cast_bgr)).astype(np.float32)
-    starts = rng.integers(0, _BANK, light.shape[0])
+    starts = np.asarray(rng.integers(0, _BANK, size=light.shape[0], dtype=np.int64))
     image = np.empty(light.shape, dtype=np.uint8)
-    _read_out(
-        light, gain, vignette, np.float32(c.vignetting), np.float32(c.read_sigma), np.float32(c.shot), _bank(), starts, image
-    )
+    _read_out(light, gain, vignette, np.array([c.vignetting, c.read_sigma**2, c.shot], dtype=np.float32), _bank(), starts, image)
     return image
 
 
 @njit(cache=True)
 def _read_out(
-    light: Grid, gain: Grid, vignette: Grid, vignetting: float, read: float, shot: float, bank: Grid, starts: NDArray[np.int64],
-    image: Image,
-) -> None:  # fmt: skip
+    light: Grid, gain: Grid, vignette: Grid, numbers: Grid, bank: Grid, starts: NDArray[np.int64], image: Image
+) -> None:
+    """numbers: vignetting, variance in the dark, variance per grey value."""
     height, width, _ = light.shape
-    variance, zero, most = read * read, np.float32(0.0), np.float32(255.0)
+    vignetting, dark, shot = numbers
+    zero, most = np.float32(0.0), np.float32(255.0)
     for r in range(height):
-        numbers = bank[starts[r] : starts[r] + 3 * width]
+        normal = bank[starts[r] : starts[r] + 3 * width]
         for c in range(width):
             fall = np.float32(1.0) - vignetting * vignette[r, c]
             for b in range(3):
                 value = light[r, c, b] * gain[b] * fall
-                value += math.sqrt(variance + shot * value) * numbers[3 * c + b] + np.float32(0.5)
+                value += math.sqrt(dark + shot * value) * normal[3 * c + b] + np.float32(0.5)
                 image[r, c, b] = np.uint8(min(max(value, zero), most))
 
 
@@ -95,7 +95,7 @@ def _bank() -> Grid:
     return np.concatenate([numbers, numbers[: 1 << 15]])
 
 
-@cache
+@lru_cache(maxsize=64)
 def _gauss(sigma: float) -> Grid:
     """Normal distribution over pixels' squares, cut at 3 sigma."""
     half = math.ceil(3.0 * sigma - 0.5)
@@ -104,7 +104,7 @@ def _gauss(sigma: float) -> Grid:
     return np.asarray(weights / weights.sum(), dtype=np.float32)
 
 
-@cache
+@lru_cache(maxsize=64)
 def _line(du: float, dv: float) -> Grid:
     """Weights of a centred straight way (du, dv) over the pixels, by many points spread bilinearly."""
     half = math.ceil(0.5 * max(abs(du), abs(dv)))

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.messages import Array
+from vision.synthetic.texture import Scalar
 from vision.synthetic.world import Columns
 
 Indices = NDArray[np.int64]
@@ -50,14 +51,12 @@ class Faces(NamedTuple):
 
 def visible_faces(columns: Columns, view: View, sun_n: Array, ambient: float) -> Faces:
     """What may be seen of the solids. Walls are lit by the sun's angle to them, relative to level ground."""
-    return Faces(*_collect(*_plain(columns), *view, sun_n, ambient))
-
-
-def _plain(c: Columns) -> tuple[Array | Indices, ...]:
-    return (
-        c.vertices, c.offsets, c.base_d, c.height_m, c.centre_n, c.radius_m, c.roof_bgr, c.wall_bgr, c.textures,
-        c.contrasts, c.ridge, c.orientation_rad,
+    c = columns
+    found = _collect(
+        c.vertices, c.offsets, c.base_d, c.height_m, c.centre_n, c.radius_m, c.roof_bgr, c.wall_bgr, c.textures, c.contrasts,
+        c.ridge, c.orientation_rad, *view, sun_n, ambient,
     )  # fmt: skip
+    return Faces(*found)
 
 
 @njit(cache=True)
@@ -77,7 +76,7 @@ def _collect(
     vertices: Array, offsets: Indices, base_d: Array, height_m: Array, centre_n: Array, radius_m: Array, roof_bgr: Array,
     wall_bgr: Array, textures: Indices, contrasts: Array, ridge: Array, orientation: Array,
     p_nc: Array, R_nc: Array, limits: Array, piece: float, sun_n: Array, ambient: float,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+) -> tuple[Array, Indices, Indices, Indices, Array, Array, Indices, Array]:  # fmt: skip
     n = len(base_d)
     seen = np.empty(n, dtype=np.int64)
     count = 0
@@ -158,8 +157,8 @@ def _order_of_walls(outline: Array, p_nc: Array, stands: bool) -> Indices:
 
 
 @njit(cache=True, inline="always")
-def _outside(a: Array, b: Array, x: Array) -> float:
-    """How far x lies outside the edge from a to b of an outline that runs anticlockwise seen from above, times the edge's length."""
+def _outside(a: Array, b: Array, x: Array) -> Scalar:
+    """How far x lies outside the edge from a to b of an anticlockwise outline, times the edge's length."""
     return (b[0] - a[0]) * (x[1] - a[1]) - (b[1] - a[1]) * (x[0] - a[0])
 
 
@@ -286,5 +285,6 @@ def _in_front(first: Array, second: Array, p: Array) -> bool:
             for i in range(len(b)):
                 separates = separates and _outside(start, end, b[i]) >= -_APART
             if separates:
-                return (_outside(start, end, p) <= 0.0) == nearer_inside
+                inside: bool = _outside(start, end, p) <= 0.0
+                return inside == nearer_inside
     return True

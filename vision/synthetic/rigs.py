@@ -75,7 +75,8 @@ def _draw_camera(camera: CameraModel, rng: np.random.Generator) -> CameraModel:
         return camera
     numbers = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
     drawn = rng.multivariate_normal(numbers, camera.covariance).tolist()
-    return CameraModel(camera.width, camera.height, *drawn[:4], tuple(drawn[4:]), camera.covariance)
+    fx, fy, cx, cy = drawn[:4]
+    return CameraModel(camera.width, camera.height, fx, fy, cx, cy, tuple(drawn[4:]), camera.covariance)
 
 
 def _covariance(sigma_m: float, sigma_deg: float) -> Array:

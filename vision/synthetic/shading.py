@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision.synthetic.coverage import Grid, add_polygon, bounds, integrate
 from vision.synthetic.faces import CONTRAST, FLAT, RANGE, RIDGE, SHIFT_S, SHIFT_T, Indices
-from vision.synthetic.texture import SURFACE_SIZE, SURFACE_TEXEL_M, bilinear, bilinear_bgr, level_of
+from vision.synthetic.texture import SURFACE_SIZE, SURFACE_TEXEL_M, Scalar, bilinear, bilinear_bgr, level_of
 
 Labels = NDArray[np.int32]
 
@@ -92,7 +92,7 @@ def _paint(
                     coarse = bilinear(surface, start + size * size, size >> np.int32(1), np.float32(0.5) * a, np.float32(0.5) * b)
                     value += coarser * (coarse - value)
                 shade = np.float32(1.0) + contrast * value
-                shade *= np.float32(1.0) + ridge * max(-_RIDGE_M, min(_RIDGE_M, t))
+                shade *= np.float32(1.0) + ridge * min(max(t, -_RIDGE_M), _RIDGE_M)
                 shade *= (np.float32(1.0) - dim * shadow[r, k]) * clear * share
                 veil = share * (np.float32(1.0) - clear)
                 for i in range(3):
@@ -107,7 +107,7 @@ def paint_ground(
 ) -> None:  # fmt: skip
     """Adds the ground's light, or the sky's, where `through` lets it pass. H maps rays to the ground's own axes [m]."""
     (height, width), to_plane = through.shape, H.astype(np.float32)
-    dim, contrast, half, one = np.float32(1.0 - shadow_light), np.float32(contrast), np.float32(0.5), np.float32(1.0)
+    dim, strength, half, one = np.float32(1.0 - shadow_light), np.float32(contrast), np.float32(0.5), np.float32(1.0)
     tint_b, tint_g, tint_r = np.float32(tint[0]), np.float32(tint[1]), np.float32(tint[2])
     haze_b, haze_g, haze_r = np.float32(haze[1]), np.float32(haze[2]), np.float32(haze[3])
     for r in range(height):
@@ -116,8 +116,8 @@ def paint_ground(
             x, y = rays[r, c, 0], rays[r, c, 1]
             if _slope(H, x, y) < _HORIZON or _slope(H, rays[r, end - 1, 0], rays[r, end - 1, 1]) < _HORIZON:
                 for k in range(c, end):
-                    for b in range(3):
-                        image[r, k, b] += through[r, k] * haze[1 + b]
+                    for i in range(3):
+                        image[r, k, i] += through[r, k] * haze[1 + i]
                 continue
             clear = _clear(H, x, y, reach, haze[0])
             d_start, d_size, d_coarser = level_of(detail_size, _lod(H, x, y, focal, detail_texel))
@@ -138,7 +138,7 @@ def paint_ground(
                     b, g, red = bilinear_bgr(cover, c_next, c_size >> np.int32(1), half * s * c_scale, half * t * c_scale)
                     paint_b, paint_g = paint_b + c_coarser * (b - paint_b), paint_g + c_coarser * (g - paint_g)
                     paint_r += c_coarser * (red - paint_r)
-                shade = (one + contrast * value) * (one - dim * shadow[r, k]) * light * clear
+                shade = (one + strength * value) * (one - dim * shadow[r, k]) * light * clear
                 veil = light * (one - clear)
                 image[r, k, 0] += shade * tint_b * paint_b + veil * haze_b
                 image[r, k, 1] += shade * tint_g * paint_g + veil * haze_g
@@ -146,26 +146,26 @@ def paint_ground(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _place(H: Grid, x: np.float32, y: np.float32) -> tuple[np.float32, np.float32]:
+def _place(H: Grid, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Where a ray meets a plane, in the plane's axes [m]."""
     w = np.float32(1.0) / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * w
 
 
 @njit(cache=True, inline="always")
-def _slope(H: Array, x: float, y: float) -> float:
+def _slope(H: Array, x: Scalar, y: Scalar) -> Scalar:
     """Sine of the angle at which a ray falls on a plane."""
     return (H[2, 0] * x + H[2, 1] * y + H[2, 2]) / math.sqrt(1.0 + x * x + y * y)
 
 
 @njit(cache=True, inline="always")
-def _clear(H: Array, x: float, y: float, reach: float, extinction: float) -> np.float32:
+def _clear(H: Array, x: Scalar, y: Scalar, reach: float, extinction: float) -> Scalar:
     """Share of light that haze lets through between plane and camera (Koschmieder 1924)."""
     return np.float32(math.exp(-extinction * reach / max(_slope(H, x, y), _HORIZON)))
 
 
 @njit(cache=True, inline="always")
-def _lod(H: Array, x: float, y: float, focal: float, texel_m: float) -> float:
+def _lod(H: Array, x: Scalar, y: Scalar, focal: float, texel_m: float) -> float:
     """log2 of texels per pixel: root mean square of the four derivatives of (s, t) by pixels."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     s, t = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w

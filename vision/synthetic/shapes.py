@@ -91,10 +91,11 @@ def road(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[Arr
 
 def _regular(corners: int, radius_m: float) -> Array:
     angle = -2.0 * math.pi * np.arange(corners) / corners
-    return radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
 def _turned(outline_n: Array, rng: np.random.Generator) -> Array:
     angle = rng.uniform(0.0, math.pi)
     c, s = math.cos(angle), math.sin(angle)
-    return outline_n @ np.array([[c, s], [-s, c]])
+    turned: Array = outline_n @ np.array([[c, s], [-s, c]])
+    return turned

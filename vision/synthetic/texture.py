@@ -8,7 +8,7 @@ a process from fixed seeds; worlds differ by where and how they lay them.
 
 import math
 from functools import cache
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 Grid: TypeAlias = NDArray[np.float32]
 Field = NDArray[np.float64]
-Taps: TypeAlias = tuple[np.int32, np.int32, np.int32, np.int32, np.float32, np.float32]
+Scalar: TypeAlias = Any  # a float32 or int32: the lookup computes in what it is given
+Taps: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 SURFACES: Final = ("paint", "shingles", "gravel", "metal", "wall", "leaves")  # the textures of roofs and sides
 SURFACE_SIZE: Final = 512  # texels
@@ -45,18 +46,19 @@ def texels_a_side(levels: Grid) -> int:
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def level_of(size: int, lod: float) -> tuple[np.int32, np.int32, np.float32]:
+def level_of(size: int, lod: float) -> tuple[Scalar, Scalar, Scalar]:
     """Where the level below `lod` begins in a pyramid, its size, and the share of the next level (little of it: 0)."""
     start = 0
     while lod >= 1.0 and size > 2:
         start += size * size
         size >>= 1
         lod -= 1.0
-    return np.int32(start), np.int32(size), np.float32(0.0 if lod < _FINE_ENOUGH else min(lod, 1.0))
+    share = 0.0 if lod < _FINE_ENOUGH else min(lod, 1.0)
+    return np.int32(start), np.int32(size), np.float32(share)
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _taps(start: np.int32, size: np.int32, s: np.float32, t: np.float32) -> Taps:
+def _taps(start: Scalar, size: Scalar, s: Scalar, t: Scalar) -> Taps:
     """Four texels around (s, t), in texels of a level (texel i is centred at i + 1/2), and how far along it lies."""
     s, t = s - np.float32(0.5), t - np.float32(0.5)
     fs, ft = np.floor(s), np.floor(t)
@@ -67,7 +69,7 @@ def _taps(start: np.int32, size: np.int32, s: np.float32, t: np.float32) -> Taps
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def bilinear(data: Grid, start: np.int32, size: np.int32, s: np.float32, t: np.float32) -> np.float32:
+def bilinear(data: Grid, start: Scalar, size: Scalar, s: Scalar, t: Scalar) -> Scalar:
     """A texture of one channel."""
     i, j, k, m, a, b = _taps(start, size, s, t)
     top, low = data[i] + a * (data[j] - data[i]), data[k] + a * (data[m] - data[k])
@@ -75,9 +77,7 @@ def bilinear(data: Grid, start: np.int32, size: np.int32, s: np.float32, t: np.f
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def bilinear_bgr(
-    data: Grid, start: np.int32, size: np.int32, s: np.float32, t: np.float32
-) -> tuple[np.float32, np.float32, np.float32]:
+def bilinear_bgr(data: Grid, start: Scalar, size: Scalar, s: Scalar, t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """A texture of three channels."""
     i, j, k, m, a, b = _taps(start, size, s, t)
     wm, wj, wk = a * b, a - a * b, b - a * b
@@ -96,7 +96,7 @@ def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0
     gain = np.where((f * finest <= 1.0) & (f * coarsest >= 1.0), f**-slope, 0.0)
     gain[0, 0] = 0.0
     field: Field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((size, size))) * gain, s=(size, size))
-    return field / field.std()
+    return np.asarray(field / field.std())
 
 
 @cache
@@ -127,7 +127,7 @@ def _shingles(rng: np.random.Generator) -> Field:
     tile = (column + (course % 2) * (width // 2)) // width % (n // width)
     shade = rng.normal(0.0, 0.55, (n // height, n // width))[course, tile]
     shade -= 1.1 * (row % height < 2) + 0.5 * ((column + (course % 2) * (width // 2)) % width < 1)
-    return shade + 0.35 * noise(n, 0.3, rng) + 0.4 * noise(n, 1.5, rng)
+    return np.asarray(shade + 0.35 * noise(n, 0.3, rng) + 0.4 * noise(n, 1.5, rng))
 
 
 def _gravel(rng: np.random.Generator) -> Field:
@@ -142,7 +142,7 @@ def _metal(rng: np.random.Generator) -> Field:
     n = SURFACE_SIZE
     rib = np.cos(2 * np.pi * np.arange(n) / 16)[None, :] ** 3
     streaks = cv2.blur(np.tile(noise(n, 0.5, rng), (3, 1)), (1, 129))[n : 2 * n]
-    return 0.5 * rib + 0.5 * streaks / streaks.std() + 0.2 * noise(n, 0.0, rng)
+    return np.asarray(0.5 * rib + 0.5 * streaks / streaks.std() + 0.2 * noise(n, 0.0, rng))
 
 
 def _wall(rng: np.random.Generator) -> Field:
@@ -150,4 +150,4 @@ def _wall(rng: np.random.Generator) -> Field:
     n = SURFACE_SIZE
     row, column = np.mgrid[:n, :n]
     window = (row % 128 > 40) & (row % 128 < 105) & (column % 128 > 36) & (column % 128 < 92)
-    return 0.3 * noise(n, 1.0, rng) - 1.6 * window
+    return np.asarray(0.3 * noise(n, 1.0, rng) - 1.6 * window)

@@ -48,7 +48,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Sun:
-    """Where light comes from (azimuth from north over east, elevation above the horizon), and the share that comes from the sky."""
+    """Where light comes from: azimuth from north over east, elevation above the horizon; ambient: what the sky gives of it."""
 
     azimuth_rad: float = math.radians(160.0)
     elevation_rad: float = math.radians(48.0)
