@@ -1,8 +1,8 @@
 """Which region is which landmark: the posterior of the joint assignment of all regions in view.
 
     x = (dp, dtheta, s): errors common to all regions: prior position [m] and attitude (about n's axes) [rad], log scale of depth
-    y_ij = A_ij x + e,  e ~ N(0, I): what landmark j says minus what region i shows, whitened
-    p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia x, I) dx . prod_j missed_j(a, x)
+    y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): what landmark j says minus what region i shows, whitened
+    p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia (x, exp(s) - 1), I) dx . prod_j missed_j(a, x)
 
 The integral is built region by region (a Kalman update each), so regions are correlated through the pose as they are in truth:
 position among each other counts at full weight, the pose error they share only once. A tree of hypotheses is searched region by
@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 
-P, THETA, SCALE, STATES = slice(0, 3), slice(3, 6), 6, 7
+SCALE, STATES = 6, 7
+GROWTH, COLUMNS = 7, 8  # the last column of A is of exp(s) - 1: distances grow so, logarithms of sizes by s
+PLACE = 4  # first of the three rows that say where; sizes stand before them, so that s is known when they come
 
 _NOTHING: Final = -1e300
 _EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its place is, and this many sigmas around it
@@ -29,7 +31,7 @@ _EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its place i
 class Options:
     """What each region may be. Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
 
-    landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 7) whitened, rows of zeros where there is less
+    landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 8) whitened, rows of zeros where there is less
     to say;  log_weight (N,): everything of the option's weight that does not depend on x.
     """
 
@@ -47,7 +49,7 @@ class Expected:
     x_c (J, 3) and A (J, 3, 7): place in the camera's frame at the prior, and its change with x;  radius_m of the landmark
     log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
     view: (4,) x/z and y/z limits of the picture: left, right, top, bottom
-    place_c (M, 3), A_region (M, 3, 7): the regions likewise, now in view (NaN: remembered from an earlier picture)
+    place_c (M, 3): of the regions (NaN: remembered from an earlier picture)
     """
 
     x_c: Array
@@ -57,7 +59,6 @@ class Expected:
     log_gone: float
     view: Array
     place_c: Array
-    A_region: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ def search(options: Options, expected: Expected, covariance: Array, breadth: int
     clutter = o.landmark[option] < 0 if count else np.zeros((len(weight), 0), np.bool_)
     weight = weight + _missed(
         o.landmark[option].reshape(len(weight), count), clutter, x, cov, e.x_c, e.A, e.radius_m, e.log_missed, e.log_gone,
-        e.view, e.place_c, e.A_region,
+        e.view, e.place_c,
     )  # fmt: skip
     best = np.argsort(-weight, kind="stable")
     probability = np.exp(weight[best] - weight[best[0]])
@@ -97,21 +98,21 @@ def search(options: Options, expected: Expected, covariance: Array, breadth: int
 
 @njit(cache=True)
 def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
-    """x, cov after the rows y = A x + e, in place; returns log N(y; A x, A cov A' + I) without its 2 pi.
+    """x, cov after the rows y = A (x, exp(s) - 1) + e, in place; returns the log density of y without its 2 pi.
 
-    Stops, returning a very low number, as soon as the sum falls below floor.
+    Each row is linearised at the s that the rows before it left. Stops, returning a very low number, as soon as the sum falls
+    below floor.
     """
     log_density = 0.0
-    pa = np.empty(STATES)
+    row, pa = np.empty(STATES), np.empty(STATES)
     for r in range(y.shape[0]):
-        v, s = y[r], 1.0
+        v, s = _linear(x, y[r], A[r], row), 1.0
         for a in range(STATES):
             total = 0.0
             for b in range(STATES):
-                total += cov[a, b] * A[r, b]
+                total += cov[a, b] * row[b]
             pa[a] = total
-            v -= A[r, a] * x[a]
-            s += A[r, a] * total
+            s += row[a] * total
         log_density -= 0.5 * (v * v / s + math.log(s))
         if log_density < floor:
             return _NOTHING
@@ -123,12 +124,23 @@ def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
 
 
 @njit(cache=True)
-def _first(x: Array, cov: Array, y: float, A: Array) -> float:
-    """What the first row alone adds to the log density: enough to refuse most."""
-    s = 1.0 + _variance(A, cov)
+def _linear(x: Array, y: float, A: Array, row: Array) -> float:
+    """Innovation of a row at x; its derivative is written to row (7,)."""
+    growth = math.exp(x[SCALE])
+    v = y - A[GROWTH] * (growth - 1.0)
     for a in range(STATES):
-        y -= A[a] * x[a]
-    return -0.5 * (y * y / s + math.log(s))
+        row[a] = A[a]
+        v -= A[a] * x[a]
+    row[SCALE] += A[GROWTH] * growth
+    return float(v)
+
+
+@njit(cache=True)
+def _alone(x: Array, cov: Array, y: float, A: Array, row: Array) -> float:
+    """Log density of one row alone, above that of all: enough to refuse most."""
+    v = _linear(x, y, A, row)
+    s = 1.0 + _variance(row, cov)
+    return -0.5 * (v * v / s + math.log(s))
 
 
 @njit(cache=True)
@@ -141,7 +153,7 @@ def _search(
     chosen = np.full((1, count), -1, np.int64)
     weight, x, cov = np.zeros(1), np.zeros((1, STATES)), np.empty((1, STATES, STATES))
     cov[0] = prior
-    x_new, cov_new = np.empty(STATES), np.empty((STATES, STATES))
+    x_new, cov_new, row = np.empty(STATES), np.empty((STATES, STATES)), np.empty(STATES)
     cut = 0.0
     for i in order:
         choices = start[i + 1] - start[i]
@@ -153,7 +165,7 @@ def _search(
                 if _taken(chosen[h], landmark, o):
                     continue
                 base = weight[h] + log_weight[o]
-                if base + _first(x[h], cov[h], y[o, 0], A[o, 0]) < best - drop:
+                if h and base + _alone(x[h], cov[h], y[o, PLACE], A[o, PLACE], row) < best - drop:
                     continue
                 x_new[:] = x[h]
                 cov_new[:] = cov[h]
@@ -205,7 +217,7 @@ def _taken(chosen: NDArray[np.int64], landmark: NDArray[np.int64], option: int) 
 @njit(cache=True)
 def _missed(
     landmark: NDArray[np.int64], clutter: NDArray[np.bool_], x: Array, cov: Array, x_c: Array, A: Array, radius: Array,
-    log_missed: Array, log_gone: float, view: Array, place_c: Array, A_region: Array,
+    log_missed: Array, log_gone: float, view: Array, place_c: Array,
 ) -> Array:  # fmt: skip
     """Log probability, for each hypothesis, of seeing no region where landmarks should be (H,).
 
@@ -227,7 +239,7 @@ def _missed(
                 continue
             sigma = math.sqrt(max(_variance(A[j, 0], cov[h]), _variance(A[j, 1], cov[h])))
             margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / place[2]
-            if sigma < radius[j] and _occupied(clutter[h], place_c, A_region, x[h], place, 0.5 * radius[j]):
+            if sigma < radius[j] and _occupied(clutter[h], place_c, math.exp(x[h, SCALE]), place, 0.5 * radius[j]):
                 result[h] += log_gone
             elif view[0] + margin < u < view[1] - margin and view[2] + margin < v < view[3] - margin:
                 result[h] += log_missed[j]
@@ -245,11 +257,11 @@ def _variance(a: Array, cov: Array) -> float:
 
 
 @njit(cache=True)
-def _occupied(clutter: NDArray[np.bool_], place_c: Array, A: Array, x: Array, place: Array, radius: float) -> bool:
+def _occupied(clutter: NDArray[np.bool_], place_c: Array, growth: float, place: Array, radius: float) -> bool:
     """Whether a region that is said not to be in the map stands within a radius of a place."""
     for i in range(place_c.shape[0]):
         if clutter[i]:
-            away = place_c[i] + A[i] @ x - place
+            away = place_c[i] * growth - place
             if away @ away < radius * radius:
                 return True
     return False

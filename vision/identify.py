@@ -92,12 +92,11 @@ def identify(
     covariance = np.zeros((STATES, STATES))
     covariance[:SCALE, :SCALE] = prior.covariance
     covariance[SCALE, SCALE] = scale_sigma**2
-    scale = fitted = np.ones((len(several), len(landmarks.ids)))
+    scale = np.ones((len(several), len(landmarks.ids)))
     if not metric and several:
         covariance = covariance + _from_height(prior, float(np.mean([s.arm_n[2] for s in several])))
         scale = _roof_scale(several, landmarks, prior)
-        fitted = _fitted(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE])))
-    like = similarities(several, landmarks, fitted)
+    like = similarities(several, landmarks, _fitted(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE]))))
     candidate = like >= config.min_similarity
     choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.beliefs)
     found = search(choice, _expected(several, landmarks, prior, rig, config.beliefs), covariance, config.breadth)
@@ -132,7 +131,7 @@ def _from_height(prior: Prior, down: float) -> Array:
 
 
 def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Scale within 3 sigma at which the size agrees best (M, J): one camera does not know it."""
+    """Scale within 3 sigma at which the size agrees best (M, J): a short baseline hardly knows it, one camera not at all."""
     size = np.array([s.size_m2 for s in sightings]).reshape(-1, 1) * scale**2
     wanted = 0.5 * np.log(landmarks.description[None, :, 0] / size)
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))
@@ -147,8 +146,6 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
     A[:, :, 3:6] = R_cn @ np.array([so3.skew(row) for row in v]).reshape(-1, 3, 3)
     p_c = rig.R_bc.T @ rig.p_bc
     place = np.array([R_cn @ s.arm_n - p_c if s.now else np.full(3, np.nan) for s in sightings]).reshape(-1, 3)
-    A_region = np.zeros((len(place), 3, STATES))
-    A_region[:, :, SCALE] = place
     there = b.found_fraction * (1.0 - b.gone_fraction)
     return Expected(
         x_c=v @ R_cn.T - p_c,
@@ -158,7 +155,6 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
         log_gone=float(np.log(b.gone_fraction)),
         view=_view(rig),
         place_c=place,
-        A_region=A_region,
     )
 
 

@@ -2,7 +2,7 @@
 
 A landmark j shown by region i, both described by (place, log width, log length, fill ratio, orientation):
 
-    l_j - (p + r_i) = dp - [r_i]x dtheta + r_i s + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
+    l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
 r_i: arm from body to region in n at the prior, s: the log scale of depth that all regions share. Each landmark stands there
 twice, measured well and, rarely, measured badly (a shadow or a neighbour grown into the region): same equations, wide noise.
@@ -20,14 +20,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import so3
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.assignment import SCALE, STATES, Options
+from vision.assignment import COLUMNS, GROWTH, PLACE, SCALE, STATES, Options
 from vision.similarity import normalised, similarity
 
-_ROWS = 7  # place (3), log width, log length, fill ratio, orientation
+_ROWS = 7  # log width, log length, fill ratio, orientation, place (3)
 _GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
 _AROUND_M = 40.0  # radius over which the density of objects around an object is taken
+_CONSIDERED = 40  # landmarks, the nearest, among which displacements are counted
 _OBLONG = 1.3  # below this ratio of length to width the axes may be exchanged
 
 
@@ -159,10 +161,9 @@ def options(
     weight += colour[region, landmark]
 
     count = len(sightings)
-    noise[:, :2, :2] += depth[:, None, None] ** 2
     own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
     clutter_y, clutter_a, clutter_log = _clutter_row(p_n + moved, arm, own, landmarks, b)
-    clutter_log += ground_colour + np.log(_clutter_attributes(features, noise, landmarks, covariance, b))
+    clutter_log += ground_colour + np.log(_clutter_attributes(features, noise, depth, landmarks, covariance, b))
     clutter_log += np.log(_clutter_intensity(moved + arm, own, landmarks, covariance, b))
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
@@ -190,15 +191,8 @@ def _feature_noise(r: Sighting, b: Beliefs) -> Array:
 
 def _bad_noise(r: Sighting, b: Beliefs) -> list[float]:
     centre = (b.bad_centre * r.length_m) ** 2
-    return [
-        centre,
-        centre,
-        1.0,
-        b.bad_log_size**2,
-        b.bad_log_size**2,
-        b.bad_fill_ratio**2,
-        math.radians(b.bad_orientation_deg) ** 2,
-    ]
+    size, turn = b.bad_log_size**2, math.radians(b.bad_orientation_deg) ** 2
+    return [size, size, b.bad_fill_ratio**2, turn, centre, centre, 1.0]
 
 
 def _density(place: Array) -> float:
@@ -227,18 +221,21 @@ def _colour(region: Array, landmark: Array, b: Beliefs, sigma: float = 0.06, any
 def _clutter_row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Beliefs) -> tuple[Array, Array, Array]:
     """Something not in the map stands as high as what is: one row, whitened."""
     count = len(arm)
-    y, A = np.zeros((count, _ROWS)), np.zeros((count, _ROWS, STATES))
+    y, A = np.zeros((count, _ROWS)), np.zeros((count, _ROWS, COLUMNS))
     if not len(landmarks.ids):
         return y, A, np.zeros(count)
     roof = landmarks.place_n[:, 2]
     sigma = np.sqrt(float(np.var(roof)) + b.height_spread_m**2 + own[:, 2, 2])
-    y[:, 0] = (float(np.mean(roof)) - p_n[:, 2] - arm[:, 2]) / sigma
-    A[:, 0, 2] = 1.0 / sigma
-    A[:, 0, 3], A[:, 0, 4], A[:, 0, SCALE] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
+    d = PLACE + 2
+    y[:, d] = (float(np.mean(roof)) - p_n[:, 2] - arm[:, 2]) / sigma
+    A[:, d, 2] = 1.0 / sigma
+    A[:, d, 3], A[:, d, 4], A[:, d, GROWTH] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
     return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
 
 
-def _clutter_attributes(features: Array, noise: Array, landmarks: Catalogue, covariance: Array, b: Beliefs) -> Array:
+def _clutter_attributes(
+    features: Array, noise: Array, depth: Array, landmarks: Catalogue, covariance: Array, b: Beliefs
+) -> Array:
     """Density of (log width, log length, fill ratio, orientation) of an object that is not in the map (M,).
 
     A kernel estimate over the map around, mixed with: width and length anything from 1 to 100 m, any fill, any orientation.
@@ -250,10 +247,19 @@ def _clutter_attributes(features: Array, noise: Array, landmarks: Catalogue, cov
     half_turn = np.where(landmarks.features[:, 1] - landmarks.features[:, 0] > math.log(_OBLONG), math.pi, 0.5 * math.pi)
     e[..., 3] = (e[..., 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
     kernel = noise + np.diag([0.05**2, 0.05**2, 0.03**2, 0.1**2 + covariance[5, 5]])
-    kernel[:, :2, :2] += covariance[SCALE, SCALE]
-    squared = np.einsum("mja,mab,mjb->mj", e, np.linalg.inv(kernel), e)
-    density = np.exp(-0.5 * squared).mean(axis=1) / np.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    inverse, volume = np.linalg.inv(kernel), np.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    density = np.zeros(len(features))
+    scale_sigma = math.sqrt(covariance[SCALE, SCALE] + float(np.max(depth, initial=0.0)) ** 2)
+    for s in _offsets(scale_sigma, 0.06):  # at the scale that suits it best
+        shifted = e - np.array([s, s, 0.0, 0.0])
+        squared = np.einsum("mja,mab,mjb->mj", shifted, inverse, shifted)
+        density = np.maximum(density, np.exp(-0.5 * squared).mean(axis=1) / volume)
     return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
+
+
+def _offsets(sigma: float, step: float) -> Array:
+    """Values within 2 sigma, a step or less apart, but no more than 9."""
+    return np.asarray(sigma * np.linspace(-2.0, 2.0, min(max(3, 2 * math.ceil(2.0 * sigma / step) + 1), 9)))
 
 
 def _clutter_intensity(arm: Array, own: Array, landmarks: Catalogue, covariance: Array, b: Beliefs) -> Array:
@@ -264,14 +270,17 @@ def _clutter_intensity(arm: Array, own: Array, landmarks: Catalogue, covariance:
     """
     unmapped = b.unmapped_fraction / (1.0 - b.unmapped_fraction)
     radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
-    turns = math.sqrt(covariance[5, 5]) * np.linspace(-2.0, 2.0, 5)
-    moved = _displacement_density(arm[:, :2].copy(), radius, landmarks.place_n[:, :2].copy(), turns)
+    turns = _offsets(math.sqrt(covariance[5, 5]), math.radians(2.0))
+    grown = np.exp(_offsets(math.sqrt(covariance[SCALE, SCALE]), 0.04))
+    moved = _displacement_density(arm[:, :2].copy(), radius, landmarks.place_n[:_CONSIDERED, :2].copy(), turns, grown)
     return np.asarray(unmapped * np.maximum(landmarks.density_per_m2, moved) + b.background_per_m2)
 
 
 @njit(cache=True)
-def _displacement_density(region: Array, radius: Array, place: Array, turns: Array) -> Array:
-    """Density of landmarks at region i's displacement from region r, seen from any landmark; mean over r, greatest over turns.
+def _displacement_density(region: Array, radius: Array, place: Array, turns: Array, grown: Array) -> Array:
+    """Density of landmarks at region i's displacement from region r, seen from any landmark.
+
+    Mean over r, greatest over turns and scales.
 
     One pair of landmarks is left out, for it may be these very regions.
     """
@@ -280,23 +289,28 @@ def _displacement_density(region: Array, radius: Array, place: Array, turns: Arr
         return result
     for i in range(region.shape[0]):
         for turn in turns:
-            c, s = math.cos(turn), math.sin(turn)
-            total = 0.0
-            for r in range(region.shape[0]):
-                if r == i:
-                    continue
-                dn, de = region[i, 0] - region[r, 0], region[i, 1] - region[r, 1]
-                vn, ve = c * dn - s * de, s * dn + c * de
-                close = 0
-                for k in range(place.shape[0]):
-                    for m in range(place.shape[0]):
-                        un, ue = place[m, 0] - place[k, 0] - vn, place[m, 1] - place[k, 1] - ve
-                        if k != m and un * un + ue * ue < radius[i] * radius[i]:
-                            close += 1
-                total += max(close - 1, 0)
-            mean = total / (region.shape[0] - 1) / place.shape[0] / (math.pi * radius[i] * radius[i])
-            result[i] = max(result[i], mean)
+            for growth in grown:
+                total = 0.0
+                for r in range(region.shape[0]):
+                    if r != i:
+                        total += max(_pairs_apart(region[i] - region[r], turn, growth, place, radius[i]) - 1, 0)
+                mean = total / (region.shape[0] - 1) / place.shape[0] / (math.pi * radius[i] * radius[i])
+                result[i] = max(result[i], mean)
     return result
+
+
+@njit(cache=True)
+def _pairs_apart(displacement: Array, turn: float, growth: float, place: Array, radius: float) -> int:
+    """Pairs of landmarks that are displaced like this, turned and grown."""
+    c, s = growth * math.cos(turn), growth * math.sin(turn)
+    n, e = c * displacement[0] - s * displacement[1], s * displacement[0] + c * displacement[1]
+    close = 0
+    for k in range(place.shape[0]):
+        for m in range(place.shape[0]):
+            un, ue = place[m, 0] - place[k, 0] - n, place[m, 1] - place[k, 1] - e
+            if un * un + ue * ue < radius * radius and k != m:
+                close += 1
+    return close
 
 
 @njit(cache=True)
@@ -307,7 +321,7 @@ def _pairs(
     """Whitened rows and log density constant of every possible pair, well and badly measured."""
     most = 2 * int(candidate.sum())
     region, landmark, bad = np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_)
-    y, A, log_density = np.empty((most, _ROWS)), np.empty((most, _ROWS, STATES)), np.empty(most)
+    y, A, log_density = np.empty((most, _ROWS)), np.empty((most, _ROWS, COLUMNS)), np.empty(most)
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
     n = 0
     for i in range(arm.shape[0]):
@@ -319,15 +333,15 @@ def _pairs(
                 p_n + moved[i], r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j]
             )
             N = np.zeros((_ROWS, _ROWS))
-            N[:3, :3] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
-            # what the linear equations leave out: 1/2 dtheta^2 r and 1/2 s^2 r
-            N[:3, :3] += 0.75 * (turn_variance**2 * (r @ r) * np.eye(3) + prior[SCALE, SCALE] ** 2 * np.outer(r, r))
-            N[3:, 3:] = noise[i]
+            N[PLACE:, PLACE:] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
+            # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
+            N[PLACE:, PLACE:] += turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (r @ r) * np.eye(3)
+            N[:PLACE, :PLACE] = noise[i]
             grown = 2.0 * outline_sigma[j] * np.exp(-described[j, :2])
-            N[3:5, 3:5] += np.outer(grown, grown)
-            N += depth[i] ** 2 * np.outer(A[n, :, SCALE], A[n, :, SCALE])
-            spread = A[n, :3] @ prior @ A[n, :3].T + N[:3, :3] + np.diag(wide[i, :3])
-            if y[n, :3] @ np.linalg.solve(spread, y[n, :3]) > _GATE:
+            N[:2, :2] += np.outer(grown, grown)
+            by_scale = A[n, :, SCALE] + A[n, :, GROWTH]
+            N += depth[i] ** 2 * np.outer(by_scale, by_scale)
+            if _excluded(y[n, PLACE:], A[n, PLACE:], N[PLACE:, PLACE:] + np.diag(wide[i, PLACE:]), prior, r):
                 continue
             y[n + 1], A[n + 1] = y[n], A[n]
             for k in range(2):
@@ -338,20 +352,26 @@ def _pairs(
 
 
 @njit(cache=True)
+def _excluded(y: Array, A: Array, N: Array, prior: Array, r: Array) -> bool:
+    """Whether a place is impossible under the prior, whatever else is seen; 1/2 s^2 r is what the linear equation leaves out."""
+    linear = A[:, :STATES].copy()
+    linear[:, SCALE] += A[:, GROWTH]
+    spread = linear @ prior @ linear.T + N + 0.75 * prior[SCALE, SCALE] ** 2 * np.outer(r, r)
+    return bool(y @ np.linalg.solve(spread, y) > _GATE)
+
+
+@njit(cache=True)
 def _rows(p_n: Array, r: Array, features: Array, place: Array, described: Array) -> tuple[Array, Array]:
-    y, A = np.empty(_ROWS), np.zeros((_ROWS, STATES))
-    y[:3] = place - p_n - r
-    y[3:] = described - features
+    y, A = np.empty(_ROWS), np.zeros((_ROWS, COLUMNS))
+    y[:PLACE] = described - features
+    y[PLACE:] = place - p_n - r
     half_turn = math.pi if described[1] - described[0] > math.log(_OBLONG) else 0.5 * math.pi
-    y[6] = (y[6] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
-    for a in range(3):
-        A[a, a] = 1.0
-        A[a, SCALE] = r[a]
-    A[0, 4], A[0, 5] = r[2], -r[1]  # -[r]x
-    A[1, 3], A[1, 5] = -r[2], r[0]
-    A[2, 3], A[2, 4] = r[1], -r[0]
-    A[3, SCALE] = A[4, SCALE] = 1.0
-    A[6, 5] = 1.0
+    y[3] = (y[3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+    A[0, SCALE] = A[1, SCALE] = 1.0
+    A[3, 5] = 1.0
+    A[PLACE:, :3] = np.eye(3)
+    A[PLACE:, 3:6] = -so3.skew(r)
+    A[PLACE:, GROWTH] = r
     return y, A
 
 

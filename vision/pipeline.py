@@ -33,6 +33,7 @@ from vision.sensitivity import eyes
 from vision.start import centroid_and_size, start_from_regions
 
 _INSIDE_9999: Final = 27.856  # chi-square of 6, 99.99 %
+_TOO_FLAT: Final = "seen too flat to know its size"
 _VERTICAL_PX, _VERTICAL_SIGMAS = 1.5, 4.0  # beyond both: the pair does not fit the calibration
 
 
@@ -182,7 +183,7 @@ class LandmarkPipeline:
         return find_regions(views.work, labels, limits, views.valid)
 
     def _measure(self, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
-        """What the regions are in metres; a pair that does not fit its calibration is used as one camera, a swapped one not at all."""
+        """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
         whole = [r for r in regions if not r.touches_border]
         refused = [RegionReport("cut_off", r.bbox, reason="cut off by the picture's edge") for r in regions if r.touches_border]
         if views.other is None:
@@ -200,20 +201,19 @@ class LandmarkPipeline:
                 f"right camera not used: rows differ by {rows:.1f} px, calibration or synchronisation is wrong; ",
             )  # fmt: skip
         level = sight.level(prior, rig)
-        kept, measured = list[Region](), list[Measured]()
+        kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
         for match in matches:
             if isinstance(match, Match) and _off_row(match):
-                refused.append(
-                    RegionReport("not_measured", match.region.bbox, reason=f"rows differ by {match.vertical_px:.1f} px")
-                )
+                refused.append(_not_measured(match.region, f"rows differ by {match.vertical_px:.1f} px"))
                 continue
             m = measure(match, rig, level=level) if isinstance(match, Match) else match
-            if isinstance(m, Measured):
+            one = sight.from_stereo(m, prior, rig) if isinstance(m, Measured) else None
+            if isinstance(m, Measured) and one is not None:
                 kept.append(m.region)
+                seen.append(one)
                 measured.append(m)
             else:
-                refused.append(RegionReport("not_measured", m.region.bbox, reason=m.reason))
-        seen = [sight.from_stereo(m, prior, rig) for m in measured]
+                refused.append(_not_measured(m.region, _TOO_FLAT if isinstance(m, Measured) else m.reason))
         return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), views.remark)
 
     def _one_camera(
@@ -225,7 +225,7 @@ class LandmarkPipeline:
         for region in whole:
             one = sight.from_one_camera(region, prior, rig, roof_d)
             if one is None:
-                refused.append(RegionReport("not_measured", region.bbox, reason="seen too flat to know its size from one camera"))
+                refused.append(_not_measured(region, _TOO_FLAT))
             else:
                 kept.append(region)
                 seen.append(one)
@@ -312,6 +312,10 @@ def _bgr8(image: Image) -> Image:
 
 def _grey(image: Image) -> Image:
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def _not_measured(region: Region, reason: str) -> RegionReport:
+    return RegionReport("not_measured", region.bbox, reason=reason)
 
 
 def _off_row(match: Match) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 
 from models import outline as polygon
 from models.camera import StereoRig
-from models.messages import Array
 from vision.identify import Prior
 from vision.likelihood import Sighting
 from vision.measure import Level, Measured
@@ -19,6 +18,7 @@ from vision.regions import Region
 
 ROOF_SLOPE_RAD = math.radians(2.0)  # of a roof that the map calls flat
 ONE_CAMERA_SCALE_SIGMA = 0.02  # relative: roofs stand at different heights, beside the prior's own height
+_UNEVEN = 0.3  # part of the rig's error of disparity that differs over the picture
 _EDGE_PX = 0.5  # of the side of an outline, one camera: nothing checks it
 _FLOOR_PX = 0.3  # of the centre of an outline
 _SHALLOW = 0.25  # sine below which a ray does not meet the ground where it can be told
@@ -30,30 +30,14 @@ def level(prior: Prior, rig: StereoRig) -> Level:
     return Level(up_c, math.hypot(ROOF_SLOPE_RAD, math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]))))
 
 
-def from_stereo(m: Measured, prior: Prior, rig: StereoRig) -> Sighting:
-    """A region whose distance was measured; rig: the rectified one."""
-    R_nc = prior.R_nb @ rig.R_bc
-    own, shared = m.disparity_sigma_px / m.disparity_px, m.rig_sigma_px / m.disparity_px
-    of_depth = own**2 + shared**2
-    sizes = np.array([m.width_m, m.length_m])
-    logs = m.covariance[1:3, 1:3] / np.outer(sizes, sizes) - of_depth
-    floor = (_FLOOR_PX * m.centre_c[2] / rig.left.fx) ** 2
-    rest = _positive(m.covariance_c - of_depth * np.outer(m.centre_c, m.centre_c)) + floor * np.eye(3)
-    axis_n = R_nc @ m.axis_c
-    return Sighting(
-        arm_n=prior.R_nb @ (rig.R_bc @ m.centre_c + rig.p_bc),
-        depth_sigma=own,
-        covariance_n=R_nc @ rest @ R_nc.T,
-        size_m2=m.size_m2,
-        width_m=m.width_m,
-        length_m=m.length_m,
-        fill_ratio=m.fill_ratio,
-        log_size_covariance=_positive(logs),
-        fill_ratio_sigma=m.sigma("fill_ratio"),
-        orientation_rad=math.atan2(axis_n[1], axis_n[0]) % math.pi,
-        orientation_sigma_rad=m.orientation_sigma_rad,
-        colour_bgr=m.region.colour_bgr,
-    )
+def from_stereo(m: Measured, prior: Prior, rig: StereoRig) -> Sighting | None:
+    """A region whose distance was measured; rig: the rectified one.
+
+    Sizes are taken on the level plane at that distance: over one roof the attitude is known far better than the slope of a few
+    disparities.
+    """
+    own = math.hypot(m.disparity_sigma_px, _UNEVEN * m.rig_sigma_px) / m.disparity_px
+    return _on_level(m.region, prior, rig, float((prior.R_nb @ rig.R_bc @ m.centre_c)[2]), own)
 
 
 def shared_scale_sigma(measured: Sequence[Measured]) -> float:
@@ -62,35 +46,40 @@ def shared_scale_sigma(measured: Sequence[Measured]) -> float:
 
 
 def from_one_camera(region: Region, prior: Prior, rig: StereoRig, roof_d: float) -> Sighting | None:
-    """A region laid on the plane of the roofs (down = roof_d), seen by rig.left; None where the ray does not meet it well."""
+    """A region laid on the plane of the roofs (down = roof_d), seen by rig.left."""
+    return _on_level(region, prior, rig, roof_d - float(rig.camera_pose(prior.p_n, prior.R_nb)[0][2]), 1e-3)
+
+
+def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth_sigma: float) -> Sighting | None:
+    """The region on the level plane down_m below rig.left; None where its rays do not meet that plane well."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     rays = rig.left.ray(region.outline) @ R_nc.T
-    if not np.isfinite(rays).all() or rays[:, 2].min() < _SHALLOW or roof_d - p_nc[2] < 1.0:
+    if not np.isfinite(rays).all() or rays[:, 2].min() < _SHALLOW or down_m < 1.0:
         return None
-    points = rays * ((roof_d - p_nc[2]) / rays[:, 2])[:, None]
-    d = polygon.describe(np.ascontiguousarray(points[:, :2]), np.array([0, len(points)]))[0]
-    if polygon.area(np.ascontiguousarray(points[:, :2])) < 0.0:
-        d = polygon.describe(np.ascontiguousarray(points[::-1, :2]), np.array([0, len(points)]))[0]
+    points = np.ascontiguousarray((rays * (down_m / rays[:, 2])[:, None])[:, :2])
+    if polygon.area(points) < 0.0:
+        points = np.ascontiguousarray(points[::-1])
+    d = polygon.describe(points, np.array([0, len(points)]))[0]
     if not d[polygon.SIZE] > 0.0:
         return None
-    arm_c = np.array([d[polygon.NORTH], d[polygon.EAST], roof_d - p_nc[2]])
-    distance = float(np.linalg.norm(arm_c))
-    edge_m, sine = _EDGE_PX * distance / rig.left.fx, float(arm_c[2] / distance)
+    arm = np.array([d[polygon.NORTH], d[polygon.EAST], down_m])
+    distance = float(np.linalg.norm(arm))
+    pixel_m, sine = distance / rig.left.fx, down_m / distance
     tilt = math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]) + ROOF_SLOPE_RAD**2)
     slanted = 2.0 * tilt * math.sqrt(1.0 - sine**2) / sine  # relative error of a length towards the camera
-    of_sizes = np.array([edge_m / d[polygon.WIDTH], edge_m / d[polygon.LENGTH]]) * math.sqrt(2.0)
+    edges = math.sqrt(2.0) * _EDGE_PX * pixel_m / np.array([d[polygon.WIDTH], d[polygon.LENGTH]])
     return Sighting(
-        arm_n=arm_c + p_nc - prior.p_n,
-        depth_sigma=1e-3,
-        covariance_n=(_FLOOR_PX * distance / rig.left.fx / sine) ** 2 * np.eye(3),
+        arm_n=arm + p_nc - prior.p_n,
+        depth_sigma=depth_sigma,
+        covariance_n=(_FLOOR_PX * pixel_m / sine) ** 2 * np.eye(3),
         size_m2=float(d[polygon.SIZE]),
         width_m=float(d[polygon.WIDTH]),
         length_m=float(d[polygon.LENGTH]),
         fill_ratio=float(d[polygon.FILL]),
-        log_size_covariance=np.diag(of_sizes**2 + slanted**2),
-        fill_ratio_sigma=float(2.0 * edge_m / d[polygon.WIDTH]),
+        log_size_covariance=np.diag(edges**2 + slanted**2),
+        fill_ratio_sigma=float(edges[0]),
         orientation_rad=float(d[polygon.ORIENTATION]),
-        orientation_sigma_rad=float(math.atan(2.0 * edge_m / d[polygon.LENGTH])) + 0.5 * slanted,
+        orientation_sigma_rad=float(edges[1] + 0.5 * slanted),
         colour_bgr=region.colour_bgr,
     )
 
@@ -104,9 +93,3 @@ def one_eyed(rig: StereoRig, *, right: bool) -> StereoRig:
         rig.right, rig.right, np.eye(3), np.array([-rig.baseline_m, 0.0, 0.0]), R_br, rig.p_bc - R_br @ rig.t_rc,
         None, rig.covariance_bc, rig.time_offset_s,
     )  # fmt: skip
-
-
-def _positive(matrix: Array) -> Array:
-    """The nearest covariance: negative eigenvalues set to 0."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
