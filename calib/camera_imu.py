@@ -174,11 +174,6 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
         so3.quat_log(so3.from_matrix(np.ascontiguousarray(a @ b.T))) for a, b in zip(poses.R_co[:-1], poses.R_co[1:], strict=True)
     ]
     rate_c = (np.array(turns) / dt[:, None])[near]
-    spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(rate_c.T)))[::-1])
-    if spread[0] < _STILL_RAD_S:
-        raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
-    if spread[1] < _OTHER_AXIS_RAD_S:
-        raise CalibrationError("the camera turned about one axis only: turn it about all three, the translation needs it")
     begin, end = stamps_ns[:-1][near], stamps_ns[1:][near]
     angle = np.vstack((np.zeros(3), np.cumsum(0.5e-9 * np.diff(imu.t_ns)[:, None] * (imu.gyro[1:] + imu.gyro[:-1]), axis=0)))
 
@@ -186,6 +181,12 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
         shift = 1e9 * offset_s
         ends = [np.column_stack([np.interp(t + shift, imu.t_ns, a) for a in angle.T]) for t in (begin, end)]
         return np.asarray((ends[1] - ends[0]) / dt[near][:, None])
+
+    spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(mean_rate(0.0).T)))[::-1])
+    if spread[0] < _STILL_RAD_S:
+        raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
+    if spread[1] < _OTHER_AXIS_RAD_S:
+        raise CalibrationError("the camera turned about one axis only: turn it about all three, the translation needs it")
 
     def fit(offset_s: float) -> tuple[float, Array]:
         """Scatter of gyro - R_bc rate (Kabsch 1976, with the bias as the mean)."""
