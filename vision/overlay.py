@@ -28,7 +28,7 @@ RESIDUAL: Bgr = (255, 90, 255)  # magenta
 _DARK: Bgr = (25, 25, 25)
 _WHITE: Bgr = (255, 255, 255)
 _SHIFT = 4  # binary digits of a pixel that OpenCV's lines know
-_PIECES = 12  # of an edge, so that it bends with the lens
+_PIECES = 32  # of an edge, so that it bends with the lens
 _SPACING_PX, _MOST_POINTS, _HALF_PX = 4.0, 40, 6
 _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
@@ -66,12 +66,14 @@ def outline_residuals(
         return []
     eye = Eye(camera, np.eye(3), np.zeros(3), right=False)
     edges = _roofs(visible_edges(landmarks, p_nc))
+    if len(edges.kind) == 0:
+        return []
     samples = sample_edges(edges, eye, p_nc, R_nc, _SPACING_PX, _MOST_POINTS)
     seen = view(edges, samples, eye, p_nc, R_nc, landmarks)
     usable = seen.usable & camera.contains(seen.px, _HALF_PX + 2.0)
     channels = np.ascontiguousarray(picture if picture.ndim == 3 else picture[:, :, None])
     values = outline.profiles(channels, seen.px, seen.normal, _HALF_PX, 1.0, 3, usable)
-    grey = outline.along_contrast(values, samples.edge, len(edges.kind), usable)
+    grey, _ = outline.along_contrast(values, samples.edge, len(edges.kind), usable)
     offsets = outline.fit(grey, samples.edge, np.zeros(len(edges.kind)), _HALF_PX - 1.0, 1.0, usable)[0]
     owner = edges.landmark[samples.edge]
     residuals = []
@@ -93,7 +95,8 @@ def draw_overlay(
 ) -> Picture:
     """A copy (H, W, 3) of the picture with the landmarks' visible edges and names; identified ones (by id) stand out.
 
-    residuals: drawn as strokes ten times their length, and their spread beside the name; caption: lines at the lower left.
+    Landmarks whose roofs are not below the camera are left out. residuals are drawn as strokes ten times their length, their
+    spread beside the name; caption: lines at the lower left.
     """
     canvas: Picture = np.array(picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2), order="C")
     scale = max(1.0, min(canvas.shape[:2]) / 480.0)
@@ -152,7 +155,7 @@ def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
     near = np.array([3.0 * camera.width, 3.0 * camera.height])
     with np.errstate(invalid="ignore"):
         shown = np.all(np.abs(px) < near, axis=1) & ~hidden(flat, p_nc, landmarks)
-    px, shown = px.reshape(len(points_n), -1, 2), shown.reshape(len(points_n), -1)
+    px, shown = px.reshape(-1, len(t), 2), shown.reshape(-1, len(t))
     for edge in range(len(px)):
         breaks = np.flatnonzero(~shown[edge])
         for part in np.split(np.arange(len(t)), np.unique(np.concatenate((breaks, breaks + 1)))):
