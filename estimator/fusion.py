@@ -82,7 +82,9 @@ class Fusion:
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._astray: tuple[int, int, int] | None = None  # count, arrival of the first, stamp of the last sample off our clock
-        self._now: tuple[int, int] | None = None  # newest accepted stamp of IMU or tick, and its arrival
+        self._lead: tuple[int, int] | None = (
+            None  # stamps of IMU and ticks ahead of their arrivals, and as of when
+        )
         self._reset_counter = 0
         self._published: Estimate | None = None
 
@@ -122,7 +124,7 @@ class Fusion:
         self._astray = None
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
-        self._now = (sample.t_ns, sample.arrived_ns)
+        self._note_lead(sample)
         tracker = self._history.advance(sample.t_ns)
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
 
@@ -149,8 +151,7 @@ class Fusion:
         """Time goes on; only where the IMU is missing does that lead to an estimate."""
         if refusal := self._future(tick):
             return [self._refuse(tick, refusal)]
-        if self._now is None or tick.t_ns > self._now[0]:
-            self._now = (tick.t_ns, tick.arrived_ns)
+        self._note_lead(tick)
         samples = self._history.samples
         if not samples.count or (tick.t_ns - samples.newest_ns) * 1e-9 <= self._config.coast.gap_s:
             return []
@@ -173,12 +174,20 @@ class Fusion:
         self._reset_counter = checkpoint.reset_counter
         return []
 
+    def _note_lead(self, message: ImuSample | Tick) -> None:
+        """The quickest message tells most of the stamps' clock; what it told is forgotten by 0.1 s in a second."""
+        lead_ns = message.t_ns - message.arrived_ns
+        if self._lead is not None:
+            quickest_ns, noted_ns = self._lead
+            lead_ns = max(lead_ns, quickest_ns - max(0, message.arrived_ns - noted_ns) // 10)
+        self._lead = lead_ns, message.arrived_ns
+
     def _future(self, message: Input) -> Refusal | None:
-        """A stamp that runs ahead of the clock by more than future_s: the clock is the newest stamp plus the time since."""
-        if self._now is None:
+        """A stamp that runs ahead of the stamps' clock, as its arrival tells it, by more than future_s."""
+        if self._lead is None:
             return None
-        newest_ns, arrived_ns = self._now
-        ahead_ns = message.t_ns - newest_ns - max(0, message.arrived_ns - arrived_ns)
+        lead_ns, noted_ns = self._lead
+        ahead_ns = message.t_ns - max(message.arrived_ns, noted_ns) - lead_ns
         return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > self._future_ns else None
 
     # --- outputs --------------------------------------------------------------------------------------------------------
@@ -235,7 +244,7 @@ class Fusion:
         self._astray = (count + 1, since_ns, sample.t_ns)
         if count < _ASTRAY_SAMPLES or sample.arrived_ns - since_ns < _ASTRAY_NS:
             return []
-        self._astray = self._now = self._next_health_ns = None
+        self._astray = self._lead = self._next_health_ns = None
         return [
             self._restart(sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped; aligning again")
         ]

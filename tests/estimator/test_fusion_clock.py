@@ -39,6 +39,19 @@ def test_first_samples_stamped_before_the_clock_was_set_are_left_behind() -> Non
     assert run.estimates[-1].t_ns == EPOCH_NS + 8 * SECOND
 
 
+def test_after_samples_that_were_long_on_their_way_punctual_ones_are_not_in_the_future() -> None:
+    """A link that stood still delivers old samples, drops some, and goes on: nothing is wrong with any stamp."""
+    messages = hover(10.0)
+    stalled, lost_ns, freed_ns = EPOCH_NS + 4 * SECOND, EPOCH_NS + 5 * SECOND, EPOCH_NS + 7 * SECOND
+    delivered = [m for m in messages if not lost_ns <= m.t_ns < freed_ns]
+    late = [
+        msgspec.structs.replace(m, arrived_ns=freed_ns - SECOND // 100) if stalled <= m.t_ns < lost_ns else m for m in delivered
+    ]
+    run = Run(Fusion(FusionConfig())).feed(late)
+    assert not run.reasons("/imu")
+    assert run.estimates[-1].t_ns == EPOCH_NS + 10 * SECOND
+
+
 def test_after_a_minute_without_imu_the_alignment_begins_again() -> None:
     later = [msgspec.structs.replace(m, t_ns=m.t_ns + 90 * SECOND, arrived_ns=m.arrived_ns + 90 * SECOND) for m in hover(6.0)]
     run = Run(Fusion(FusionConfig())).feed([*hover(6.0), *later])
