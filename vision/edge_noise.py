@@ -1,11 +1,11 @@
 """How uncertain the lines of the edges are, from the scatter of their points.
 
-    V_ek = tau s_ek^2 (A^T W A)^-1 + S,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s S
+    V_ek = tau s_ek^2 (A^T W A)^-1 + S_ek,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s (S_el S_er)^(1/2)
 
 s_ek: scatter of the points of edge e in picture k, shrunk towards the picture's; tau = (1 + rho_1) / (1 - rho_1): what the
 correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two pictures
-(they show the same texture); S: what all points of an edge have in common and no scatter shows (bias of the step fit, unsharp or
-bowed eaves), most of it the same in both pictures. rho_1, rho and s are measured in the pictures at hand and shrunk towards
+(they show the same texture); S: what all points of an edge have in common, floor + (c s)^2, since texture has wavelengths longer
+than an edge; most of it is the same in both pictures. rho_1, rho and s are measured in the pictures at hand and shrunk towards
 what such pictures have, so that one landmark's few edges give a sound value too.
 """
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 from vision.edge_lines import EdgeLines
+from vision.visibility import Kind
 
 Indices = NDArray[np.int64]
 
@@ -26,9 +27,13 @@ Indices = NDArray[np.int64]
 class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What is believed of edge noise before a picture is seen, and for how many points that belief counts."""
 
-    offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge that its scatter does not show, 1 sigma")] = 0.06
-    tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.04
-    both: Annotated[float, Meta(ge=0, lt=1, description="share of that variance that is the same in both pictures")] = 0.7
+    offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge without scatter, 1 sigma")] = 0.03
+    tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.02
+    offset_share: Annotated[float, Meta(ge=0, description="common offset per scatter of the points")] = 0.5
+    tilt_share: Annotated[float, Meta(ge=0, description="common tilt per scatter")] = 0.3
+    base_px: Annotated[float, Meta(ge=0, description="further common offset of base edges (contact shade, what stands there)")] = 0.3
+    upright_px: Annotated[float, Meta(ge=0, description="further common offset and tilt of upright edges")] = 0.15
+    both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both pictures")] = 0.9
     correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
     neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
     points: Annotated[float, Meta(gt=0, description="weight of these two, in points")] = 30.0
@@ -36,30 +41,37 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
 
 
-def line_covariance(lines: Sequence[EdgeLines], edge: Indices, opened: Array, config: NoiseConfig) -> tuple[Array, float]:
-    """Covariance (K, E, 2, K, 2) px^2 of the lines of E edges in K pictures (edges do not disturb each other), and rho_1's tau.
+def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
+    """Covariance (E, K, 2, K, 2) px^2 of the lines of E edges in K pictures; edges do not disturb each other.
 
-    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order;
-    opened: (K, E) px^2, further variance of the offsets, alike in both pictures.
+    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
+    opened: (K, E) px^2, further variance of the offsets.
     """
-    pictures, edges = len(lines), len(lines[0].found)
+    pictures, edges = len(lines), len(kind)
     scatter = np.array([_scatter(one, config) for one in lines])
     inflation = _inflation(lines, edge, scatter, config)
-    system = np.diag([config.offset_px**2, config.tilt_px**2])
+    common = np.array([_common(s, kind, o, config) for s, o in zip(scatter, opened, strict=True)])
     covariance = np.zeros((edges, pictures, 2, pictures, 2))
     for k, one in enumerate(lines):
-        covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + system
-        covariance[:, k, 0, k, 0] += opened[k]
+        covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + common[k][:, :, None] * np.eye(2)
     if pictures == 2:
         rho = _correlation(lines[0], lines[1], edge, scatter, config)
-        outer = lines[0].gain[:, :, None] * lines[1].gain[:, None, :]
         shared = np.zeros((edges, 2, 2))
-        np.add.at(shared, edge, outer)
-        cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared + config.both * system
-        cross[:, 0, 0] += 0.9 * np.sqrt(opened[0] * opened[1])
+        np.add.at(shared, edge, lines[0].gain[:, :, None] * lines[1].gain[:, None, :])
+        cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared
+        cross += config.both * np.sqrt(common[0] * common[1])[:, :, None] * np.eye(2)
         covariance[:, 0, :, 1, :] = cross
         covariance[:, 1, :, 0, :] = cross.transpose(0, 2, 1)
-    return covariance, inflation
+    return covariance
+
+
+def _common(scatter: Array, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
+    """Variances (E, 2) of the offset and the tilt that all points of an edge share."""
+    base, upright = kind == Kind.BASE, kind == Kind.UPRIGHT
+    offset = config.offset_px**2 + (config.offset_share * scatter) ** 2 + opened
+    offset += config.base_px**2 * base + config.upright_px**2 * upright
+    tilt = config.tilt_px**2 + (config.tilt_share * scatter) ** 2 + (0.3 * config.base_px) ** 2 * base + config.upright_px**2 * upright
+    return np.column_stack((offset, tilt))
 
 
 def _scatter(lines: EdgeLines, config: NoiseConfig) -> Array:

@@ -100,8 +100,7 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
         middle = sums[e, 1] - 0.5 * (sums[e, 0] + sums[e, 2])
         d = across if np.sum(across**2) >= np.sum(middle**2) else middle
         free = np.where(bright[e] > 0.1 * count[e], 0.0, d)
-        clipped[e] = np.sum(free**2) < (2.0 * _LEAST_CONTRAST * count[e]) ** 2
-        clipped[e] = clipped[e] and np.sum(free**2) < np.sum(d**2)
+        clipped[e] = np.sum(free**2) < min(0.16 * np.sum(d**2), (25.0 * count[e]) ** 2)
         if not clipped[e]:
             d = free
         norm = math.sqrt(np.sum(d**2))

@@ -34,6 +34,8 @@ Image = NDArray[np.uint8]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
+_GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
+_WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 
@@ -172,7 +174,8 @@ class _Fit:
                 grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
                 double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
                 offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
-                variance += np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), gap**2 / 3.0, 0.0)
+                variance = _GAP_FACTOR * variance + np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)
+                offsets[(variance > _WIDEST_OPEN_PX**2)[samples.edge]] = np.nan
                 opened.append(variance + np.where(clipped, _CLIPPED_PX**2, 0.0))
             else:
                 offsets = outline.search(distance, samples.edge, count, 1.0, usable)
@@ -305,7 +308,7 @@ def _fine_step(fit: _Fit, seen: _Round) -> PoseEstimate | NoPose:
     """Step with the full covariance of the lines; edges that do not fit are left out one after the other."""
     config = fit.config
     mask, z, H, N = _system(seen)
-    V, _ = line_covariance(seen.lines, seen.samples.edge, seen.opened, config.noise)
+    V = line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise)
     pictures = mask.shape[1]
     kept = mask.copy()
     dropped = 0
