@@ -1,6 +1,7 @@
 """Ground truth of what is to be seen, against the labels that the renderer paints by another way."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,13 +69,19 @@ def test_cut_by_the_border() -> None:
 
 def test_agrees_with_the_labels_of_a_crowded_place() -> None:
     rng = np.random.default_rng(7)
-    world = make_world(6, WorldSpec(area_m=160.0, spacing_m=16.0, trees=60.0, flat=0.0)).world
+    world = make_world(6, WorldSpec(area_m=160.0, spacing_m=16.0, flat=0.0, trees=0.0)).world
+    towers = []
+    for mark in world.landmarks:  # one close to each landmark, on the side of a random direction
+        way = rng.uniform(0, 2 * math.pi)
+        place = mark.centre_n + (0.5 * math.hypot(mark.length_m, mark.width_m) + 1.6) * np.array([math.cos(way), math.sin(way)])
+        towers.append(Solid(rectangle(3.0, 3.0) + place, 0.0, 15.0, LOOK))
+    world = replace(world, clutter=tuple(towers))
     shown: list[bool] = []
     hidden: list[bool] = []
-    for _ in range(4):
+    for _ in range(6):
         p, R = (
-            np.array([*rng.uniform(-20, 20, 2), -rng.uniform(25, 50)]),
-            tilted(rng.uniform(-0.45, 0.45), rng.uniform(-0.45, 0.45), rng.uniform(-3, 3)),
+            np.array([*rng.uniform(-20, 20, 2), -rng.uniform(30, 50)]),
+            tilted(rng.uniform(-0.6, 0.6), rng.uniform(-0.2, 0.2), rng.uniform(-3, 3)),
         )
         labels = render_labels(world, CAMERA, p, R)
         index = {mark.id: k for k, mark in enumerate(world.landmarks)}
@@ -91,7 +98,7 @@ def test_agrees_with_the_labels_of_a_crowded_place() -> None:
                     if 2 < u < 637 and 2 < v < 477:
                         visible = any(s.edge == edge and s.start < share < s.end for s in sight.stretches)
                         (shown if visible else hidden).append(bool(labels[round(v), round(u)] == own))
-    assert len(shown) > 800
-    assert len(hidden) > 100
+    assert len(shown) > 600
+    assert len(hidden) > 50
     assert np.mean(shown) > 0.98
     assert np.mean(hidden) < 0.1

@@ -37,8 +37,8 @@ class Sight:
     """One landmark in one picture.
 
     corners_px: of the roof (K, 2), NaN behind the camera; corners_visible (K,): in the picture and not hidden;
-    sides_visible (K,): walls of which something is seen; occluded: share of the roof's edge within the picture that something else hides; cut: the
-    picture's border cuts the roof.
+    sides_visible (K,): walls of which something is seen; occluded: share of the roof's edge within the picture that is hidden;
+    cut: the picture's border cuts the roof.
     """
 
     id: str
