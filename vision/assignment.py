@@ -65,7 +65,7 @@ class Expected:
 class Hypotheses:
     """Joint assignments, best first: option (H, M) chosen for each region, probability (H,), x (H, 7), covariance (H, 7, 7).
 
-    Probabilities and `unexplored`, a bound on what was cut off, sum to one.
+    Probabilities and `unexplored`, an estimate of what was cut off (as if it were to fare like the best), sum to one.
     """
 
     option: NDArray[np.int64]

@@ -29,7 +29,7 @@ from vision.similarity import normalised, similarity
 _ROWS = 7  # log width, log length, fill ratio, orientation, place (3)
 _GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
 _AROUND_M = 40.0  # radius over which the density of objects around an object is taken
-_CONSIDERED = 40  # landmarks, the nearest, among which displacements are counted
+_CONSIDERED = 30  # landmarks, the nearest, among which displacements are counted
 _OBLONG = 1.3  # below this ratio of length to width the axes may be exchanged
 
 

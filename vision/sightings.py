@@ -16,10 +16,10 @@ from vision.likelihood import Sighting
 from vision.measure import Level, Measured
 from vision.regions import Region
 
-ROOF_SLOPE_RAD = math.radians(2.0)  # of a roof that the map calls flat
+ROOF_SLOPE_RAD = math.radians(1.0)  # of a roof that the map calls flat
 ONE_CAMERA_SCALE_SIGMA = 0.02  # relative: roofs stand at different heights, beside the prior's own height
 _UNEVEN = 0.3  # part of the rig's error of disparity that differs over the picture
-_EDGE_PX = 0.5  # of the side of an outline, one camera: nothing checks it
+_EDGE_PX = 0.3  # of the side of an outline, one camera: nothing checks it
 _FLOOR_PX = 0.3  # of the centre of an outline
 _SHALLOW = 0.25  # sine below which a ray does not meet the ground where it can be told
 
