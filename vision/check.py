@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from models.camera import CameraModel
 from vision.rectify import Image
 
-_DARK = 0.04  # part of the range: night without a light
-_BRIGHT = 0.97
-_FLAT = 0.008  # standard deviation, part of the range: no object, only noise
+_DARK = 10.0  # of 255: night without a light
+_BRIGHT = 247.0
+_FLAT = 2.0  # standard deviation: no object, only noise
+_FEW_COUNTS = 8.0  # of 65535
 _SATURATED_PART = 0.6  # of the pixels
 _LOST_PART = 0.04  # of the rows, one after the other without any change: a decoder's filling
-_STEP = 8  # every eighth pixel tells
+_STEP = 12  # every twelfth pixel tells
 
 
 def picture_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
@@ -43,21 +44,19 @@ def pair_flaw(left: Image, right: Image) -> str | None:
 
 
 def _brightness_flaw(image: Image) -> str | None:
-    """Levels of an 8-bit picture are parts of 255; a 16-bit one uses what part of its range it likes."""
     sample = image[::_STEP, ::_STEP].astype(np.float32)
-    full = 255.0 if image.dtype == np.uint8 else float(max(sample.max(), 1.0))
-    low, high = np.percentile(sample, (1, 99)) / full
+    low, high = np.percentile(sample, (1, 99))
+    if image.dtype == np.uint16:  # which part of its range a thermal camera uses is its own affair
+        return "black" if high < _FEW_COUNTS else "flat: no contrast" if high - low < _FEW_COUNTS else None
     if high < _DARK:
         return "black"
     if low > _BRIGHT:
         return "white"
     grey = sample if sample.ndim == 2 else sample.mean(axis=2)
-    if grey.std() < _FLAT * full:
+    if grey.std() < _FLAT:
         return "flat: no contrast"
-    saturated = float(np.mean(grey >= 0.99 * full))
-    if image.dtype == np.uint8 and saturated > _SATURATED_PART:
-        return f"saturated: {saturated:.0%} of the pixels"
-    return None
+    saturated = float(np.mean(grey >= 252.0))
+    return f"saturated: {saturated:.0%} of the pixels" if saturated > _SATURATED_PART else None
 
 
 def _torn_flaw(image: Image) -> str | None:

@@ -23,7 +23,7 @@ from vision.regions import Region
 QUANTITIES = ("distance_m", "width_m", "length_m", "size_m2", "fill_ratio")  # the order of Measured.covariance
 
 _CENTRE, _SIZES, _ORIENTATION = slice(0, 3), slice(3, 8), 8  # of a row of _quantities
-_ARCS = 8  # a contour that is no polygon is uncertain in so many pieces, one by one
+_ARCS = 4  # a contour that is no polygon is uncertain in so many pieces, one by one
 _CORRELATED_PX = 4.0  # along an edge: its points err together over so far
 
 
@@ -182,6 +182,8 @@ def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity:
     x_r = exp(theta) x_r0 + dt moves a point's right pixel by
     du = f / Z (dt_x - x dt_z + (1 + x^2) Z theta_y - x y Z theta_x - y Z theta_z),  x, y in the right camera: an error of d.
     """
+    if rig.covariance_rc is None and rig.left.covariance is None and rig.right.covariance is None:
+        return np.zeros((3, 3))
     camera, extent = rig.left, max(float(np.ptp(outline, axis=0).max()), 1.0)
     offsets = np.array([[0.0, 0.0], [extent, 0.0], [0.0, extent]])
     px = plane.origin + offsets - (disparity + disparity_offset(rig), 0.0)

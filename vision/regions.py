@@ -57,9 +57,10 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Which components become regions: the largest `most`, none smaller or larger than these parts of the picture."""
+    """Which components become regions: of the largest `most` those neither too small nor too large a part of the picture."""
 
     least_px: int = 60
+    least_side_px: int = 6  # of the bounding box
     largest_part: float = 0.4
     most: int = 40
     clean_window: int = 5  # of the median over the labels, 0 for none
@@ -80,6 +81,8 @@ def find_regions(image: Image, labels: Labels, limits: Limits | None = None, val
     regions = []
     for number in np.argsort(-table[:, 5])[: limits.most]:
         label, u0, v0, width, height, _ = (int(x) for x in table[number])
+        if min(width, height) < limits.least_side_px:
+            continue
         mask = _fill(runs, run_component, number, u0, v0, width, height)
         mask, bbox = tighten(image, mask, (u0, v0, width, height))
         region = _region(image, mask, bbox, _cut_off(bbox, labels.shape, valid), label)

@@ -153,10 +153,10 @@ def _valleys(h: Array, peakiness: float, least: float) -> NDArray[np.int64]:
             a, b = bounds[k], bounds[k + 1]
             part = h[a:b]
             top, total = part.max(), part.sum()
-            low = (h[a] if a > 0 else 0.0) + (h[b] if b < n else 0.0)
+            va, vb = h[a] if a > 0 else 0.0, h[b] if b < n else 0.0
             good = 0.0
-            if total >= least and top > 0.0:
-                good = max(1.0 - low / (2.0 * top), 0.0) * (1.0 - total / (top * (b - a)))
+            if total >= least and top - max(va, vb) > 4.0 * np.sqrt(top):  # deeper than counting makes it by chance
+                good = (1.0 - (va + vb) / (2.0 * top)) * (1.0 - total / (top * (b - a)))
             if good < worst:
                 worst, where = good, k
         if worst >= peakiness:

@@ -132,7 +132,7 @@ def _quantities(measured: "Measured") -> list[str]:
     for quantity in QUANTITIES:
         sigma = measured.sigma(quantity)
         digits = max(0, min(4, -math.floor(math.log10(max(sigma, 1e-6)))))
-        texts.append(f"{getattr(measured, quantity):.{digits}f} ±{sigma:.{digits}f}")
+        texts.append(f"{getattr(measured, quantity):.{digits}f}±{sigma:.{digits}f}")
     return texts
 
 
