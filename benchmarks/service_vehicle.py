@@ -18,10 +18,10 @@ import numpy as np
 import zenoh
 
 from estimator.service import zenoh_keys
-from estimator.service.clock import stamp_of
 from logs import schemas
 from logs.codec import Encoded, encode_input, type_hash
 from logs.schemas import STORE
+from logs.stamps import stamp_of
 from models import so3
 from models.frames import Origin
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, vec3

@@ -1,0 +1,186 @@
+"""Vision in a process of its own: what it does to itself, by crash or hang, never reaches the estimator.
+
+The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
+counted. A process that dies, or does not answer in time, is started anew, each time a little later.
+"""
+
+import multiprocessing
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final
+
+from estimator.service.clock import SECOND_NS, Clock, Stamps
+from estimator.strict_toml import ConfigError
+from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
+from logs.codec import Encoded, decode_vision_request, encode
+from logs.stamps import stamp_of
+from models.messages import Vec3
+
+_START_S: Final = 60.0  # a map of a million landmarks takes a while
+_FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
+_IDLE_S: Final = 0.05
+_WAITING: Final = 8  # pictures
+
+
+def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None) -> None:
+    """The process: answers requests until the pipe is closed. First it sends the cameras' time offset [ns], or why it cannot."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
+    from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
+
+    try:
+        sight = load_sight(rig_file, map_file, origin)
+    except ConfigError as error:
+        pipe.send(str(error))
+        return
+    pipe.send(sight.time_offset_ns)
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            data, left, right = pipe.recv()
+            pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
+
+
+class VisionWorker:
+    """put() takes pictures from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
+
+    def __init__(
+        self,
+        files: tuple[Path, Path, Vec3 | None],
+        config: VisionConfig,
+        sides: dict[str, str],
+        clock: Clock,
+        stamps: Stamps,
+        track: Track,
+        tell: Callable[[Encoded], None],
+    ) -> None:
+        self._files, self._config, self._sides = files, config, sides
+        self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
+        self._shots: deque[Shot] = deque(maxlen=_WAITING)
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._offset_ns = self._run = 0
+        self._backoff_s = _FIRST_BACKOFF_S
+        self._state = "starting"
+        self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = 0
+        self._latency_s = 0.0
+        self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
+        self._thread.start()
+
+    def put(self, topic: str, schema: str, data: bytes, arrived_ns: int) -> None:
+        """A picture; the oldest that waits is dropped when there are too many."""
+        stamp_ns = stamp_of(data)
+        t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
+        if stamp_ns is None or t_ns is None:
+            self._unplaced += 1
+            return
+        self._dropped += len(self._shots) == _WAITING
+        self._shots.append(Shot(topic, schema, data, stamp_ns, t_ns, arrived_ns))
+        self._wake.set()
+
+    def close(self) -> None:
+        """Stop thread and process."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(timeout=self._config.timeout_s + 1.0)
+        self._stop_process()
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        return {
+            "state": self._state,
+            "pairs": self._pairs,
+            "answers": self._answers,
+            "fixes": self._fixes,
+            "dropped_pictures": self._dropped,
+            "pictures_of_unknown_time": self._unplaced,
+            "restarts": self._run,
+            "latency_ms": round(1e3 * self._latency_s, 1),
+        }
+
+    # --- the thread -----------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        pairing = Pairing(self._config)
+        while not self._stopping.is_set():
+            if self._process is None and not self._start():
+                continue
+            self._wake.wait(_IDLE_S)
+            self._wake.clear()
+            pairs = pairing.overdue(self._clock.now_ns())
+            while self._shots:
+                shot = self._shots.popleft()
+                pairs += pairing.put(self._sides[shot.topic], shot._replace(t_ns=shot.t_ns + self._offset_ns))
+            if pairs:
+                self._pairs += len(pairs)
+                self._dropped += 2 * (len(pairs) - 1)
+                self._ask(pairs[-1])
+
+    def _ask(self, pair: Pair) -> None:
+        """One request and its answer."""
+        asked_ns = self._clock.now_ns()
+        request = self._track.request(pair, asked_ns, self._run)
+        if request is None:
+            self._state = "waiting for an estimate"
+            return
+        (message,) = encode(request)
+        self._tell(message)
+        answers = self._answer(message, pair)
+        if answers is None:
+            self._restart("does not answer")
+            return
+        self._state, self._backoff_s = "seeing", _FIRST_BACKOFF_S
+        self._answers += 1
+        self._fixes += len(answers) > 1
+        self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
+        for answer in answers:
+            self._tell(answer)
+
+    def _answer(self, message: Encoded, pair: Pair) -> list[Encoded] | None:
+        """What the process says; None where it is dead or too slow."""
+        assert self._pipe is not None
+        try:
+            self._pipe.send((message.data, pair.left, pair.right))
+            answers: list[Encoded] | None = self._pipe.recv() if self._pipe.poll(self._config.timeout_s) else None
+        except (EOFError, OSError):
+            return None
+        return answers
+
+    def _start(self) -> bool:
+        """Start the process and wait until it can see."""
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs, *self._files), name="landfix-vision", daemon=True)
+        self._process.start()
+        theirs.close()
+        try:
+            ready = self._pipe.recv() if self._pipe.poll(_START_S) else "does not start"
+        except (EOFError, OSError):
+            ready = "died while starting"
+        if isinstance(ready, str):
+            self._restart(ready)
+            return False
+        self._offset_ns, self._state = ready, "ready"
+        self._shots.clear()
+        return True
+
+    def _restart(self, why: str) -> None:
+        """The process goes; the next one starts after a pause that doubles each time."""
+        self._state = why
+        self._stop_process()
+        self._run += 1
+        self._stopping.wait(self._backoff_s)
+        self._backoff_s = min(2.0 * self._backoff_s, _LONGEST_BACKOFF_S)
+
+    def _stop_process(self) -> None:
+        if self._pipe is not None:
+            self._pipe.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.join(timeout=1.0)
+        self._process = self._pipe = None

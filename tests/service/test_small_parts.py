@@ -1,0 +1,140 @@
+"""Keys and attachments, the word to systemd, the file with the last state."""
+
+import socket
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from zenoh.ext import Int64, z_serialize
+
+from estimator.service import state_file, zenoh_keys
+from estimator.service.clock import Clock
+from estimator.service.daemon import Mailbox
+from estimator.service.log_writer import LogConfig, LogWriter
+from estimator.service.state_file import SavedState, StateKeeper
+from estimator.service.watchdog import Notifier
+from estimator.service.zenoh_config import SecurityConfig, access_control
+from logs import schemas
+from logs.codec import Decoder, ImuMounting, encode_input, type_hash
+from models.messages import Checkpoint, Estimate, Health, ImuSample, LastGnss, Mode
+from tests.service.flying import until
+
+T0 = 1_795_000_000_000_000_000
+
+
+def test_keys_and_tokens_are_those_of_rmw_zenoh() -> None:
+    hashed = type_hash(schemas.ODOMETRY)
+    key = zenoh_keys.rmw_key(7, "/landfix/odometry", schemas.ODOMETRY, hashed)
+    assert key == f"7/landfix/odometry/nav_msgs::msg::dds_::Odometry_/{hashed}"
+    assert hashed == "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+    token = zenoh_keys.publisher_token(7, "abc", "landfix", 12, "/landfix/odometry", schemas.ODOMETRY, hashed)
+    assert token == f"@ros2_lv/7/abc/0/12/MP/%/%/landfix/%landfix%odometry/nav_msgs::msg::dds_::Odometry_/{hashed}/:2:,10:,:,:,,"
+    assert zenoh_keys.subscriber_token(7, "abc", "landfix", 12, "/imu", schemas.IMU, "x").startswith("@ros2_lv/7/abc/0/12/MS/")
+    assert zenoh_keys.node_token(7, "abc", "landfix") == "@ros2_lv/7/abc/0/0/NN/%/%/landfix"
+    assert zenoh_keys.bridge_token("abc", "/landfix/odometry", schemas.ODOMETRY, "x") == (
+        "@/abc/@ros2_lv/MP/landfix§odometry/nav_msgs§msg§Odometry/:1:0:0,10:typehash=x;"
+    )
+    assert zenoh_keys.plain_key("/landfix/odometry") == "landfix/odometry"
+
+
+def test_the_attachment_is_what_zenohs_own_serializer_makes() -> None:
+    gid = bytes(range(16))
+    made = zenoh_keys.attachment(5, T0, gid)
+    assert len(made) == 33
+    assert made == z_serialize((Int64(5), Int64(T0), gid)).to_bytes()
+
+
+def test_access_control_denies_what_is_not_named() -> None:
+    made = access_control(SecurityConfig(users_file="u", feeders=("a",)), ["0/imu/**"], ["0/landfix/**"])
+    assert made["default_permission"] == "deny"
+    assert [s["usernames"] for s in made["subjects"]] == [["a"]]
+    assert [p["rules"] for p in made["policies"]] == [["feed", "ask-for-input"]]
+    allowed = {name for rule in made["rules"] if rule["id"] in {"feed", "ask-for-input"} for name in rule["key_exprs"]}
+    assert allowed == {"0/imu/**", "@ros2_lv/**"}
+
+
+def test_systemd_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        notifier = Notifier()
+        notifier.ready("running")
+        notifier.alive()
+        told = [systemd.recv(100) for _ in range(2)]
+        assert told == [b"READY=1\nSTATUS=running", b"WATCHDOG=1"]
+        systemd.close()
+        notifier.alive()  # nobody listens any more: nothing happens
+        notifier.stopping()
+
+
+def test_without_systemd_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    Notifier().ready("running")
+
+
+def _estimate(t_ns: int) -> Estimate:
+    return Estimate(t_ns, t_ns, np.arange(16.0), np.eye(15) * 2.0, (0.0, 0.0, 0.0), Mode.AIDED, 4, t_ns - 5, (47.0, 8.0, 400.0))
+
+
+def test_the_last_state_is_found_again(tmp_path: Path) -> None:
+    path, clock = tmp_path / "state", Clock()
+    keeper = StateKeeper(path, clock, "config")
+    keeper.note(_estimate(T0))
+    until(path.exists, "it is written within a second", 2.0)
+    keeper.note(Health(T0, T0, Mode.AIDED, 0.0, 1.0, 1.0, 4, {}, {}, 1, LastGnss(47.0, 8.0, 400.0, 3.0, 2.0)))
+    keeper.note(_estimate(T0 + 7))
+    keeper.close()
+    saved = state_file.load(path)
+    assert saved is not None
+    assert (saved.t_ns, saved.config, saved.boot) == (T0 + 7, "config", state_file.boot_id())
+    assert state_file.clock_of(saved).anchor_ns == clock.anchor_ns
+    read = Decoder().decode("/landfix/checkpoint", schemas.CHECKPOINT, saved.checkpoint, T0 + 9)
+    assert isinstance(read, Checkpoint)
+    assert read.nav.tolist() == list(range(16))
+    assert (read.t_ns, read.reset_counter, read.origin) == (T0 + 7, 4, (47.0, 8.0, 400.0))
+    assert read.last_gnss is not None
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff" * 100, msgspec.msgpack.encode({"format": 1}), b"\x93\x01\x02"])
+def test_a_state_that_is_damaged_is_none(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "state").write_bytes(content)
+    assert state_file.load(tmp_path / "state") is None
+    assert state_file.load(tmp_path / "none") is None
+
+
+def test_only_a_young_state_of_this_configuration_is_gone_on_from() -> None:
+    saved = SavedState(1, "boot", 0, T0, "mine", b"")
+    second = 1_000_000_000
+    assert state_file.usable(saved, T0 + 9 * second, "mine", 10.0) is saved
+    assert state_file.usable(saved, T0 + 11 * second, "mine", 10.0) is None
+    assert state_file.usable(saved, T0 - second, "mine", 10.0) is None
+    assert state_file.usable(saved, T0, "another", 10.0) is None
+    assert state_file.usable(None, T0, "mine", 10.0) is None
+    assert state_file.clock_of(saved).anchor_ns != 0  # of another boot
+
+
+def test_a_folder_that_cannot_be_written_is_no_reason_to_stop(tmp_path: Path) -> None:
+    keeper = StateKeeper(tmp_path / "nowhere" / "state", Clock(), "config")
+    keeper.note(_estimate(T0))
+    keeper.close()
+    assert keeper.problem == "No such file or directory"
+
+
+def test_a_link_without_cdr_puts_measurements_and_the_log_holds_what_is_handled(tmp_path: Path) -> None:
+    """As mavlink_link does: the loop gets bytes, axes and mounting of the configuration included."""
+    log = LogWriter(LogConfig(enabled=False), lambda n: tmp_path / f"{n}.mcap", {})
+    mounting = ImuMounting("frd", 0.0, 0.0, 90.0)
+    mailbox = Mailbox(Clock(), log, ["/left/image"], mounting)
+    sample = ImuSample(T0, 1, (0.1, 0.2, 0.3), (1.0, 2.0, -9.0))
+    mailbox.put(sample)
+    arrival = mailbox.get(0.1)
+    assert arrival is not None
+    assert arrival[:3] == encode_input(sample, mounting)
+    assert arrival.arrived_ns > T0 - 1
+    read = Decoder(mounting=mounting).decode(*arrival)
+    assert isinstance(read, ImuSample)
+    np.testing.assert_allclose(read.gyro_b, sample.gyro_b, atol=1e-12)
+    mailbox.put_bytes("/left/image", schemas.IMAGE, b"")
+    assert mailbox.get(0.0) is None
+    log.close()
