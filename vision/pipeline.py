@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -18,6 +17,7 @@ from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array, LandmarkFix, Quat, VisionReport, vec3
+from vision import epipolar
 from vision import sightings as sight
 from vision.check import pair_flaw, picture_flaw
 from vision.constellation import Constellation, MemoryConfig
@@ -27,14 +27,14 @@ from vision.likelihood import Catalogue, Sighting, catalogue
 from vision.measure import Measured, measure
 from vision.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose
 from vision.rectify import Image, Mask, rectification, rectify
-from vision.regions import Limits, Region, find_regions
-from vision.segment import Labels, Space, classes, colour_table, segment_colours, segment_seeds
+from vision.regions import Limits, Region
+from vision.segment import Space
 from vision.sensitivity import eyes
 from vision.start import centroid_and_size, start_from_regions
+from vision.survey import Settings, grey, segment_regions, to_8_bit
 
 _INSIDE_9999: Final = 27.856  # chi-square of 6, 99.99 %
 _TOO_FLAT: Final = "seen too flat to know its size"
-_VERTICAL_PX, _VERTICAL_SIGMAS = 1.5, 4.0  # beyond both: the pair does not fit the calibration
 
 
 class PipelineConfig(msgspec.Struct, frozen=True):
@@ -108,7 +108,6 @@ class LandmarkPipeline:
         self._config = config or PipelineConfig()
         self._rectified = rectification(rig)
         self._memory = Constellation(self._config.memory)
-        self._tables: dict[tuple[tuple[float, float, float], ...], Labels] = {}
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
@@ -150,7 +149,7 @@ class LandmarkPipeline:
         raw = None if flaws[0] else left, None if flaws[1] else right
         r = self._rectified
         first, second = (
-            None if image is None else rectify(_bgr8(image), m) for image, m in zip(raw, (r.left, r.right), strict=True)
+            None if image is None else rectify(to_8_bit(image), m) for image, m in zip(raw, (r.left, r.right), strict=True)
         )
         only_right = first is None
         work = second if first is None else first
@@ -173,14 +172,8 @@ class LandmarkPipeline:
 
     def _segment(self, views: _Views, near: list[Landmark]) -> list[Region]:
         colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
-        if colours:
-            if colours not in self._tables:
-                self._tables[colours] = colour_table(classes(colours, self._config.space), self._config.space)
-            labels = segment_colours(views.work, self._tables[colours])
-        else:
-            labels = segment_seeds(views.work, self._config.space)
         limits = Limits(least_px=self._config.least_px, most=self._config.most_regions)
-        return find_regions(views.work, labels, limits, views.valid)
+        return segment_regions(views.work, views.valid, Settings(colours, self._config.space, limits=limits))
 
     def _measure(self, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
         """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
@@ -189,31 +182,23 @@ class LandmarkPipeline:
         if views.other is None:
             return self._one_camera(views, whole, prior, known, refused, views.remark)
         rig = self._rectified.rig
-        matches = correspond(_grey(views.work), _grey(views.other), whole, rig)
-        behind = sum(not isinstance(m, Match) and m.behind for m in matches)
-        good = [m for m in matches if isinstance(m, Match)]
-        if behind > len(good):
-            return f"{behind} of {len(matches)} regions lie behind the camera: left and right are swapped"
-        if good and sum(_off_row(m) for m in good) > 0.5 * len(good):
-            rows = float(np.median([m.vertical_px for m in good]))
-            return self._one_camera(
-                replace(views, raw=(views.raw[0], None)), whole, prior, known, refused,
-                f"right camera not used: rows differ by {rows:.1f} px, calibration or synchronisation is wrong; ",
-            )  # fmt: skip
+        matches = correspond(grey(views.work), grey(views.other), whole, rig)
+        if swapped := epipolar.pair_reason(matches, None):
+            return swapped
+        if problem := epipolar.pair_reason(matches, epipolar.region_residual(matches)):
+            return self._one_camera(views, whole, prior, known, refused, f"{views.remark}right camera not used: {problem}; ")
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
         for match in matches:
-            if isinstance(match, Match) and _off_row(match):
-                refused.append(_not_measured(match.region, f"rows differ by {match.vertical_px:.1f} px"))
-                continue
             m = measure(match, rig, level=level) if isinstance(match, Match) else match
-            one = sight.from_stereo(m, prior, rig) if isinstance(m, Measured) else None
-            if isinstance(m, Measured) and one is not None:
+            if not isinstance(m, Measured):
+                refused.append(_not_measured(m.region, m.reason))
+            elif one := sight.from_stereo(m, prior, rig):
                 kept.append(m.region)
                 seen.append(one)
                 measured.append(m)
             else:
-                refused.append(_not_measured(m.region, _TOO_FLAT if isinstance(m, Measured) else m.reason))
+                refused.append(_not_measured(m.region, _TOO_FLAT))
         return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), views.remark)
 
     def _one_camera(
@@ -281,7 +266,7 @@ class LandmarkPipeline:
         described = [centroid_and_size(np.ascontiguousarray(r.outline)) for r in regions]
         centres, sizes = np.array([c for c, _ in described]), np.array([s for _, s in described])
         p_n, R_nb, shift = start_from_regions(eye, marks, centres, sizes, prior)
-        views = [None if image is None else _bgr8(image) for image in raw]
+        views = [None if image is None else to_8_bit(image) for image in raw]
         return estimate_pose(self._rig, views, marks, (p_n, R_nb), prior, self._config.pose, shift)
 
 
@@ -302,24 +287,8 @@ def _prior_flaw(prior: Prior) -> str | None:
     return None
 
 
-def _bgr8(image: Image) -> Image:
-    """8 bit: the range that a 16-bit picture uses."""
-    if image.dtype == np.uint8:
-        return image
-    low, high = (float(x) for x in np.percentile(image[::4, ::4], (0.5, 99.5)))
-    return np.asarray(np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8)
-
-
-def _grey(image: Image) -> Image:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
 def _not_measured(region: Region, reason: str) -> RegionReport:
     return RegionReport("not_measured", region.bbox, reason=reason)
-
-
-def _off_row(match: Match) -> bool:
-    return abs(match.vertical_px) > max(_VERTICAL_PX, _VERTICAL_SIGMAS * match.vertical_sigma_px)
 
 
 def _similarity(found: Identification, i: int) -> float:
