@@ -25,6 +25,7 @@ _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
 _CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
+_UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which are not clipped
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
@@ -100,7 +101,7 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
         middle = sums[e, 1] - 0.5 * (sums[e, 0] + sums[e, 2])
         d = across if np.sum(across**2) >= np.sum(middle**2) else middle
         free = np.where(bright[e] > 0.1 * count[e], 0.0, d)
-        clipped[e] = np.sum(free**2) < min(0.16 * np.sum(d**2), (25.0 * count[e]) ** 2)
+        clipped[e] = np.sum(free**2) < _UNCLIPPED * np.sum(d**2)
         if not clipped[e]:
             d = free
         norm = math.sqrt(np.sum(d**2))
