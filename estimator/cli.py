@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import calibrate, demo, doctor, evaluate, measure, monitor, recover, replay, run, simulate
+from estimator.commands import calibrate, demo, doctor, evaluate, locate, measure, monitor, recover, replay, run, simulate
 from estimator.commands import import_ as import_command
 from estimator.commands import map_ as map_command
 from estimator.version import version
@@ -86,6 +86,7 @@ app.command("recover")(recover.command)
 app.command("doctor")(doctor.command)
 app.add_typer(calibrate.app, name="calibrate")
 app.command("measure")(measure.command)
+app.command("locate")(locate.command)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ the scale, the fix says so, and its covariance shows it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -34,6 +34,7 @@ from vision.start import centroid_and_size, start_from_regions
 from vision.survey import Settings, grey, segment_regions, to_8_bit
 
 _INSIDE_9999: Final = 27.856  # chi-square of 6, 99.99 %
+_ROWS_PX: Final = 0.8  # rows that differ by less do no harm
 _TOO_FLAT: Final = "seen too flat to know its size"
 
 
@@ -107,6 +108,7 @@ class LandmarkPipeline:
         self._rig, self._map = rig, landmarks
         self._config = config or PipelineConfig()
         self._rectified = rectification(rig)
+        self._rows_sigma_px = _rows_sigma(self._rectified.rig)
         self._memory = Constellation(self._config.memory)
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
@@ -185,7 +187,9 @@ class LandmarkPipeline:
         matches = correspond(grey(views.work), grey(views.other), whole, rig)
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
-        if problem := epipolar.pair_reason(matches, epipolar.region_residual(matches)):
+        residual = epipolar.region_residual(matches)
+        if residual and abs(residual.vertical_px) > max(_ROWS_PX, 4.0 * float(np.hypot(residual.sigma_px, self._rows_sigma_px))):
+            problem = f"rows differ by {residual.vertical_px:+.1f} px: wrong calibration, or pictures not taken together"
             return self._one_camera(views, whole, prior, known, refused, f"{views.remark}right camera not used: {problem}; ")
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -268,6 +272,12 @@ class LandmarkPipeline:
         p_n, R_nb, shift = start_from_regions(eye, marks, centres, sizes, prior)
         views = [None if image is None else to_8_bit(image) for image in raw]
         return estimate_pose(self._rig, views, marks, (p_n, R_nb), prior, self._config.pose, shift)
+
+
+def _rows_sigma(rig: StereoRig) -> float:
+    """By how much rows may differ for all that the calibration knows [px]: f drx, and both principal points."""
+    turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
+    return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
 
 
 def _nothing(t_ns: int, outcome: str, detail: str, regions: int = 0) -> Result:

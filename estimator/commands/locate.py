@@ -1,0 +1,195 @@
+"""landfix locate."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from estimator.commands.console import Json, note, print_json, print_table
+
+if TYPE_CHECKING:
+    from models.camera import StereoRig
+    from models.landmarks import LandmarkMap
+    from models.messages import Array
+    from vision.identify import Prior
+    from vision.pipeline import Result
+    from vision.rectify import Image
+
+
+class LocateError(ValueError):
+    """No fix, or nothing to make one of; the text is one line for a person."""
+
+
+def command(
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
+    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the cameras (YAML or XML).")],
+    map_file: Annotated[Path, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")],
+    prior: Annotated[
+        str,
+        typer.Option(
+            metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Where the vehicle is believed to be: deg, m above the ellipsoid, deg."
+        ),
+    ],
+    right: Annotated[Path | None, typer.Argument(metavar="[RIGHT]", help="Right picture, taken at the same time.")] = None,
+    prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
+    json: Json = False,
+) -> None:
+    """Say where the vehicle is: one fix from one stereo pair, or from one picture.
+
+    Regions are measured and looked up in the map near the prior; the fix is that of the pictures, "with the prior" what both
+    give together. Every region says what became of it. Exit code 1 where there is no fix.
+
+    \b
+    Examples:
+      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
+      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
+    """
+    from calib.files import load_rig
+    from estimator.commands.picture_source import pictures
+    from estimator.map_store import load as load_map
+    from vision.pipeline import LandmarkPipeline
+
+    believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")
+    sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
+    rig, landmarks = load_rig(rig_file), load_map(map_file)
+    if not len(landmarks):
+        raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
+    images = [None if path is None else next(pictures([str(path)], "", 1)).image for path in (left, right)]
+    start = _prior(landmarks, believed, sigma)
+    try:
+        pipeline = LandmarkPipeline(rig, landmarks)
+    except ValueError as error:
+        raise LocateError(f"{rig_file}: {error}") from None
+    result = pipeline.process(images[0], images[1], 0, start)
+    if out is not None and images[0] is not None:
+        _write_overlay(out, images[0], rig, landmarks, start, result)
+    if json:
+        print_json(_as_json(landmarks, result))
+    else:
+        _print(landmarks, result)
+    if result.fix is None:
+        raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
+
+
+def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
+    try:
+        numbers = [float(x) for x in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise typer.BadParameter(f"{option} '{text}' must be {count} numbers with commas between, as in {example}")
+    return numbers
+
+
+def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) -> "Prior":
+    import numpy as np
+
+    from models import so3
+    from vision.identify import Prior
+
+    lat, lon, alt, roll, pitch, yaw = believed
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
+        raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
+    if not (sigma[0] > 0.0 and sigma[1] > 0.0):
+        raise typer.BadParameter("--prior-sigma must be positive")
+    variance = [sigma[0] ** 2] * 3 + [math.radians(sigma[1]) ** 2] * 3
+    q = so3.from_euler(math.radians(roll), math.radians(pitch), math.radians(yaw))
+    return Prior(np.array(landmarks.frame.to_ned(lat, lon, alt)), q, np.diag(variance))
+
+
+def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance: "Array") -> dict[str, Any]:
+    import numpy as np
+
+    from models import so3
+
+    lat, lon, alt = landmarks.frame.to_geodetic(p_n)
+    sigma = np.sqrt(np.diag(covariance))
+    return {
+        "lat_deg": lat,
+        "lon_deg": lon,
+        "alt_m": alt,
+        **dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), map(math.degrees, so3.to_euler(q_nb)), strict=True)),
+        "p_n_m": [float(x) for x in p_n],
+        "q_nb_wxyz": [float(x) for x in q_nb],
+        "sigma_north_east_down_m": sigma[:3].tolist(),
+        "sigma_rotation_deg": np.degrees(sigma[3:]).tolist(),
+        "covariance": covariance.tolist(),
+    }
+
+
+def _as_json(landmarks: "LandmarkMap", result: "Result") -> dict[str, Any]:
+    import msgspec
+    import numpy as np
+
+    from models import so3
+
+    fix, pose, report = result.fix, result.pose, result.report
+    answer: dict[str, Any] = {"outcome": report.outcome, "detail": report.detail, "fix": None, "with_prior": None}
+    if fix is not None and pose is not None:
+        common = np.zeros((6, 6)) if fix.covariance_common is None else fix.covariance_common
+        answer["fix"] = {
+            **_pose_json(landmarks, np.array(fix.p_n), np.array(fix.q_nb_wxyz), fix.covariance + common),
+            "covariance_common": common.tolist(),
+            "landmarks": list(fix.landmarks),
+            "similarity": fix.similarity,
+            "residual_px": fix.residual_px,
+        }
+        q = so3.from_matrix(np.ascontiguousarray(pose.joint_R_nb))
+        answer["with_prior"] = _pose_json(landmarks, pose.joint_p_n, q, pose.joint_covariance)
+    answer["regions"] = [msgspec.structs.asdict(region) for region in result.regions]
+    return answer
+
+
+def _print(landmarks: "LandmarkMap", result: "Result") -> None:
+    answer = _as_json(landmarks, result)
+    if result.regions:
+        rows = [
+            (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)
+            for r in result.regions
+        ]
+        print_table("Regions", rows, ("landmark", "state", "similarity", "why"))
+    for title, pose in (("The pictures alone", answer["fix"]), ("With the prior", answer["with_prior"])):
+        if pose is not None:
+            print_table(title, _pose_rows(pose))
+    if result.fix is not None:
+        note(f"{result.report.detail}; outlines fit to {result.fix.residual_px:.2f} px")
+
+
+def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
+    north, east, down = pose["sigma_north_east_down_m"]
+    turns = pose["sigma_rotation_deg"]
+    return [
+        ("latitude, longitude", f"{pose['lat_deg']:.7f}, {pose['lon_deg']:.7f} deg  ± {north:.2f} m north, {east:.2f} m east"),
+        ("height above ellipsoid", f"{pose['alt_m']:.2f} ± {down:.2f} m"),
+        ("roll, pitch, yaw", ", ".join(f"{pose[k]:.2f}" for k in ("roll_deg", "pitch_deg", "yaw_deg")) + " deg"),
+        ("± about north, east, down", ", ".join(f"{x:.2f}" for x in turns) + " deg"),
+    ]
+
+
+def _write_overlay(
+    path: Path, image: "Image", rig: "StereoRig", landmarks: "LandmarkMap", prior: "Prior", result: "Result"
+) -> None:
+    """The map drawn into the left picture from the estimate, or from the prior where there is none."""
+    import cv2
+
+    from vision.overlay import draw_overlay, outline_residuals
+    from vision.survey import to_8_bit
+
+    picture, pose = to_8_bit(image), result.pose
+    p_n, R_nb = (prior.p_n, prior.R_nb) if pose is None else (pose.joint_p_n, pose.joint_R_nb)
+    p_nc, R_nc = rig.camera_pose(p_n, R_nb)
+    near = landmarks.near(float(p_nc[0]), float(p_nc[1]), 300.0)
+    used = result.fix.landmarks if result.fix is not None else ()
+    caption = [f"{result.report.outcome}: {result.report.detail}" if result.fix is None else result.report.detail]
+    if result.fix is None:
+        caption.append("drawn from the prior")
+    residuals = outline_residuals(picture, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
+    drawn = draw_overlay(picture, rig.left, p_nc, R_nc, near, used, residuals, caption)
+    done, png = cv2.imencode(".png", drawn)
+    if not done:
+        raise LocateError(f"{path}: the picture could not be encoded")
+    path.write_bytes(png.tobytes())
