@@ -22,6 +22,7 @@ from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import LANDMARKS, PoseConfig
 from estimator.strict_toml import ConfigError
+from estimator.vision_requests import VisionConfig
 from logs.codec import Decoder, ImuMounting, Topics
 from models.imu import Coast, ImuNoise
 
@@ -69,7 +70,9 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     origin: Annotated[
         tuple[_Latitude, _Longitude, _Height] | None,
-        Meta(description="deg,deg,m: latitude, longitude, ellipsoid height of the map's origin; without it the first GNSS fix"),
+        Meta(
+            description="deg,deg,m: latitude, longitude, ellipsoid height of n's origin; none: the map's, or the first GNSS fix"
+        ),
     ] = None
     geoid_m: Annotated[float, Meta(ge=-120, le=100, description="m: height of the geoid above the ellipsoid at the origin")] = 0.0
     landmarks: Annotated[str | None, Meta(description="GeoJSON file of the landmarks, relative to the configuration")] = None
@@ -92,6 +95,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     baro: BaroConfig = BaroConfig()
     map: Map = Map()
     rig: Rig = Rig()
+    vision: VisionConfig = VisionConfig()
     output: OutputConfig = OutputConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     initialise: InitialiseConfig = InitialiseConfig()
@@ -153,7 +157,13 @@ def load(path: Path | None) -> Config:
         raise ConfigError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file") from None
-    return parse(text, str(path))
+    config = parse(text, str(path))
+    if config.map.landmarks and config.map.origin is None:
+        from estimator.sight_files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
+
+        origin = map_origin(path.parent / config.map.landmarks)
+        return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))
+    return config
 
 
 def parse(text: str, name: str = "configuration") -> Config:

@@ -145,7 +145,9 @@ class Hypotheses:
         if doubt is None:
             return None
         believed = [
-            seen[j].log_likelihood for j, other in enumerate(self.members) if j != k and passed[j] and aid.topic not in other.doubts
+            seen[j].log_likelihood
+            for j, other in enumerate(self.members)
+            if j != k and passed[j] and aid.topic not in other.doubts
         ]
         return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
 

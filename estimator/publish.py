@@ -9,7 +9,6 @@ from msgspec import Meta
 from logs.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
 
-
 CONFIG_ATTACHMENT = "config.toml"  # of a log: what the estimator was configured with
 
 

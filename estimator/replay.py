@@ -6,7 +6,7 @@ an output gives the same file again.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
@@ -17,12 +17,15 @@ from estimator.tally import ReplaySummary, Tally
 from estimator.version import version
 from logs import schemas
 from logs.codec import Decoder
-from logs.reader import LogError, LogReader
+from logs.reader import LogError, LogReader, Record
 from logs.recorder import Recorder
+from models.messages import Output
 
 TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
-OWN_INPUTS = frozenset({"/landfix/fix", "/landfix/tick", "/landfix/checkpoint"})  # inputs although they stand under our own prefix
+OWN_INPUTS = frozenset(  # what stands under our own prefix, and no replay of ours makes anew
+    {"/landfix/fix", "/landfix/vision", "/landfix/vision_request", "/landfix/tick", "/landfix/checkpoint"}
+)
 _PROGRESS_EVERY = 2000  # records
 
 
@@ -47,8 +50,29 @@ class ReplayConfig(Protocol):
         ...
 
 
-def replay(source: Path, out: Path, config: ReplayConfig, progress: Callable[[float], None] | None = None) -> ReplaySummary:
-    """Replay the log `source` into `out`; progress is told the fraction done. Raises LogError for a file that is no log."""
+class SeesAgain(Protocol):
+    """What looks at the pictures of the log again (estimator.sight_replay.SightReplay)."""
+
+    def records(self, record: Record) -> Iterable[Record]:
+        """What the estimator is to see instead of this record."""
+        ...
+
+    def note(self, outputs: Iterable[Output]) -> None:
+        """What Fusion said."""
+        ...
+
+
+def replay(
+    source: Path,
+    out: Path,
+    config: ReplayConfig,
+    progress: Callable[[float], None] | None = None,
+    sight: SeesAgain | None = None,
+) -> ReplaySummary:
+    """Replay the log `source` into `out`; progress is told the fraction done. Raises LogError for a file that is no log.
+
+    sight: looks at the pictures of the log again; None: the fixes in it are taken.
+    """
     if source.exists() and out.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     fusion, decoder, publisher, tally = Fusion(config.fusion()), config.decoder(), Publisher(config.output), Tally()
@@ -57,7 +81,7 @@ def replay(source: Path, out: Path, config: ReplayConfig, progress: Callable[[fl
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
     with LogReader(source) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
         recorder.attach(CONFIG_ATTACHMENT, "application/toml", text)
-        for record in reader:
+        for record in (seen for read in reader for seen in (sight.records(read) if sight else (read,))):
             topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
             if _is_own_output(topic, schema, data):
                 continue
@@ -67,6 +91,8 @@ def replay(source: Path, out: Path, config: ReplayConfig, progress: Callable[[fl
             if message is not None:
                 outputs = fusion.handle(message)
                 tally.step(message, outputs)
+                if sight:
+                    sight.note(outputs)
                 for encoded in publisher.encoded(outputs):
                     recorder.write(*encoded, log_time_ns)
             if progress and tally.records % _PROGRESS_EVERY == 0:

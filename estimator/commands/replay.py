@@ -9,6 +9,8 @@ import typer
 from estimator.commands.console import ConfigFile, Json, Out, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
+    from estimator.config import Config
+    from estimator.sight_replay import SightReplay
     from estimator.tally import ReplaySummary
 
 
@@ -16,7 +18,9 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="IN.mcap", help="Log with the sensors' messages.")],
     out: Out,
     config: ConfigFile = None,
-    _from_fixes: Annotated[bool, typer.Option("--from-fixes", help="Use the fixes in the log (the only way so far).")] = True,
+    from_images: Annotated[
+        bool, typer.Option("--from-images/--from-fixes", help="Look at the pictures again, or take the fixes in the log.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Run a log through the estimator.
@@ -29,19 +33,36 @@ def command(
     Examples:
       landfix replay flight.mcap -o estimate.mcap
       landfix replay flight.mcap -o estimate.mcap -c vehicle.toml --json
+      landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
     from estimator.config import load
     from estimator.replay import replay
 
     loaded = load(config)
+    sight = _sight(loaded, config.parent if config else Path(), source) if from_images else None
     with progress(f"replay {source.name}") as report:
-        summary = replay(source, out, loaded, report)
+        summary = replay(source, out, loaded, report, sight)
+    if sight:
+        note(f"landfix: {sight.tally}")
     if summary.torn:
         note(f"landfix: {source} is torn; replayed up to its last whole record")
     if json:
         print_json(summary)
     else:
         print_summary(summary, out)
+
+
+def _sight(config: "Config", folder: Path, source: Path) -> "SightReplay":
+    """What looks at the pictures of the log. Raises ConfigError."""
+    from estimator.config import ConfigError
+    from estimator.sight_files import load_sight
+    from estimator.sight_replay import SightReplay
+
+    rig, landmarks = config.rig.file, config.map.landmarks
+    if rig is None or landmarks is None:
+        raise ConfigError("--from-images needs the cameras and a map: give -c FILE with [rig] file and [map] landmarks")
+    sight = load_sight(folder / rig, folder / landmarks, config.map.origin)
+    return SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
 
 
 def print_summary(summary: "ReplaySummary", out: Path) -> None:
