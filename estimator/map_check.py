@@ -21,7 +21,7 @@ _MISSING = {
     "height_m": "roofs at a guessed height move the fix when seen from the side; give height_m (map build --height-m)",
     "ground_alt_m": "the ground is taken at the origin's height; give ground_alt_m, or the origin's (map build --origin)",
     "sigma_m": "a guessed map error makes fixes too sure or too shy; give sigma_m (map build --sigma-m)",
-    "colour": "regions are then told apart by shape and place alone; give colour",
+    "colour": "regions are then told apart by shape and place alone; give colour (map build --colour-from)",
 }
 
 

@@ -31,6 +31,13 @@ def build(
     origin: Annotated[
         str, typer.Option(metavar="LAT,LON,ALT", help="Origin of the local frame, ALT above the ellipsoid; else the middle.")
     ] = "",
+    colour_from: Annotated[
+        Path | None,
+        typer.Option(metavar="PICTURE", help="Orthophoto that colours what does not tell its own: GeoTIFF or world file."),
+    ] = None,
+    picture_epsg: Annotated[
+        int, typer.Option(metavar="CODE", help="Coordinate system of PICTURE, where it does not tell: 4326, 326xx, 327xx, 3857.")
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Make a map from polygons.
@@ -41,6 +48,7 @@ def build(
     \b
     Examples:
       landfix map build buildings.geojson -o map.geojson
+      landfix map build buildings.geojson -o map.geojson --colour-from orthophoto.tif
       landfix map build pads.geojson -o map.geojson --height-m 0 --sigma-m 0.05 --origin 47.3977,8.5456,488
     """
     from estimator.map_store import load
@@ -49,7 +57,15 @@ def build(
     defaults = Defaults(height_m=height_m, sigma_m=sigma_m, origin=_origin(origin))
     with progress(f"build {source.name}") as report:
         the_map = load(source, defaults)
-        report(0.7)
+        report(0.5)
+        if colour_from is not None:
+            from estimator import orthophoto
+
+            picture = orthophoto.load(colour_from, picture_epsg)
+            the_map = orthophoto.coloured(the_map, picture)
+            if picture.is_grey:
+                note(f"{colour_from} is grey, and so are the colours taken from it")
+        report(0.8)
         if len(the_map):
             out.write_bytes(the_map.to_geojson())
     if json:
