@@ -92,7 +92,7 @@ def calibrate(
     return CameraImu(
         R_bc, theta[_POSITION].copy(), problem.offset0 + float(theta[_OFFSET]), covariance[:7, :7], e[:-1].reshape(-1, 6),
         1e-9 * (problem.stamps_ns[1:] - problem.stamps_ns[0]), float(np.rad2deg(np.linalg.norm(turn))), mean_square,
-        poses.sigma_px * np.sqrt(2.0), int(np.sum(~good)),
+        float(poses.sigma_px * np.sqrt(2.0)), int(np.sum(~good)),
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ _SMOOTHING_PX = 0.8
 _SEARCH_PX = 1500  # larger pictures are searched at reduced size
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _BLURRED_PX: Final = 6.0  # an edge that takes more pixels from 10 to 90 % is blurred ...
-_BLURRED_SQUARE: Final = 0.35  # ... and so is one that takes this part of a square
+_BLURRED_SQUARE: Final = 0.25  # ... and so is one that takes this part of a square
 _OTHER_SIZES = (
     (9, 6),
     (8, 6),

@@ -110,7 +110,7 @@ def camera_imu_command(
 
 
 def _config(path: Path | None) -> "Config":
-    """The configuration; without a file the noise of a usual MEMS IMU in the hand: the default's is that of a vehicle in flight."""
+    """The configuration; without a file the noise of a usual MEMS IMU in the hand, not that of a vehicle in flight."""
     from estimator.config import Config, Imu, load
 
     if path is not None:

@@ -2,6 +2,7 @@
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re
+import struct
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,7 +26,7 @@ class Picture(NamedTuple):
 
 
 def pictures(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[Picture]:
-    """All pictures of the sources in order, of a video or log at most so many. Raises CalibrationError, too, where there is none."""
+    """All pictures of the sources in order, of a video or log at most so many. Raises CalibrationError where there is none."""
     files = [f for source in sources for f in _files(source)]
     for k, file in enumerate(files):
         if file.startswith("camera:"):
@@ -64,7 +65,9 @@ def _still(path: Path, k: int) -> Iterator[Picture]:
     import cv2
     import numpy as np
 
-    image = cv2.imdecode(np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    image = cv2.imdecode(
+        np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    )
     if image is None:
         raise CalibrationError(f"{path}: no picture that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)")
     numbers = re.findall(r"\d+", path.stem)
@@ -121,26 +124,14 @@ def _log(path: Path, topic: str, most: int) -> Iterator[Picture]:
 
 def _decoded(schema: str, data: bytes, where: str) -> tuple[int, Any]:
     """Stamp and picture of a sensor_msgs Image or CompressedImage."""
-    import cv2
-    import numpy as np
-
     from logs import schemas
+    from logs.pictures import PictureError, decode_picture
 
     if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
         raise CalibrationError(f"{where} carries {schema}, not pictures")
-    message: Any = schemas.STORE.deserialize_cdr(data, schema)
-    t_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-    if schema == schemas.COMPRESSED_IMAGE:
-        image = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise CalibrationError(f"{where}: a compressed picture cannot be read")
-        return t_ns, image
-    kinds = {"mono8": (np.uint8, 1), "8UC1": (np.uint8, 1), "mono16": (np.uint16, 1), "16UC1": (np.uint16, 1),
-             "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3), "8UC3": (np.uint8, 3)}  # fmt: skip
-    if message.encoding not in kinds:
-        raise CalibrationError(f"{where}: pictures are {message.encoding}; supported are {', '.join(kinds)}")
-    dtype, channels = kinds[message.encoding]
-    rows = np.frombuffer(message.data.tobytes(), dtype=np.uint8).reshape(message.height, message.step)
-    flat = rows[:, : message.width * channels * np.dtype(dtype).itemsize]
-    image = np.ascontiguousarray(flat).view(dtype).reshape(message.height, message.width, channels)
-    return t_ns, image[..., 0] if channels == 1 else image[..., ::-1] if message.encoding == "rgb8" else image
+    try:
+        image = decode_picture(schema, data)
+    except PictureError as error:
+        raise CalibrationError(f"{where}: {error}") from None
+    second, nanosecond = struct.unpack_from("<iI", data, 4)  # header.stamp, the first field after the encapsulation
+    return second * 1_000_000_000 + nanosecond, image

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from calib.chessboard import Board, View, Why, find, size_seen
 from calib.errors import CalibrationError
 from calib.mono import Dropped
+from calib.selection import FEWEST
 from calib.stereo import Pair
 from estimator.commands.picture_source import MOST_FRAMES, pictures
 from vision.rectify import Image
@@ -12,13 +13,13 @@ from vision.rectify import Image
 Keyed = tuple[int, View]
 
 _SAME_TIME_NS = 5_000_000
-_HINTS = 4  # pictures searched for a board of another size
+_HINTS = 2  # pictures searched for a board of another size
 
 
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
-    """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where no picture does."""
+    """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where too few do."""
     views: list[Keyed] = []
     unused: list[Dropped] = []
     without: list[Image] = []
@@ -31,8 +32,8 @@ def gather(
             if found is Why.NOT_FOUND and len(without) < _HINTS:
                 without.append(picture.image)
         progress(picture.done)
-    if not views:
-        raise CalibrationError(_why_none(board, unused, [size_seen(image, board) for image in without]))
+    if len(views) < FEWEST:
+        raise CalibrationError(_why_few(board, len(views), unused, [size_seen(image, board) for image in without]))
     return views, unused
 
 
@@ -60,13 +61,19 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     return pairs, unpaired
 
 
-def _why_none(board: Board, unused: Sequence[Dropped], sizes: Sequence[tuple[int, int] | None]) -> str:
-    size = f"{board.columns}x{board.rows}"
-    if any(d.reason == Why.BLURRED for d in unused):
-        return f"all {len(unused)} pictures of the board are blurred: hold it still, focus, give more light"
+def _why_few(board: Board, views: int, unused: Sequence[Dropped], sizes: Sequence[tuple[int, int] | None]) -> str:
+    size, total = f"{board.columns}x{board.rows}", views + len(unused)
+    blurred = sum(d.reason == Why.BLURRED for d in unused)
     seen = [s for s in sizes if s is not None]
-    if seen:
-        return f"no {size} board in {len(unused)} pictures, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
+    if blurred > len(unused) / 2:
+        return f"{blurred} of {total} pictures are blurred: hold the board still, focus, give more light"
+    if seen and not views:
+        return f"no {size} board in {total} pictures, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
+    if not views:
+        return (
+            f"no {size} board found in {total} pictures: the whole board with a white border must be seen, sharp and evenly lit"
+        )
     return (
-        f"no {size} board found in {len(unused)} pictures: the whole board with a white border must be seen, sharp and evenly lit"
+        f"{views} usable views of the board in {total} pictures, at least {FEWEST} are needed (20 are good): take more pictures, "
+        "the whole board in each, tilted 20-45 degrees each way"
     )
