@@ -1,6 +1,6 @@
 """The daemon under load for minutes: latency, processor, memory, drops, and whether its log says the same again.
 
-    python -m benchmarks.service [--minutes 10] [--image-hz 10] [--nice -10] [--json]
+    python -m benchmarks.service [--minutes 10] [--image-hz 10] [--realtime] [--json]
 
 Three processes on this machine: `landfix run`, the vehicle of benchmarks.service_vehicle (400 Hz IMU, 5 Hz GNSS, 1 Hz pose fixes,
 two VGA cameras) and, within it, the subscriber that times the estimates. Latency is from an IMU sample's stamp to its estimate in
@@ -114,12 +114,14 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--image-hz", type=float, default=10.0)
     parser.add_argument("--port", type=int, default=17447)
-    parser.add_argument("--nice", type=int, default=0, help="of all processes; below 0 needs to be root")
+    parser.add_argument("--realtime", action="store_true", help="SCHED_RR, for a machine that is busy; needs root")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where log and replay are kept")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    os.nice(given.nice)
+    if given.realtime:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     with tempfile.TemporaryDirectory() as folder:
-        result = run(given.minutes, given.image_hz, given.port, Path(folder))
+        result = run(given.minutes, given.image_hz, given.port, given.keep or Path(folder))
     if given.json:
         print(json.dumps(result))
         return

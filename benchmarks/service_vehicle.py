@@ -89,8 +89,9 @@ def image(topic: str, t_ns: int, pixels: bytes) -> Encoded:
 class Vehicle:
     """Publishers as rmw_zenoh would declare them, and a subscriber for the estimate."""
 
-    def __init__(self, session: zenoh.Session, seed: int) -> None:
-        self._session, self._rng = session, np.random.default_rng(seed)
+    def __init__(self, session: zenoh.Session, seed: int, cameras: zenoh.Session | None = None) -> None:
+        """cameras: a session of their own, as a driver in a process of its own has it."""
+        self._session, self._cameras, self._rng = session, cameras or session, np.random.default_rng(seed)
         self._publishers = {topic: self._publisher(topic, schema) for topic, schema in TOPICS.items()}
         self._sequence, self._gid = 0, secrets.token_bytes(16)
         self._pixels = self._rng.integers(0, 255, _VGA, np.uint8).tobytes()
@@ -107,8 +108,11 @@ class Vehicle:
         self.sent[topic] = self.sent.get(topic, 0) + 1
 
     def _publisher(self, topic: str, schema: str) -> zenoh.Publisher:
-        key = zenoh_keys.rmw_key(0, topic, schema, type_hash(schema))
-        return self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP, express=True)
+        """Reliable for measurements, best effort for pictures, as rmw_zenoh maps them."""
+        key, control = zenoh_keys.rmw_key(0, topic, schema, type_hash(schema)), zenoh.CongestionControl
+        if schema == schemas.IMAGE:
+            return self._cameras.declare_publisher(key, congestion_control=control.DROP)
+        return self._session.declare_publisher(key, congestion_control=control.BLOCK, express=True)
 
     def fly(self, seconds: float, imu_hz: float, gnss_hz: float, fix_hz: float, image_hz: float) -> None:
         """In real time."""
@@ -165,15 +169,16 @@ def main() -> None:
     parser.add_argument("--image-hz", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    session = connected(given.connect)
-    vehicle = Vehicle(session, given.seed)
+    session, cameras = connected(given.connect), connected(given.connect)
+    vehicle = Vehicle(session, given.seed, cameras)
     vehicle.fly(given.seconds, given.imu_hz, given.gnss_hz, given.fix_hz, given.image_hz)
     time.sleep(0.5)
     latency_ms = sorted(ns * 1e-6 for ns in vehicle.latency_ns) or [math.nan]
     shares = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
     latencies = {name: round(latency_ms[math.ceil(q * len(latency_ms)) - 1], 3) for name, q in shares.items()}
     print(json.dumps({"sent": vehicle.sent, "received": len(vehicle.latency_ns), "latency_ms": latencies}))
-    session.close()  # type: ignore[no-untyped-call]
+    for opened in (session, cameras):
+        opened.close()  # type: ignore[no-untyped-call]
 
 
 if __name__ == "__main__":

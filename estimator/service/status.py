@@ -24,7 +24,7 @@ class Status:
 
     def __init__(self, began_ns: int, parts: Mapping[str, Callable[[], Mapping[str, Any]]]) -> None:
         self._began_ns, self._parts = began_ns, parts
-        self._next_ns = began_ns
+        self._next_ns = self._reported_ns = began_ns
         self._counts: dict[str, int] = {}  # by topic, since the last report
         self._totals: dict[str, int] = {}
         self._latency_ns: deque[tuple[int, int]] = deque(maxlen=_RECENT)  # since validity, since arrival
@@ -57,8 +57,8 @@ class Status:
         """What became of the last second, if it is over."""
         if now_ns < self._next_ns:
             return None
-        period_s = (now_ns - self._next_ns + _PERIOD_NS) * 1e-9
-        self._next_ns = now_ns + _PERIOD_NS
+        period_s = max(1e-9 * (now_ns - self._reported_ns), 1e-3)
+        self._reported_ns, self._next_ns = now_ns, now_ns + _PERIOD_NS
         values: dict[str, Any] = {"uptime_s": f"{(now_ns - self._began_ns) * 1e-9:.0f}"}
         values |= {f"rate_hz {topic}": f"{n / period_s:.1f}" for topic, n in sorted(self._counts.items())}
         values["unbelieved_stamps"] = self.unbelieved
