@@ -119,7 +119,10 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
         return Unmatched(region, found)
     disparity, score = found
     rim = correlation.template(region.mask, region.bbox[0], region.bbox[1], 0, _RIM)
-    disparity, vertical = _to_the_pixel(pair, rim, disparity, search)
+    place = _to_the_pixel(pair, rim, disparity, search)
+    if place is None:
+        return Unmatched(region, "ambiguous: two places fit alike")
+    disparity, vertical = place
     if disparity - offset < -1.5:
         return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
     gain = correlation.gain(*pair.grey(0), rim, disparity, vertical)
@@ -149,20 +152,23 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
     return (low + best) * size, float(scores[best])
 
 
-def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int]:
-    """Disparity and vertical offset to one pixel, by the same coefficient of the grey levels at full resolution."""
+def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | None:
+    """Disparity and vertical offset to one pixel, by the same coefficient at full resolution; None where another fits alike."""
     left, right = pair.grey(0)
     some = rim[:: max(len(rim) // 900, 1)]
-    for reach in (8, 3):
-        scores = correlation.scan(left, right, some, disparity - reach, disparity + reach, 0)
-        disparity += int(scores.argmax()) - reach
+    scores = correlation.scan(left, right, some, disparity - 12, disparity + 12, 0)
+    best = int(scores.argmax())
+    others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
+    peaks = others[1:-1][(others[1:-1] >= scores[:-2]) & (others[1:-1] >= scores[2:])]
+    if peaks.max(initial=-1.0) > scores[best] - search.least_lead:
+        return None
+    disparity += best - 12
     vertical = 0
     if search.vertical_px:
         shifts = range(-search.vertical_px, search.vertical_px + 1)
         vertical = max(shifts, key=lambda dv: (correlation.scan(left, right, some, disparity, disparity, dv)[0], -abs(dv)))
     if vertical:
-        scores = correlation.scan(left, right, some, disparity - 3, disparity + 3, vertical)
-        disparity += int(scores.argmax()) - 3
+        disparity += int(correlation.scan(left, right, some, disparity - 3, disparity + 3, vertical).argmax()) - 3
     return disparity, vertical
 
 

@@ -21,9 +21,10 @@ def rig(width: int = WIDTH, height: int = HEIGHT, shift_px: float = 0.0) -> Ster
 def texture(x: Array, y: Array, seed: int) -> Array:
     """Smooth noise in [-1, 1] of points in metres."""
     rng = np.random.default_rng(seed)
-    waves = rng.normal(0.0, 14.0, (40, 2))
-    phase = rng.uniform(0.0, 2.0 * np.pi, 40)
-    return np.asarray(np.sin(waves[:, 0, None, None] * x + waves[:, 1, None, None] * y + phase[:, None, None]).mean(axis=0) * 3.0)
+    total = np.zeros_like(x)
+    for (a, b), phase in zip(rng.normal(0.0, 14.0, (10, 2)), rng.uniform(0.0, 2.0 * np.pi, 10), strict=True):
+        total += 0.3 * np.sin(a * x + b * y + phase)
+    return total
 
 
 def board(
@@ -52,7 +53,7 @@ def board(
     corners = np.array([0.0, 0.0, depth_m]) + flat @ axes
     pictures = []
     for camera, x0, dv in ((the_rig.left, 0.0, 0.0), (the_rig.right, BASELINE, vertical_px)):
-        fine = 4  # rays a pixel each way
+        fine = 3  # rays a pixel each way
         u, v = ((np.arange(n * fine) + 0.5) / fine - 0.5 for n in (camera.width, camera.height))
         rx, ry = np.meshgrid((u - camera.cx) / camera.fx, (v - dv - camera.cy) / camera.fy)
         along_ray = (normal[2] * depth_m - normal[0] * x0) / (rx * normal[0] + ry * normal[1] + normal[2])
