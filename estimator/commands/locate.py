@@ -161,12 +161,12 @@ def _print(landmarks: "LandmarkMap", result: "Result") -> None:
 
 def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
     north, east, down = pose["sigma_north_east_down_m"]
-    turns = pose["sigma_rotation_deg"]
     return [
-        ("latitude, longitude", f"{pose['lat_deg']:.7f}, {pose['lon_deg']:.7f} deg  ± {north:.2f} m north, {east:.2f} m east"),
+        ("latitude", f"{pose['lat_deg']:.7f} deg ± {north:.2f} m"),
+        ("longitude", f"{pose['lon_deg']:.7f} deg ± {east:.2f} m"),
         ("height above ellipsoid", f"{pose['alt_m']:.2f} ± {down:.2f} m"),
         ("roll, pitch, yaw", ", ".join(f"{pose[k]:.2f}" for k in ("roll_deg", "pitch_deg", "yaw_deg")) + " deg"),
-        ("± about north, east, down", ", ".join(f"{x:.2f}" for x in turns) + " deg"),
+        ("± about north, east, down", ", ".join(f"{x:.2f}" for x in pose["sigma_rotation_deg"]) + " deg"),
     ]
 
 
