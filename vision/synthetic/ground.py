@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.messages import Array
-from vision.synthetic.texture import Field, Grid, bounded, noise, pyramid, texels_a_side
+from vision.synthetic.texture import Grid, bounded, noise, pyramid, texels_a_side
 
 DETAIL_SIZE, DETAIL_TEXEL_M = 2048, 0.015
 COVER_SIZE, COVER_TEXEL_M = 1024, 0.2
@@ -103,7 +103,7 @@ def _detail() -> Grid:
     return pyramid(bounded(_stones(texture, 6000, rng)))
 
 
-def _stones(texture: Field, count: int, rng: np.random.Generator) -> Field:
+def _stones(texture: Grid, count: int, rng: np.random.Generator) -> Grid:
     """Pale and dark spots of 3 to 30 cm, few of them large."""
     n = len(texture)
     spots = np.zeros((n, n), dtype=np.float32)
@@ -141,15 +141,15 @@ def _cover() -> Grid:
     return pyramid(np.clip(colour, 0.0, 255.0).astype(np.float32))
 
 
-def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Field]:
+def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Grid]:
     """A periodic Voronoi division with ragged borders: the field each texel belongs to, and its distance to the border."""
     n = COVER_SIZE
     places = rng.uniform(0, n, (count, 2))
     wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])
-    at = np.mgrid[:n, :n] + wander
-    nearest, second = np.full((n, n), np.inf), np.full((n, n), np.inf)
+    at = (np.mgrid[:n, :n] + wander).astype(np.float32)
+    nearest, second = np.full((2, n, n), np.inf, dtype=np.float32)
     owner = np.zeros((n, n), dtype=np.int64)
-    for k, place in enumerate(places):
+    for k, place in enumerate(places.astype(np.float32)):
         d = np.abs(at - place[:, None, None]) % n
         distance = np.hypot(*np.minimum(d, n - d))
         closer = distance < nearest

@@ -14,9 +14,11 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import fft
+
+from models.messages import Array
 
 Grid: TypeAlias = NDArray[np.float32]
-Field = NDArray[np.float64]
 Scalar: TypeAlias = Any  # a float32 or int32: the lookup computes in what it is given
 Taps: TypeAlias = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
@@ -89,14 +91,14 @@ def bilinear_bgr(data: Grid, start: Scalar, size: Scalar, s: Scalar, t: Scalar) 
     )
 
 
-def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0, coarsest: float = np.inf) -> Field:
+def noise(size: int, slope: float, rng: np.random.Generator, finest: float = 2.0, coarsest: float = np.inf) -> Grid:
     """Periodic Gaussian noise of spectrum f^-slope between two wavelengths [texels]; mean 0, variance 1."""
-    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    f = np.hypot(fft.fftfreq(size)[:, None], fft.rfftfreq(size)[None, :])
     f[0, 0] = 1.0
-    gain = np.where((f * finest <= 1.0) & (f * coarsest >= 1.0), f**-slope, 0.0)
+    gain = np.where((f * finest <= 1.0) & (f * coarsest >= 1.0), f**-slope, 0.0).astype(np.float32)
     gain[0, 0] = 0.0
-    field: Field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((size, size))) * gain, s=(size, size))
-    return np.asarray(field / field.std())
+    field = fft.irfft2(fft.rfft2(rng.standard_normal((size, size), dtype=np.float32)) * gain, s=(size, size), overwrite_x=True)
+    return np.asarray(field / field.std(), dtype=np.float32)
 
 
 @cache
@@ -114,12 +116,12 @@ def surfaces() -> Grid:
     return np.stack([pyramid(bounded(made[name])) for name in SURFACES])
 
 
-def bounded(field: Field) -> Grid:
+def bounded(field: Grid | Array) -> Grid:
     """A contrast without outliers."""
     return np.clip(field, -2.6, 2.6).astype(np.float32)
 
 
-def _shingles(rng: np.random.Generator) -> Field:
+def _shingles(rng: np.random.Generator) -> Array:
     """Staggered rows of tiles 0.32 m wide and 0.32 m high, each of its own shade, with a dark line under every row."""
     n, width, height = SURFACE_SIZE, 16, 16
     row, column = np.mgrid[:n, :n]
@@ -130,14 +132,14 @@ def _shingles(rng: np.random.Generator) -> Field:
     return np.asarray(shade + 0.35 * noise(n, 0.3, rng) + 0.4 * noise(n, 1.5, rng))
 
 
-def _gravel(rng: np.random.Generator) -> Field:
+def _gravel(rng: np.random.Generator) -> Array:
     """A flat roof: gravel, darker where water stood, with the seams of its sheets every 2.56 m."""
     n = SURFACE_SIZE
     row = np.arange(n)[:, None] % 128
-    return 0.7 * noise(n, 0.2, rng) + 0.7 * noise(n, 1.6, rng, finest=16.0) - 0.8 * (row < 3)
+    return np.asarray(0.7 * noise(n, 0.2, rng) + 0.7 * noise(n, 1.6, rng, finest=16.0) - 0.8 * (row < 3))
 
 
-def _metal(rng: np.random.Generator) -> Field:
+def _metal(rng: np.random.Generator) -> Array:
     """Sheet metal: a rib every 0.32 m, streaks along the ribs."""
     n = SURFACE_SIZE
     rib = np.cos(2 * np.pi * np.arange(n) / 16)[None, :] ** 3
@@ -145,7 +147,7 @@ def _metal(rng: np.random.Generator) -> Field:
     return np.asarray(0.5 * rib + 0.5 * streaks / streaks.std() + 0.2 * noise(n, 0.0, rng))
 
 
-def _wall(rng: np.random.Generator) -> Field:
+def _wall(rng: np.random.Generator) -> Array:
     """Plaster with dark windows: 1.1 m wide every 2.56 m, 1.3 m high every 2.56 m."""
     n = SURFACE_SIZE
     row, column = np.mgrid[:n, :n]
