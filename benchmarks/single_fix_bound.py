@@ -4,10 +4,11 @@ B = (H^T (s^2 I + N N^T)^-1 H + P_0^-1)^-1,   s = 0.5 px
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.single_fix_views import View
 from models.messages import Array
-from vision.sensitivity import EdgeView, Eye, Samples, eyes, map_rows, pose_rows, rig_rows
+from vision.sensitivity import EdgeView, Eye, Samples, derivatives, eyes
 from vision.visibility import ModelEdges, hidden, visible_edges
 
 CORNER_PX = 0.5
@@ -22,22 +23,27 @@ def bound(view: View) -> Array:
         edges = visible_edges(marks, p_nk)
         corners = _corners(edges)
         shown = _shown(corners, eye, view)
+        sigma = np.array([[m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m] for m in view.landmarks])
+        mark = edges.landmark[corners.edge]
         for axis in range(2):
             seen = _along(corners, eye, view, axis)
-            sigma = np.array([[m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m] for m in view.landmarks])
-            mapped = map_rows(seen, corners, edges, eye, view.p_n, view.R_nb, len(marks)) * sigma.ravel()
-            bc, rc, own = rig_rows(seen, eye, rig)
-            zero = np.zeros_like(own)
-            own = own * np.sqrt(np.diag(eye.camera.covariance))
+            d = derivatives(edges, corners, seen, eye, rig, view.p_n, view.R_nb)
+            mapped = np.zeros((len(mark), *sigma.shape))
+            mapped[np.arange(len(mark)), mark] = d.mapped * sigma[mark]
+            own, zero = d.own * _sigmas(eye.camera.covariance), np.zeros_like(d.own)
             halves = [zero, own] if eye.right else [own, zero]
-            rig_part = [bc * np.sqrt(np.diag(rig.covariance_bc)), rc * np.sqrt(np.diag(rig.covariance_rc))]
-            A.append(pose_rows(seen, corners, eye, view.p_n, view.R_nb)[shown])
-            nuisances.append(np.hstack([mapped, *rig_part, *halves])[shown])
+            rig_part = [d.bc * _sigmas(rig.covariance_bc), d.rc * _sigmas(rig.covariance_rc)]
+            A.append(d.pose[shown])
+            nuisances.append(np.hstack([mapped.reshape(len(mark), -1), *rig_part, *halves])[shown])
     J = np.hstack((np.vstack(A), np.vstack(nuisances))) / CORNER_PX
     omega = J.T @ J + np.eye(J.shape[1])
     omega[:6, :6] += np.linalg.inv(view.prior.covariance) - np.eye(6)
     result: Array = np.linalg.inv(omega)[:6, :6]
     return result
+
+
+def _sigmas(covariance: Array | None) -> Array | float:
+    return 0.0 if covariance is None else np.sqrt(np.diag(covariance))
 
 
 def _corners(edges: ModelEdges) -> Samples:
@@ -48,7 +54,7 @@ def _corners(edges: ModelEdges) -> Samples:
     return Samples(points[first], (first >= count).astype(float), first % count)
 
 
-def _shown(corners: Samples, eye: Eye, view: View) -> np.ndarray:
+def _shown(corners: Samples, eye: Eye, view: View) -> NDArray[np.bool_]:
     p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
     px = eye.camera.project((corners.points_n - p_nk) @ R_nk)
     return eye.camera.contains(px) & ~hidden(corners.points_n, p_nk, view.world.landmarks)

@@ -126,12 +126,12 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
 @njit(cache=True)
 def compress(gain: Array, rows: Array, edge: Indices, edges: int) -> Array:
     """Rows (N, P) of the points as rows of the lines, (E, 2, P)."""
-    result = np.zeros((edges, 2, rows.shape[1]))
+    columns = rows.shape[1]
+    result = np.zeros((edges, 2, columns))
     for i in range(rows.shape[0]):
-        e = edge[i]
-        for j in range(2):
-            g = gain[i, j]
-            if g != 0.0:
-                for k in range(rows.shape[1]):
-                    result[e, j, k] += g * rows[i, k]
+        e, g0, g1 = edge[i], gain[i, 0], gain[i, 1]
+        if g0 != 0.0 or g1 != 0.0:
+            for k in range(columns):
+                result[e, 0, k] += g0 * rows[i, k]
+                result[e, 1, k] += g1 * rows[i, k]
     return result

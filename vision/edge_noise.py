@@ -31,7 +31,9 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.02
     offset_share: Annotated[float, Meta(ge=0, description="common offset per scatter of the points")] = 0.5
     tilt_share: Annotated[float, Meta(ge=0, description="common tilt per scatter")] = 0.3
-    base_px: Annotated[float, Meta(ge=0, description="further common offset of base edges (contact shade, what stands there)")] = 0.3
+    base_px: Annotated[
+        float, Meta(ge=0, description="further common offset of base edges (contact shade, what stands there)")
+    ] = 0.3
     upright_px: Annotated[float, Meta(ge=0, description="further common offset and tilt of upright edges")] = 0.15
     both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both pictures")] = 0.9
     correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
@@ -70,7 +72,12 @@ def _common(scatter: Array, kind: Indices, opened: Array, config: NoiseConfig) -
     base, upright = kind == Kind.BASE, kind == Kind.UPRIGHT
     offset = config.offset_px**2 + (config.offset_share * scatter) ** 2 + opened
     offset += config.base_px**2 * base + config.upright_px**2 * upright
-    tilt = config.tilt_px**2 + (config.tilt_share * scatter) ** 2 + (0.3 * config.base_px) ** 2 * base + config.upright_px**2 * upright
+    tilt = (
+        config.tilt_px**2
+        + (config.tilt_share * scatter) ** 2
+        + (0.3 * config.base_px) ** 2 * base
+        + config.upright_px**2 * upright
+    )
     return np.column_stack((offset, tilt))
 
 

@@ -30,7 +30,9 @@ _FIRST = 0.35  # share of the larger contrast that the first of two steps has at
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
-_SQRT2, _SQRT2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+_FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how far it reaches
+_PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
+_SQRT2PI = math.sqrt(2.0 * math.pi)
 
 
 @njit(cache=True)
@@ -225,9 +227,7 @@ def _elect(vote: Array, mean: Array, count: Array) -> Array:
 
 
 @njit(cache=True)
-def fit(
-    grey: Array, edge: Indices, gap: Array, farthest: float, step: float, usable: Mask
-) -> tuple[Array, Array, Array]:
+def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, usable: Mask) -> tuple[Array, Array, Array]:
     """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
 
     gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
@@ -273,83 +273,132 @@ def fit(
 
 
 @njit(cache=True)
+def _normal(z: float) -> tuple[float, float]:
+    """Phi(z), from a table with linear interpolation (error below 1e-5), and phi(z)."""
+    if z <= -_TAIL:
+        return 0.0, 0.0
+    if z >= _TAIL:
+        return 1.0, 0.0
+    at = (z + _TAIL) * _FINENESS
+    i = int(at)
+    low, high = _PHI[i], _PHI[i + 1]
+    return low + (at - i) * (high - low), (high - low) * _FINENESS
+
+
+@njit(cache=True)
 def _basis(place: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
     """Columns 1, Phi, Phi of the second step, and the two densities, at each place: (S, 5)."""
     for j in range(place.shape[0]):
         z = (place[j] - s0) / sigma
-        y = z - gap / sigma
         basis[j, 0] = 1.0
-        basis[j, 1], basis[j, 2] = 0.5 * (1.0 + math.erf(z / _SQRT2)), 0.5 * (1.0 + math.erf(y / _SQRT2))
-        basis[j, 3] = math.exp(-0.5 * z * z) / _SQRT2PI / sigma
-        basis[j, 4] = math.exp(-0.5 * y * y) / _SQRT2PI / sigma
+        basis[j, 1], density = _normal(z)
+        basis[j, 3] = density / sigma
+        if gap > 0.0:
+            basis[j, 2], density = _normal(z - gap / sigma)
+            basis[j, 4] = density / sigma
+        else:
+            basis[j, 2], basis[j, 4] = 0.0, 0.0
 
 
 @njit(cache=True)
-def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
-    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost."""
+def _solve(matrix: Array, right: Array, size: int, x: Array) -> bool:
+    """x of matrix x = right for a small positive definite matrix, in place by Cholesky; False where it is not."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if total <= 0.0:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(size):
+        total = right[i]
+        for k in range(i):
+            total -= matrix[i, k] * x[k]
+        x[i] = total / matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, size):
+            total -= matrix[k, i] * x[k]
+        x[i] = total / matrix[i, i]
+    return True
+
+
+@njit(cache=True)
+def _split(
+    place: Array,
+    g: Array,
+    gap: float,
+    weight: float,
+    s0: float,
+    sigma: float,
+    x: Array,
+    basis: Array,
+    normal: Array,
+    right: Array,
+) -> float:
+    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. normal, right: room."""
     _basis(place, s0, sigma, gap, basis)
-    normal, right = np.zeros((3, 3)), np.zeros(3)
+    levels = 3 if gap > 0.0 else 2
+    normal[:] = 0.0
+    right[:] = 0.0
     for j in range(place.shape[0]):
-        for k in range(3):
+        for k in range(levels):
             right[k] += basis[j, k] * g[j]
-            for m in range(3):
+            for m in range(k + 1):
                 normal[k, m] += basis[j, k] * basis[j, m]
-    _prefer_even(normal, right, gap, weight, 0.0, 0.0)
-    x[:3] = np.linalg.solve(normal, right)
-    x[3], x[4] = s0, sigma
-    cost = 0.0
-    for j in range(place.shape[0]):
-        cost += (g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]) ** 2
-    return cost + (weight * (x[1] - x[2]) ** 2 if gap > 0.0 else 0.0)
-
-
-@njit(cache=True)
-def _prefer_even(normal: Array, right: Array, gap: float, weight: float, c1: float, c2: float) -> None:
-    """Adds the weak belief c1 = c2 to normal equations, or, without a gap, c2 = 0."""
+    for k in range(levels):
+        normal[k, k] += 1e-9
     if gap > 0.0:
         normal[1, 1] += weight
         normal[2, 2] += weight
-        normal[1, 2] -= weight
         normal[2, 1] -= weight
-        right[1] -= weight * (c1 - c2)
-        right[2] += weight * (c1 - c2)
-    else:
-        normal[2, :] = 0.0
-        normal[:, 2] = 0.0
-        normal[2, 2] = 1.0
-        right[2] = 0.0
+    x[2] = 0.0
+    if not _solve(normal, right, levels, x):
+        return np.inf
+    x[3], x[4] = s0, sigma
+    cost = weight * (x[1] - x[2]) ** 2 if gap > 0.0 else 0.0
+    for j in range(place.shape[0]):
+        cost += (g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]) ** 2
+    return cost
 
 
 @njit(cache=True)
 def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
-    the mean squared misfit. Levenberg-Marquardt from the best of several places.
+    the mean squared misfit. Levenberg-Marquardt from the best of several places; the levels are always the best ones.
     """
     size = place.shape[0]
     reach = place[size - 1]
     contrast = max(abs(np.mean(g[size - 3 :]) - np.mean(g[:3])), 0.5 * (g.max() - g.min()), 1.0)
     weight = (2.0 / (1.5 * contrast)) ** 2  # the noise of a mean profile over how uneven the two steps may be
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
+    normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     cost = np.inf
     for k in range(-4, 5):
-        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis)
+        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis, normal, right)
         if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
             cost = value
             x[:] = trial
     if cost == np.inf:
         return x, 0.0, 0.0
-    damping = 1e-3
-    normal, right = np.zeros((5, 5)), np.zeros(5)
+    damping, fresh = 1e-3, True
     for _ in range(10):
-        _normal_equations(place, g, gap, weight, x, basis, normal, right)
-        damped = normal.copy()
+        if fresh:
+            _normal_equations(place, g, gap, weight, x, basis, normal, right)
+        room[:] = normal
         for k in range(5):
-            damped[k, k] += damping * normal[k, k] + 1e-9
-        step = np.linalg.solve(damped, right)
-        s0, sigma = x[3] + step[3], min(max(x[4] + step[4], 0.35), 0.6 * reach)
-        value = _split(place, g, gap, weight, min(max(s0, -reach), reach), sigma, trial, basis)
-        if value < cost:
-            done = cost - value < 1e-4 * cost
+            room[k, k] += damping * normal[k, k] + 1e-9
+        if not _solve(room, right, 5, step):
+            break
+        s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
+        value = _split(place, g, gap, weight, s0, sigma, trial, basis, room, step)
+        fresh = value < cost
+        if fresh:
+            done = cost - value < 1e-3 * cost
             cost = value
             x[:] = trial
             damping *= 0.2
@@ -357,11 +406,15 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
                 break
         else:
             damping *= 8.0
+    if gap == 0.0:
+        return x, 0.0, cost / size
     _normal_equations(place, g, gap, weight, x, basis, normal, right)
     for k in range(5):
         normal[k, k] += 1e-9
-    noise = max(cost / max(size - 5, 1), 1.0)
-    return x, (noise * np.linalg.inv(normal)[3, 3] if gap > 0.0 else 0.0), cost / size
+    right[:] = 0.0
+    right[3] = 1.0
+    found = _solve(normal, right, 5, step)
+    return x, (max(cost / max(size - 5, 1), 1.0) * step[3] if found else np.inf), cost / size
 
 
 @njit(cache=True)
@@ -370,11 +423,12 @@ def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
     contrast = max(g.max() - g.min(), 1.0)
     weight = (2.0 / (1.5 * contrast)) ** 2
     basis, x = np.empty((place.shape[0], 5)), np.zeros(5)
+    normal, right = np.zeros((5, 5)), np.zeros(5)
     best, width = 0.3 * misfit * place.shape[0], 0.0
     for k in range(4, 15):
         gap = 0.5 * k
         for m in range(-3, 4):
-            cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis)
+            cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis, normal, right)
             if cost < best and abs(x[1]) > _FIRST * abs(x[2]):
                 best, width = cost, gap
     return width
@@ -384,7 +438,7 @@ def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
 def _normal_equations(
     place: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
 ) -> None:
-    """J^T J and J^T r at x = (a, c1, c2, s0, sigma)."""
+    """Lower half of J^T J, and J^T r at x = (a, c1, c2, s0, sigma)."""
     _basis(place, x[3], x[4], gap, basis)
     normal[:] = 0.0
     right[:] = 0.0
@@ -397,29 +451,44 @@ def _normal_equations(
         residual = g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]
         for k in range(5):
             right[k] += row[k] * residual
-            for m in range(5):
+            for m in range(k + 1):
                 normal[k, m] += row[k] * row[m]
-    _prefer_even(normal, right, gap, weight, x[1], x[2])
+    if gap > 0.0:
+        normal[1, 1] += weight
+        normal[2, 2] += weight
+        normal[2, 1] -= weight
+        right[1] -= weight * (x[1] - x[2])
+        right[2] += weight * (x[1] - x[2])
+    else:
+        normal[2, 2] = 1.0
 
 
 @njit(cache=True)
 def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
     """Rows that take gain and gain * shift out of one profile: least squares on 1, the edge's own steps and their derivative."""
     size = place.shape[0]
-    basis = np.empty((size, 5))
+    basis, jacobian = np.empty((size, 5)), np.empty((size, 3))
     _basis(place, x[3], x[4], gap, basis)
-    jacobian = np.empty((size, 3))
+    scale = np.zeros(3)
     for j in range(size):
         jacobian[j, 0], jacobian[j, 1] = 1.0, x[1] * basis[j, 1] + x[2] * basis[j, 2]
         jacobian[j, 2] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
-    normal = jacobian.T @ jacobian
-    scale = np.sqrt(np.array([normal[0, 0], normal[1, 1], normal[2, 2]])) + 1e-12
-    for k in range(3):
-        for m in range(3):
-            normal[k, m] /= scale[k] * scale[m]
-    if abs(np.linalg.det(normal)) < 1e-5:
-        return False
-    rows[:] = (np.linalg.solve(normal, (jacobian / scale).T.copy()).T / scale).T[1:]
+        for k in range(3):
+            scale[k] += jacobian[j, k] ** 2
+    scale = np.sqrt(scale) + 1e-12
+    normal, room = np.zeros((3, 3)), np.zeros((3, 3))
+    for j in range(size):
+        for k in range(3):
+            for m in range(3):
+                normal[k, m] += jacobian[j, k] * jacobian[j, m] / (scale[k] * scale[m])
+    right, solution = np.empty(3), np.empty(3)
+    for j in range(size):
+        room[:] = normal
+        for k in range(3):
+            right[k] = jacobian[j, k] / scale[k]
+        if not _solve(room, right, 3, solution) or room[2, 2] < 3e-3 or room[1, 1] < 3e-3:
+            return False
+        rows[0, j], rows[1, j] = solution[1] / scale[1], solution[2] / scale[2]
     return True
 
 

@@ -1,60 +1,51 @@
 """Six-degree-of-freedom pose from identified landmarks: Gauss-Newton on the outlines' edges in one or two pictures.
 
-    r = H dx + N nu + e,     dx = (dp_n, dtheta_n),   R_true = exp(dtheta) R          (thesis eq. 3.84-3.92, Table 1; Lowe 1991)
+    r = H dx + N nu + e,     dx = (dp_n, dtheta_n),   R_true = exp(dtheta) R          (thesis eq. 3.84-3.92, Table 1; Lowe 1985)
 
 r: offset and tilt of every edge in every picture; nu: errors of map and rig with their own priors, estimated along, so that
 landmarks whose map errors are independent are weighed rightly. The prior picks the mode and is where the equations are
 linearised, but what is reported is the information of the pictures alone: the measurement z which, fused with this prior, gives
 the joint optimum,
 
-    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C = (H^T V^-1 H)^-1.
+    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import outline
-from vision.edge_lines import EdgeLines, compress, fit_lines
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
-from vision.sensitivity import Eye, Samples, edge_gaps, eyes, map_rows, pose_rows, rig_rows, sample_edges, view
-from vision.visibility import Kind, MapError, ModelEdges, visible_edges
+from vision.joint import POSE, Solution, System, distances, solve
+from vision.look import Image, Look, LookConfig, Scene
 
-Image = NDArray[np.uint8]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
-_SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
-_GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
-_WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
-_CLIPPED_PX = 0.25  # how far saturation may shift an edge
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
+_TUKEY = 5.0  # in units of the median distance of edges
+_LARGEST_TURN_RAD = 0.2  # in the last step
 
 
 class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How outlines are looked for and when a fit is believed."""
+    """When a fit is believed, and its parts."""
 
-    windows_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
-    farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
-    fit_half_px: Annotated[int, Meta(ge=3, description="half width of the sub-pixel fit")] = 5
-    spacing_px: Annotated[float, Meta(gt=0, description="distance of points along an edge")] = 3.0
-    most_points: Annotated[int, Meta(ge=4, description="on one edge")] = 24
-    least_points: Annotated[int, Meta(ge=3, description="that make an edge")] = 4
     least_found: Annotated[float, Meta(ge=0, le=1, description="share of the outline in view that must be found")] = 0.4
+    least_edges: Annotated[int, Meta(ge=3, description="lines in all pictures")] = 4
     freedom: Annotated[float, Meta(gt=0, description="weight of the expected residuals in the variance factor, in numbers")] = (
         16.0
     )
     worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is not believed")] = 8.0
     edge_gate: Annotated[float, Meta(gt=0, description="chi-square (4) above which an edge is left out")] = 22.0
+    most_left_out: Annotated[float, Meta(ge=0, lt=1, description="share of the edges that may be left out")] = 0.25
+    look: LookConfig = LookConfig()
     noise: NoiseConfig = NoiseConfig()
 
 
@@ -62,7 +53,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class NoPose:
     """Why there is no pose."""
 
-    reason: str  # too_few_edges | not_found | residual | diverged | ambiguous | no_picture
+    reason: str  # no_picture | too_few_edges | not_found | residual | diverged | ambiguous
     detail: str = ""
 
 
@@ -90,136 +81,41 @@ class PoseEstimate:
     shift_m: Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Round:
-    """What one look at the pictures gave: lines (K pictures) of the same samples at a pose."""
-
-    edges: ModelEdges
-    samples: Samples
-    lines: list[EdgeLines]
-    opened: Array  # (K, E) variance of the offsets that narrow walls add, px^2
-    H: Array  # (K, E, 2, 6)
-    N: Array  # (K, E, 2, P) by the unit-variance nuisances
-    found: float
-
-
 class _Fit:
-    """State of one estimation: pose, map errors, and what does not change."""
+    """What an estimation changes on its way: pose and map errors; and the prior it is held by."""
 
-    def __init__(
-        self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], start: Pose, prior: Prior,
-        config: PoseConfig, shift_m: Array | None,
-    ) -> None:  # fmt: skip
-        self.rig, self.landmarks, self.config = rig, landmarks, config
-        both = zip(eyes(rig), views, strict=False)
-        self.eyes: list[tuple[Eye, Image]] = [(eye, _channels(image)) for eye, image in both if image is not None]
+    def __init__(self, scene: Scene, start: Pose, prior: Prior, shift_m: Array | None) -> None:
+        self.scene = scene
         self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
         self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-        self.information = np.linalg.inv(prior.covariance)
-        sigmas = np.zeros((len(landmarks), len(MapError)))
-        for row, mark in zip(sigmas, landmarks, strict=True):
-            row[:] = mark.sigma_m, mark.sigma_m, mark.height_sigma_m if mark.height_m > 0.0 else 0.0, mark.outline_sigma_m
-        self.map_sigma = sigmas
-        self.map_used = np.flatnonzero(sigmas.ravel() > 0.0)
-        self.map_shift = np.zeros_like(sigmas) if shift_m is None else np.where(sigmas > 0.0, shift_m, 0.0)
-        self.roots = [_root(c) for c in (rig.covariance_bc, rig.covariance_rc, rig.left.covariance, rig.right.covariance)]
+        self.information: Array = np.linalg.inv(prior.covariance)
+        sigma = scene.map_sigma
+        self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
 
     def delta(self) -> Array:
         """x (-) x0: how far the pose is from the prior's, (6,)."""
-        turn = so3.quat_log(so3.multiply(so3.from_matrix(self.R_nb), so3.conjugate(self.q0)))
-        return np.concatenate((self.p_n - self.p0, turn))
+        return difference(self.p_n, self.R_nb, self.p0, self.q0)
 
-    def move(self, step: Array, nuisance: Array) -> None:
-        """Retract by a Gauss-Newton step; nuisance: all unit-variance nuisances, as they now are."""
-        self.p_n = self.p_n + step[:3]
-        self.R_nb = so3.matrix(so3.normalise(so3.from_matrix(so3.matrix(so3.quat_exp(step[3:])) @ self.R_nb)))
-        flat = self.map_shift.ravel()
-        flat[self.map_used] = nuisance[: len(self.map_used)] * self.map_sigma.ravel()[self.map_used]
+    def present(self, count: int) -> Array:
+        """The unit-variance nuisances (count,) that the drawn outlines contain: those of the map; the rig's are 0."""
+        used = self.scene.map_used
+        result = np.zeros(count)
+        result[: len(used)] = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
+        return result
 
-    def present(self) -> Array:
-        """The unit-variance nuisances that the drawn outlines already contain; those of the rig are 0."""
-        mapped = self.map_shift.ravel()[self.map_used] / self.map_sigma.ravel()[self.map_used]
-        return np.concatenate((mapped, np.zeros(sum(root.shape[1] for root in self.roots))))
+    def solve(self, system: System) -> Solution:
+        """The step from here."""
+        return solve(system, self.present(system.A.shape[2] - POSE), self.information, self.delta())
 
-    def edges(self) -> ModelEdges:
-        """Visible edges, at the map errors estimated so far."""
-        edges = visible_edges(self.landmarks, self.eyes[0][0].pose(self.p_n, self.R_nb)[0])
-        shift = self.map_shift[edges.landmark]
-        return replace(
-            edges,
-            start_n=edges.start_n + np.einsum("eij,ej->ei", edges.map_start, shift),
-            end_n=edges.end_n + np.einsum("eij,ej->ei", edges.map_end, shift),
-        )
-
-    def look(self, half: int, farthest: float = 0.0) -> _Round:
-        """Look for the outline from the present pose within half px, or fit its edges not farther off than that, and linearise."""
-        config, fine = self.config, farthest > 0.0
-        edges = self.edges()
-        samples = sample_edges(edges, self.eyes[0][0], self.p_n, self.R_nb, config.spacing_px, config.most_points)
-        count = len(edges.kind)
-        lines, opened, H, N, seen_points, found_points = [], [], [], [], 0.0, 0.0
-        for eye, image in self.eyes:
-            seen = view(edges, samples, eye, self.p_n, self.R_nb, self.landmarks)
-            usable = seen.usable & ~outline_conflicts(edges, samples, seen.px, seen.normal, eye, self.p_n, self.R_nb, half, fine)
-            gap = edge_gaps(edges, samples, seen, eye, self.p_n, self.R_nb)
-            if fine:
-                usable &= (edges.kind[samples.edge] != Kind.BASE) | (np.abs(gap[samples.edge]) >= half + 1.5)
-            else:
-                usable &= edges.kind[samples.edge] == Kind.ROOF
-            values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3 if fine else 1, usable)
-            roof = edges.kind == Kind.ROOF
-            distance, alien = outline.off_roof(values, samples.edge, edges.landmark, roof, usable)
-            if fine:
-                usable &= ~alien[samples.edge]
-                grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
-                double = np.where(roof & (gap > _SEEN_GAP_PX) & (gap < half + 1.5), gap, 0.0)
-                offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
-                variance = _GAP_FACTOR * variance + np.where(roof & (gap > 0.0) & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)
-                offsets[(variance > _WIDEST_OPEN_PX**2)[samples.edge]] = np.nan
-                opened.append(variance + np.where(clipped, _CLIPPED_PX**2, 0.0))
-            else:
-                offsets = outline.search(distance, samples.edge, count, 1.0, usable)
-                opened.append(np.zeros(count))
-            line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
-            lines.append(line)
-            seen_points += float(usable.sum())
-            found_points += float(line.points.sum())
-            H.append(compress(line.gain, pose_rows(seen, samples, eye, self.p_n, self.R_nb), samples.edge, count))
-            mapped = map_rows(seen, samples, edges, eye, self.p_n, self.R_nb, len(self.landmarks))
-            rows = [(mapped * self.map_sigma.ravel())[:, self.map_used]]
-            by_bc, by_rc, own = rig_rows(seen, eye, self.rig)
-            rows += [by_bc @ self.roots[0] if self.roots[0].size else np.empty((len(own), 0))]
-            rows += [by_rc @ self.roots[1] if self.roots[1].size else np.empty((len(own), 0))]
-            for right, root in ((False, self.roots[2]), (True, self.roots[3])):
-                mine = right == eye.right and root.size
-                rows.append(own @ root if mine else np.zeros((len(own), root.shape[1])))
-            N.append(compress(line.gain, np.nan_to_num(np.hstack(rows)), samples.edge, count))
-        return _Round(edges, samples, lines, np.array(opened), np.array(H), np.array(N), found_points / max(seen_points, 1.0))
-
-
-def _channels(image: Image) -> Image:
-    return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
-
-
-def _root(covariance: Array | None) -> Array:
-    """L (n, r) with covariance = L L^T; no columns where there is none."""
-    if covariance is None:
-        return np.zeros((0, 0))
-    values, vectors = np.linalg.eigh(covariance)
-    keep = values > 1e-14 * max(values[-1], 1e-300)
-    root: Array = vectors[:, keep] * np.sqrt(values[keep])
-    return root
-
-
-def outline_conflicts(
-    edges: ModelEdges, samples: Samples, px: Array, normal: Array, eye: Eye, p_n: Array, R_nb: Array, half: int, fine: bool
-) -> NDArray[np.bool_]:
-    """Samples beside which another edge of the model runs through the profile, so that the two cannot be told apart."""
-    p_nk, R_nk = eye.pose(p_n, R_nb)
-    count = len(edges.kind)
-    ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
-    reach = half + 1.5 if fine else 2.5
-    return outline.crossed(px, normal, samples.edge, edges.partner, ends[:count], ends[count:], reach)
+    def move(self, step: Solution) -> None:
+        """Retract: p + dp, exp(dtheta) R, and the map errors as solved for."""
+        self.p_n = self.p_n + step.dx[:3]
+        turned = so3.multiply(so3.quat_exp(step.dx[3:]), so3.from_matrix(self.R_nb))
+        self.R_nb = so3.matrix(so3.normalise(turned))
+        used = self.scene.map_used
+        flat = self.shift_m.ravel()
+        flat[used] = step.nuisance[: len(used)] * self.scene.map_sigma.ravel()[used]
+        self.shift_m = flat.reshape(self.shift_m.shape)
 
 
 def estimate_pose(
@@ -232,162 +128,103 @@ def estimate_pose(
     so far of the map's errors (MapError), as start_from_regions gives it.
     """
     config = config or PoseConfig()
-    fit = _Fit(rig, views, landmarks, start, prior, config, shift_m)
-    if not fit.eyes:
-        return NoPose("no_picture")
-    for half in config.windows_px:
-        seen = fit.look(half)
-        if refusal := _enough(seen, config):
+    scene = Scene(rig, views, landmarks)
+    if not scene.eyes or not landmarks:
+        return NoPose("no_picture" if landmarks else "too_few_edges")
+    fit = _Fit(scene, start, prior, shift_m)
+    rounds = [(half, 0.0, 1.0) for half in config.look.search_px] + [(0, far, 0.3) for far in config.look.farthest_px]
+    for number, (search_px, farthest_px, common_px) in enumerate(rounds):
+        seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, search_px, farthest_px)
+        if refusal := _not_enough(seen, config):
             return refusal
-        _robust_step(fit, seen, 1.0)
-    for farthest in config.farthest_px:
-        seen = fit.look(config.fit_half_px, farthest)
-        if refusal := _enough(seen, config):
-            return refusal
-        if farthest != config.farthest_px[-1]:
-            _robust_step(fit, seen, 0.3)
-    return _fine_step(fit, seen)
+        if number < len(rounds) - 1:
+            fit.move(_robust_step(fit, seen, common_px))
+    system, step = _final_step(fit, seen, config)
+    return _report(fit, seen, system, step, config)
 
 
-def _enough(seen: _Round, config: PoseConfig) -> NoPose | None:
-    number = sum(int(line.found.sum()) for line in seen.lines)
-    if number < 3:
+def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
+    number = int(seen.found.sum())
+    if number < config.least_edges:
         return NoPose("too_few_edges", f"{number} edges found")
-    return None if seen.found >= config.least_found else NoPose("not_found", f"{seen.found:.0%} of the outline in view")
+    return None if seen.share >= config.least_found else NoPose("not_found", f"{seen.share:.0%} of the outline in view")
 
 
-def _system(seen: _Round) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-    """Mask (E, K, 2) of the lines found, and residuals (E, K, 2), H (E, K, 2, 6), N (E, K, 2, P) with edges first."""
-    found = np.array([line.found for line in seen.lines]).T
-    z = np.array([line.line for line in seen.lines]).transpose(1, 0, 2)
-    return np.repeat(found[:, :, None], 2, axis=2), z, seen.H.transpose(1, 0, 2, 3), seen.N.transpose(1, 0, 2, 3)
+def _system(seen: Look, R: Array) -> System:
+    """Edges of all pictures as blocks; R: (E, K, 2, K, 2)."""
+    edges, pictures = seen.found.shape
+    rows = 2 * pictures
+    A = np.concatenate((seen.H, seen.N), axis=3).reshape(edges, rows, -1)
+    return System.of(seen.line.reshape(edges, rows), A, R.reshape(edges, rows, rows), np.repeat(seen.found, 2, axis=1))
 
 
-def _solve(fit: _Fit, H: Array, N: Array, weight: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Joint step of pose and nuisances with their priors; weight (M, M) = R^-1. Returns dx, nuisances, information matrix."""
-    A = np.hstack((H, N))
-    present = fit.present()
-    WA = weight @ A
-    omega = A.T @ WA
-    eta = WA.T @ (z + N @ present)  # of the nuisances as such, not of their change
-    omega[6:, 6:] += np.eye(N.shape[1])
-    prior = omega.copy()
-    prior[:6, :6] += fit.information
-    eta[:6] -= fit.information @ fit.delta()
-    solution = np.linalg.solve(prior, eta)
-    return solution[:6], solution[6:], omega
+def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
+    """Iteratively reweighted: an edge caught by a shadow or a neighbour is an outlier as a whole, Huber first, then Tukey."""
+    edges, pictures = seen.found.shape
+    R = np.zeros((edges, pictures, 2, pictures, 2))
+    for k, line in enumerate(seen.lines):
+        R[:, k, :, k, :] = common_px**2 * (0.5 * line.unit + np.diag([1.0, 0.5]))
+        R[:, k, 0, k, 0] += seen.opened[k]
+    system = _system(seen, R)
+    step = fit.solve(system)
+    used = seen.found.any(axis=1)
+    for k in range(5):
+        distance = np.sqrt(distances(system, step.residual) / np.maximum(seen.found.sum(axis=1), 1))
+        ratio = distance / max(1.4826 * float(np.median(distance[used])), 0.5)
+        inside = np.minimum(ratio / _TUKEY, 1.0)
+        step = fit.solve(system.weighted(1.0 / np.maximum(ratio, 1.0) if k < 2 else (1.0 - inside**2) ** 2))
+    return step
 
 
-def _robust_step(fit: _Fit, seen: _Round, common_px: float) -> None:
-    """Iteratively reweighted step: an edge caught by a shadow or a neighbour is an outlier as a whole."""
-    mask, z, H, N = _system(seen)
-    unit = np.array([line.unit for line in seen.lines]).transpose(1, 0, 2, 3)
-    block = (0.5 * unit + np.diag([1.0, 0.5])) * common_px**2
-    block[:, :, 0, 0] += seen.opened.T
-    inverse = np.linalg.inv(block)
-    inverse[~mask[:, :, 0]] = 0.0
-    count = mask.shape[0] * mask.shape[1]
-    flat_z, flat_H, flat_N = z.reshape(-1), H.reshape(2 * count, -1), N.reshape(2 * count, -1)
-    inverse = inverse.reshape(count, 2, 2)
-    used = mask[:, :, 0].ravel()
-    robust = np.ones(count)
-    step, nuisance = np.zeros(6), fit.present()
-    for k in range(6):
-        W = np.zeros((count, 2, count, 2))
-        W[np.arange(count), :, np.arange(count), :] = inverse * robust[:, None, None]
-        step, nuisance, _ = _solve(fit, flat_H, flat_N, W.reshape(2 * count, 2 * count), flat_z)
-        left = (flat_z - flat_H @ step - flat_N @ (nuisance - fit.present())).reshape(count, 2)
-        distance = np.sqrt(np.einsum("ci,cij,cj->c", left, inverse, left))
-        scale = max(1.4826 * float(np.median(distance[used])), 0.5)
-        ratio = distance / scale
-        robust = 1.0 / np.maximum(ratio, 1.0) if k < 3 else np.where(ratio < 5.0, (1.0 - (ratio / 5.0) ** 2) ** 2, 0.0)
-    fit.move(step, nuisance)
-
-
-def _fine_step(fit: _Fit, seen: _Round) -> PoseEstimate | NoPose:
-    """Step with the full covariance of the lines; edges that do not fit are left out one after the other."""
-    config = fit.config
-    mask, z, H, N = _system(seen)
-    V = line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise)
-    pictures = mask.shape[1]
-    kept = mask.copy()
-    dropped = 0
-    while True:
-        rows = np.flatnonzero(kept.ravel())
-        if len(rows) < 8:
-            return NoPose("too_few_edges", f"{len(rows) // 2} edges fit")
-        R = _block_matrix(V)[np.ix_(rows, rows)]
-        fz, fH, fN = z.reshape(-1)[rows], H.reshape(-1, 6)[rows], N.reshape(-1, N.shape[3])[rows]
-        W = np.linalg.inv(R)
-        step, nuisance, omega = _solve(fit, fH, fN, W, fz)
-        left = fz - fH @ step - fN @ (nuisance - fit.present())
-        worst, edge = _worst_edge(left, W, rows, 2 * pictures, len(kept))
-        if worst < config.edge_gate or dropped >= 0.25 * len(kept):
+def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
+    """With the lines' own covariance; edges that do not fit are left out one after the other."""
+    system = _system(seen, line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise))
+    weight = np.ones(len(system.z))
+    for _ in range(int(config.most_left_out * len(weight)) + 1):
+        step = fit.solve(system)
+        distance = distances(system, step.residual)
+        worst = int(np.argmax(distance))
+        if distance[worst] < config.edge_gate or system.count <= 2 * config.least_edges:
             break
-        kept[edge] = False
-        dropped += 1
-    return _report(fit, seen, _Linear(fz, fH, fN, R, W, omega, step, nuisance, left))
+        weight[worst] = 0.0
+        system = system.weighted(weight)
+    return system, step
 
 
-def _block_matrix(V: Array) -> Array:
-    """(M, M) of (E, K, 2, K, 2): edges do not disturb each other."""
-    edges, size = V.shape[0], V.shape[1] * 2
-    full = np.zeros((edges, size, edges, size))
-    full[np.arange(edges), :, np.arange(edges), :] = V.reshape(edges, size, size)
-    return full.reshape(edges * size, edges * size)
-
-
-def _worst_edge(left: Array, W: Array, rows: NDArray[np.intp], per_edge: int, edges: int) -> tuple[float, int]:
-    distance = np.zeros(edges)
-    np.add.at(distance, rows // per_edge, left * (W @ left))
-    edge = int(np.argmax(distance))
-    return float(distance[edge]), edge
-
-
-@dataclass(frozen=True, slots=True)
-class _Linear:
-    """The last linear system: residuals z (M,), H (M, 6), N (M, P), noise R and W = R^-1, information without the pose's prior."""
-
-    z: Array
-    H: Array
-    N: Array
-    R: Array
-    W: Array
-    omega: Array
-    step: Array
-    nuisance: Array
-    left: Array
-
-
-def _report(fit: _Fit, seen: _Round, at: _Linear) -> PoseEstimate | NoPose:
-    config = fit.config
-    freedom = max(len(at.z) - 6, 1)
-    chi2 = float(at.left @ at.W @ at.left + at.nuisance @ at.nuisance)
+def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseConfig) -> PoseEstimate | NoPose:
+    used = system.W[:, ::2, ::2].diagonal(axis1=1, axis2=2) > 0.0  # (E, K)
+    freedom = max(2 * system.count - POSE, 1)
+    chi2 = float(distances(system, step.residual).sum() + step.nuisance @ step.nuisance)
     factor = (config.freedom + chi2) / (config.freedom + freedom)
-    fit.move(at.step, at.nuisance)
+    if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
+        return NoPose("diverged")
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
-    if not np.isfinite(at.step).all() or np.abs(at.step[3:]).max() > 0.2:
-        return NoPose("diverged")
-
-    floor = np.array([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
-    omega = at.omega / factor
-    omega[6:, 6:] = at.omega[6:, 6:] / factor + (1.0 - 1.0 / factor) * np.eye(len(omega) - 6)
-    limited = omega.copy()
-    limited[range(6), range(6)] += floor
-    inverse = np.linalg.inv(limited)
-    gain = inverse[:6] @ np.hstack((at.H, at.N)).T @ at.W / factor
-    image = gain @ (factor * at.R) @ gain.T + (inverse[:6, :6] * floor) @ inverse[:6, :6]
-    by_nuisance = gain @ at.N
-    common = by_nuisance @ by_nuisance.T
+    fit.move(step)
+    image, common = _covariances(system, step.omega, factor)
     total = image + common
     joint = np.linalg.inv(fit.information + np.linalg.inv(total))
     p_n, R_nb = _pictures_alone(fit, total)
-    lines = at.left[0::2]
     return PoseEstimate(
         p_n, R_nb, _symmetric(image), _symmetric(common), fit.p_n, fit.R_nb, _symmetric(joint),
-        float(np.sqrt(np.mean(lines**2))), factor, seen.found, len(at.z) // 2, fit.map_shift.copy(),
+        float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
     )  # fmt: skip
+
+
+def _covariances(system: System, omega: Array, factor: float) -> tuple[Array, Array]:
+    """What of the pose's error (6, 6) comes from the pictures, factor R, and what from map and rig.
+
+    G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),  common = G N N^T G^T
+    """
+    size = len(omega)
+    limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
+    floor = np.array([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
+    limited[range(POSE), range(POSE)] += floor
+    inverse = np.linalg.inv(limited)
+    gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor  # (E, 6, M)
+    image = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain) + (inverse[:POSE, :POSE] * floor) @ inverse[:POSE, :POSE]
+    by_nuisance = np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
+    return image, by_nuisance @ by_nuisance.T
 
 
 def _pictures_alone(fit: _Fit, covariance: Array) -> Pose:
@@ -397,12 +234,22 @@ def _pictures_alone(fit: _Fit, covariance: Array) -> Pose:
     values, vectors = np.linalg.eigh(low.T @ covariance @ low)  # C in units of the prior's
     values = np.where(values < 1.0 / _WORTHLESS, values, 0.0)
     white = vectors @ (values * (vectors.T @ (low.T @ delta)))
-    step = delta + np.linalg.solve(low.T, white)
-    return fit.p0 + step[:3], so3.matrix(so3.quat_exp(step[3:])) @ so3.matrix(fit.q0)
+    return retract(fit.p0, fit.q0, delta + np.linalg.solve(low.T, white))
 
 
 def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.T)
+
+
+def difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
+    """x (-) x0 = (p - p0, log(R R0^T)), (6,)."""
+    turn = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    return np.concatenate((p_n - p0_n, turn))
+
+
+def retract(p_n: Array, q_nb: Array, step: Array) -> Pose:
+    """x (+) step = (p + dp, exp(dtheta) R)."""
+    return p_n + step[:3], so3.matrix(so3.quat_exp(step[3:])) @ so3.matrix(q_nb)
 
 
 def combine(prior: Prior, p_n: Array, R_nb: Array, covariance: Array) -> tuple[Array, Array, Array]:
@@ -410,9 +257,7 @@ def combine(prior: Prior, p_n: Array, R_nb: Array, covariance: Array) -> tuple[A
 
     P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0)
     """
-    P0, q0 = np.asarray(prior.covariance), np.asarray(prior.q_nb_wxyz, dtype=float)
-    turn = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0)))
-    innovation = np.concatenate((p_n - prior.p_n, turn))
+    P0, q0 = np.asarray(prior.covariance, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
     gain = np.linalg.solve(P0 + covariance, P0).T
-    step = gain @ innovation
-    return prior.p_n + step[:3], so3.matrix(so3.quat_exp(step[3:])) @ so3.matrix(q0), _symmetric(P0 - gain @ P0)
+    step = gain @ difference(p_n, R_nb, prior.p_n, q0)
+    return *retract(prior.p_n, q0, step), _symmetric(P0 - gain @ P0)

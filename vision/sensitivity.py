@@ -16,11 +16,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel, StereoRig
+from models.landmarks import Landmark
 from models.messages import Array
-from vision.visibility import ModelEdges, hidden
+from vision.visibility import ModelEdges, Prisms, hidden
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+_CORNER_PX = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,25 +68,43 @@ def eyes(rig: StereoRig) -> tuple[Eye, Eye]:
     )
 
 
-def sample_edges(edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int) -> Samples:
-    """Points on every edge about spacing_px apart in the picture of `eye`, at most `most` on an edge."""
+def sample_edges(
+    edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
+) -> Samples:
+    """Points on every (wanted) edge about spacing_px apart in the picture of `eye`, at most `most` on an edge."""
     p_nk, R_nk = eye.pose(p_n, R_nb)
-    ends = np.concatenate((edges.start_n, edges.end_n))
-    px = eye.camera.project((ends - p_nk) @ R_nk)
     count = len(edges.kind)
-    length = np.nan_to_num(np.hypot(*(px[count:] - px[:count]).T), nan=spacing_px * most)
-    number = np.clip(np.rint(length / spacing_px), 2, most).astype(np.int64)
-    edge = np.repeat(np.arange(count), number)
-    first = np.cumsum(number) - number
-    # Ends stay out: there the profile sees the corner.
-    t = (np.arange(len(edge)) - first[edge] + 0.5) / number[edge]
-    aside = np.minimum(2.5 / np.maximum(length, 1.0), 0.2)[edge]
-    t = aside + (1.0 - 2.0 * aside) * t
-    points = edges.start_n[edge] + t[:, None] * (edges.end_n - edges.start_n)[edge]
-    return Samples(points, t, edge)
+    px = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
+    chosen = np.ones(count, dtype=np.bool_) if wanted is None else wanted
+    return Samples(*_sample(edges.start_n, edges.end_n, px[:count], px[count:], spacing_px, most, chosen))
 
 
-def view(edges: ModelEdges, samples: Samples, eye: Eye, p_n: Array, R_nb: Array, occluders: Sequence[object]) -> EdgeView:
+@njit(cache=True)
+def _sample(
+    start: Array, end: Array, start_px: Array, end_px: Array, spacing: float, most: int, wanted: Mask
+) -> tuple[Array, Array, Indices]:
+    count = len(start)
+    points, place, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
+    n = 0
+    for e in range(count):
+        if not wanted[e]:
+            continue
+        length = np.sqrt(np.sum((end_px[e] - start_px[e]) ** 2))
+        if np.isnan(length):
+            length = spacing * most
+        number = min(max(int(length / spacing + 0.5), 2), most)
+        aside = min(_CORNER_PX / max(length, 1.0), 0.2)  # ends stay out: there the profile sees the corner
+        for i in range(number):
+            t = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
+            place[n], edge[n] = t, e
+            points[n] = start[e] + t * (end[e] - start[e])
+            n += 1
+    return points[:n].copy(), place[:n].copy(), edge[:n].copy()
+
+
+def view(
+    edges: ModelEdges, samples: Samples, eye: Eye, p_n: Array, R_nb: Array, landmarks: Prisms | Sequence[Landmark]
+) -> EdgeView:
     """The samples as `eye` sees them."""
     p_nk, R_nk = eye.pose(p_n, R_nb)
     x_c = (samples.points_n - p_nk) @ R_nk
@@ -92,7 +112,7 @@ def view(edges: ModelEdges, samples: Samples, eye: Eye, p_n: Array, R_nb: Array,
     px, jacobian = eye.camera.project(x_c), eye.camera.project_jacobian(x_c)
     normal, row_c = _normal_rows(jacobian, direction, samples.edge)
     usable = np.isfinite(px).all(axis=1) & np.isfinite(row_c).all(axis=1)
-    usable &= ~hidden(samples.points_n, p_nk, occluders)  # type: ignore[arg-type]
+    usable &= ~hidden(samples.points_n, p_nk, landmarks)
     return EdgeView(px, normal, row_c, x_c, usable)
 
 
@@ -131,32 +151,59 @@ def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n
     return gaps
 
 
-def pose_rows(seen: EdgeView, samples: Samples, eye: Eye, p_n: Array, R_nb: Array) -> Array:
-    """(N, 6) by dp_n and dtheta_n."""
-    row_n = seen.row_c @ eye.pose(p_n, R_nb)[1].T  # n . du/dX
-    # row_n . ([X - p]x dtheta) = -((X - p) x row_n) . dtheta
-    return np.column_stack((-row_n, -np.cross(samples.points_n - p_n, row_n)))
+@dataclass(frozen=True, slots=True)
+class Derivatives:
+    """n . du of the samples: by dp_n and dtheta_n (N, 6), by their landmark's MapError (N, 4), by what covariance_bc (N, 6) and
+    covariance_rc (N, 6) speak of, and by the camera's own parameters (N, 4 + n)."""
+
+    pose: Array
+    mapped: Array
+    bc: Array
+    rc: Array
+    own: Array
 
 
-def map_rows(seen: EdgeView, samples: Samples, edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, landmarks: int) -> Array:
-    """(N, 4 L) by the unknowns of every landmark (MapError)."""
-    row_n = seen.row_c @ eye.pose(p_n, R_nb)[1].T
-    t = samples.t[:, None, None]
-    by_map = (1.0 - t) * edges.map_start[samples.edge] + t * edges.map_end[samples.edge]
-    rows = np.zeros((len(row_n), landmarks, by_map.shape[2]))
-    rows[np.arange(len(row_n)), edges.landmark[samples.edge]] = np.einsum("ni,nij->nj", row_n, by_map)
-    return rows.reshape(len(row_n), -1)
+def derivatives(
+    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig, p_n: Array, R_nb: Array
+) -> Derivatives:
+    """All that moves the samples along their normals in this picture."""
+    lever_b = eye.p_bk - rig.p_bc
+    rows = _derivative_rows(
+        seen.row_c, seen.x_c, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end, p_n, R_nb @ eye.R_kb.T,
+        np.ascontiguousarray(eye.R_kb.T), lever_b, rig.t_rc, eye.right,
+    )  # fmt: skip
+    own = np.matmul(seen.normal[:, None, :], eye.camera.parameter_jacobian(seen.x_c))[:, 0]
+    return Derivatives(rows[:, :6], rows[:, 6:10], rows[:, 10:16], rows[:, 16:], own)
 
 
-def rig_rows(seen: EdgeView, eye: Eye, rig: StereoRig) -> tuple[Array, Array, Array]:
-    """(N, 6) by covariance_bc's unknowns, (N, 6) by covariance_rc's, (N, 4 + n) by this camera's own."""
-    x_c = (seen.x_c - rig.t_rc) @ rig.R_rc if eye.right else seen.x_c
-    row_left = seen.row_c @ rig.R_rc if eye.right else seen.row_c  # n . du/dx_c
-    row_b = row_left @ rig.R_bc.T
-    from_camera_b = x_c @ rig.R_bc.T
-    by_bc = np.column_stack((-row_b, -np.cross(from_camera_b, row_b)))
-    by_rc = np.zeros((len(row_b), 6))
-    if eye.right:
-        by_rc = np.column_stack((seen.row_c, np.cross(x_c @ rig.R_rc.T, seen.row_c)))
-    own = np.einsum("ni,nij->nj", seen.normal, eye.camera.parameter_jacobian(seen.x_c))
-    return by_bc, by_rc, own
+@njit(cache=True)
+def _derivative_rows(
+    row_c: Array, x_c: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array, R_nk: Array,
+    R_bk: Array, lever_b: Array, t_rc: Array, right: bool,
+) -> Array:  # fmt: skip
+    """(N, 22): pose 6, map 4, bc 6, rc 6.  row . (q x dtheta) = -(q x row) . dtheta."""
+    rows = np.zeros((row_c.shape[0], 22))
+    for i in range(row_c.shape[0]):
+        out, row_k = rows[i], row_c[i]
+        row_n, row_b = np.dot(R_nk, row_k), np.dot(R_bk, row_k)
+        out[0], out[1], out[2] = -row_n[0], -row_n[1], -row_n[2]
+        _minus_cross(points[i] - p_n, row_n, out[3:6])
+        for k in range(4):
+            total = 0.0
+            for a in range(3):
+                total += row_n[a] * ((1.0 - t[i]) * map_start[edge[i], a, k] + t[i] * map_end[edge[i], a, k])
+            out[6 + k] = total
+        out[10], out[11], out[12] = -row_b[0], -row_b[1], -row_b[2]
+        _minus_cross(np.dot(R_bk, x_c[i]) + lever_b, row_b, out[13:16])
+        if right:
+            out[16], out[17], out[18] = row_k[0], row_k[1], row_k[2]
+            _minus_cross(row_k, x_c[i] - t_rc, out[19:22])
+    return rows
+
+
+@njit(cache=True)
+def _minus_cross(a: Array, b: Array, out: Array) -> None:
+    """-a x b."""
+    out[0] = a[2] * b[1] - a[1] * b[2]
+    out[1] = a[0] * b[2] - a[2] * b[0]
+    out[2] = a[1] * b[0] - a[0] * b[1]

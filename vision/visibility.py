@@ -11,12 +11,12 @@ can be weighed.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models.landmarks import Landmark
 from models.messages import Array
 
 Indices = NDArray[np.int64]
@@ -41,28 +41,37 @@ class MapError(IntEnum):
     GROWTH = 3
 
 
-class Extruded(Protocol):
-    """What is needed of a landmark (models/landmarks.py)."""
+_ROOF, _BASE, _UPRIGHT = int(Kind.ROOF), int(Kind.BASE), int(Kind.UPRIGHT)  # compiled code reads plain integers
+_NORTH, _EAST, _RISE, _GROWTH = (int(error) for error in MapError)
 
-    @property
-    def outline_n(self) -> Array:
-        """Roof edge, north and east, (K, 2) m."""
 
-    @property
-    def base_d(self) -> float:
-        """Down coordinate of the ground, m."""
+@dataclass(frozen=True, slots=True)
+class Prisms:
+    """L landmarks for the kernels: vertices (V, 2) anticlockwise seen from above, offsets (L + 1,), base_d and height_m (L,)."""
 
-    @property
-    def height_m(self) -> float:
-        """Roof above ground, m; 0 is painted on the ground."""
+    vertices: Array
+    offsets: Indices
+    base_d: Array
+    height_m: Array
+
+    @classmethod
+    def of(cls, landmarks: Sequence[Landmark]) -> "Prisms":
+        """The landmarks' bodies."""
+        return cls(
+            np.concatenate([np.empty((0, 2)), *(mark.outline_n for mark in landmarks)]),
+            np.cumsum([0, *(len(mark.outline_n) for mark in landmarks)], dtype=np.int64),
+            np.array([mark.base_d for mark in landmarks], dtype=np.float64),
+            np.array([mark.height_m for mark in landmarks], dtype=np.float64),
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class ModelEdges:
     """E edges of L landmarks as seen from one place.
 
-    start_n, end_n: (E, 3) m; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base edge below a roof edge whose side is
-    visible and the other way round, -1 without; map_start, map_end: (E, 3, 4) derivatives of the ends by MapError.
+    start_n, end_n: (E, 3) m, roof and base edges run anticlockwise; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base
+    edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, 4) derivatives of
+    the ends by MapError.
     """
 
     start_n: Array
@@ -74,80 +83,96 @@ class ModelEdges:
     map_end: Array
 
 
-def visible_edges(landmarks: Sequence[Extruded], p_nc: Array) -> ModelEdges:
-    """Edges of the landmarks seen from p_nc (3,) m; none of a landmark whose roof is not below the camera."""
-    parts = [_landmark_edges(i, mark, p_nc) for i, mark in enumerate(landmarks)]
-    offset, partners = 0, []
-    for part in parts:
-        partners.append(np.where(part.partner >= 0, part.partner + offset, -1))
-        offset += len(part.partner)
-
-    def join(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    names = ("start_n", "end_n", "landmark", "kind", "map_start", "map_end")
-    joined: dict[str, NDArray[np.generic]] = {name: join(name) for name in names}
-    return ModelEdges(partner=np.concatenate(partners), **joined)  # type: ignore[arg-type]
+def visible_edges(landmarks: Prisms | Sequence[Landmark], p_nc: Array, shift_m: Array | None = None) -> ModelEdges:
+    """Edges seen from p_nc (3,) m, of landmarks that are off the map by shift_m (L, 4); none of one whose roof is not below."""
+    prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
+    count = len(prisms.base_d)
+    shift = np.zeros((count, len(MapError))) if shift_m is None else shift_m
+    return ModelEdges(*_visible_edges(prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m, p_nc, shift))
 
 
-def _landmark_edges(index: int, mark: Extruded, p_nc: Array) -> ModelEdges:
-    outline = np.asarray(mark.outline_n, dtype=float)
-    count, roof_d = len(outline), mark.base_d - mark.height_m
-    along = np.roll(outline, -1, axis=0) - outline
-    turn = np.sign(np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1]))
-    outward = turn * np.column_stack((along[:, 1], -along[:, 0])) / np.linalg.norm(along, axis=1)[:, None]
-    seen = np.sum((p_nc[:2] - outline) * outward, axis=1) > 0.0
-    before = np.roll(seen, 1)
-    flat = np.abs(_cross(np.roll(outward, 1, axis=0), outward)) < _FLAT
-    following = (np.arange(count) + 1) % count
-    roof = np.column_stack((outline, np.full(count, roof_d)))
-    base = np.column_stack((outline, np.full(count, mark.base_d)))
-    by_roof, by_base = _map_derivatives(outward)
-
-    raised = mark.height_m > 0.0
-    sides = np.flatnonzero(seen) if raised else np.empty(0, dtype=np.int64)
-    uprights = np.flatnonzero((seen | before) & ~(seen & before & flat)) if raised else np.empty(0, dtype=np.int64)
-    if p_nc[2] >= roof_d:
-        count, sides, uprights = 0, sides[:0], uprights[:0]
-    roofs = np.arange(count)
-    partner = np.full(count + len(sides) + len(uprights), -1)
-    partner[sides] = count + np.arange(len(sides))
-    partner[count : count + len(sides)] = sides
-    return ModelEdges(
-        start_n=np.concatenate((roof[roofs], base[sides], roof[uprights])),
-        end_n=np.concatenate((roof[following[roofs]], base[following[sides]], base[uprights])),
-        landmark=np.full(len(partner), index),
-        kind=np.repeat([Kind.ROOF, Kind.BASE, Kind.UPRIGHT], [count, len(sides), len(uprights)]).astype(np.int64),
-        partner=partner,
-        map_start=np.concatenate((by_roof[roofs], by_base[sides], by_roof[uprights])),
-        map_end=np.concatenate((by_roof[following[roofs]], by_base[following[sides]], by_base[uprights])),
-    )
-
-
-def _map_derivatives(outward: Array) -> tuple[Array, Array]:
-    """d(roof corner), d(base corner) / d MapError, (K, 3, 4) each: a corner grows along the mitre of its two sides."""
-    before = np.roll(outward, 1, axis=0)
-    mitre = (before + outward) / np.maximum(1.0 + np.sum(before * outward, axis=1), 0.2)[:, None]
-    base = np.zeros((len(outward), 3, 4))
-    base[:, 0, MapError.NORTH] = base[:, 1, MapError.EAST] = 1.0
-    base[:, :2, MapError.GROWTH] = mitre
-    roof = base.copy()
-    roof[:, 2, MapError.RISE] = -1.0
-    return roof, base
+@njit(cache=True)
+def _visible_edges(
+    vertices: Array, offsets: Indices, base_d: Array, height: Array, p_c: Array, shift: Array
+) -> tuple[Array, Array, Indices, Indices, Indices, Array, Array]:
+    most = 3 * len(vertices)
+    ends, by_map = np.empty((2, most, 3)), np.zeros((2, most, 3, 4))
+    landmark, kind, partner = np.empty(most, np.int64), np.empty(most, np.int64), np.full(most, -1)
+    n = 0
+    for m in range(len(base_d)):
+        roof_d = base_d[m] - height[m] - shift[m, _RISE]
+        if p_c[2] >= roof_d:
+            continue
+        corners, mitre, outward = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])
+        count = len(corners)
+        seen = np.empty(count, np.bool_)
+        for j in range(count):
+            towards = (p_c[0] - corners[j, 0]) * outward[j, 0] + (p_c[1] - corners[j, 1]) * outward[j, 1]
+            seen[j] = towards > 0.0 and height[m] > 0.0
+            _put(n, 0, corners[j], mitre[j], roof_d, 1.0, ends, by_map)
+            _put(n, 1, corners[(j + 1) % count], mitre[(j + 1) % count], roof_d, 1.0, ends, by_map)
+            landmark[n], kind[n] = m, _ROOF
+            n += 1
+        first = n - count
+        for j in range(count):
+            if seen[j]:
+                _put(n, 0, corners[j], mitre[j], base_d[m], 0.0, ends, by_map)
+                _put(n, 1, corners[(j + 1) % count], mitre[(j + 1) % count], base_d[m], 0.0, ends, by_map)
+                landmark[n], kind[n], partner[n], partner[first + j] = m, _BASE, first + j, n
+                n += 1
+        for j in range(count):
+            b = j - 1 if j > 0 else count - 1
+            turn = abs(outward[b, 0] * outward[j, 1] - outward[b, 1] * outward[j, 0])
+            if (seen[j] or seen[b]) and not (seen[j] and seen[b] and turn < _FLAT):
+                _put(n, 0, corners[j], mitre[j], roof_d, 1.0, ends, by_map)
+                _put(n, 1, corners[j], mitre[j], base_d[m], 0.0, ends, by_map)
+                landmark[n], kind[n] = m, _UPRIGHT
+                n += 1
+    return ends[0, :n].copy(), ends[1, :n].copy(), landmark[:n], kind[:n], partner[:n], by_map[0, :n].copy(), by_map[1, :n].copy()
 
 
-def _cross(a: Array, b: Array) -> Array:
-    product: Array = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return product
+@njit(cache=True)
+def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
+    """Corners (K, 2) where they truly are, their motion per metre of growth along the mitre, outward normals of the sides."""
+    count = len(outline)
+    outward, mitre, corners = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    for j in range(count):
+        dn, de = outline[(j + 1) % count] - outline[j]
+        length = np.sqrt(dn * dn + de * de)
+        outward[j, 0], outward[j, 1] = -de / length, dn / length
+    for j in range(count):
+        before = outward[j - 1 if j > 0 else count - 1]
+        mitre[j] = (before + outward[j]) / max(1.0 + np.sum(before * outward[j]), 0.2)
+        corners[j] = outline[j] + shift[_GROWTH] * mitre[j]
+        corners[j, 0] += shift[_NORTH]
+        corners[j, 1] += shift[_EAST]
+    return corners, mitre, outward
 
 
-def hidden(points_n: Array, p_nc: Array, landmarks: Sequence[Extruded]) -> NDArray[np.bool_]:
+@njit(cache=True)
+def _put(n: int, end: int, corner: Array, mitre: Array, down: float, rises: float, ends: Array, by_map: Array) -> None:
+    """One end of edge n, and its derivatives."""
+    ends[end, n, 0], ends[end, n, 1], ends[end, n, 2] = corner[0], corner[1], down
+    by_map[end, n, 0, _NORTH] = by_map[end, n, 1, _EAST] = 1.0
+    by_map[end, n, 0, _GROWTH], by_map[end, n, 1, _GROWTH] = mitre[0], mitre[1]
+    by_map[end, n, 2, _RISE] = -rises
+
+
+def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark]) -> NDArray[np.bool_]:
     """Which of points_n (N, 3) are hidden by one of the landmarks from a camera at p_nc."""
+    prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     result = np.zeros(len(points_n), dtype=np.bool_)
-    for mark in landmarks:
-        if mark.height_m > 0.0:
-            _hidden_by(points_n, p_nc, np.ascontiguousarray(mark.outline_n, dtype=float), mark.base_d - mark.height_m, result)
+    _hidden(points_n, p_nc, prisms.vertices, prisms.offsets, prisms.base_d - prisms.height_m, prisms.height_m, result)
     return result
+
+
+@njit(cache=True)
+def _hidden(
+    points: Array, p_c: Array, vertices: Array, offsets: Indices, roof_d: Array, height: Array, result: NDArray[np.bool_]
+) -> None:
+    for m in range(len(roof_d)):
+        if height[m] > 0.0:
+            _hidden_by(points, p_c, vertices[offsets[m] : offsets[m + 1]], roof_d[m], result)
 
 
 @njit(cache=True)

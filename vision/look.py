@@ -1,0 +1,191 @@
+"""One look at the pictures: from a pose and map errors as now believed to lines of edges and how they depend on what is unknown.
+
+line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu of unit variance: errors of map and rig)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.landmarks import Landmark
+from models.messages import Array
+from vision import outline
+from vision.edge_lines import EdgeLines, compress, fit_lines
+from vision.sensitivity import EdgeView, Eye, Samples, derivatives, edge_gaps, eyes, sample_edges, view
+from vision.visibility import Kind, MapError, ModelEdges, Prisms, visible_edges
+
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+_BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
+_SEARCH_BESIDE_PX = 2.5  # in a search
+_SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
+_GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
+_WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
+_CLIPPED_PX = 0.25  # how far saturation may shift an edge
+
+
+class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How outlines are looked for."""
+
+    search_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
+    farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
+    fit_half_px: Annotated[int, Meta(ge=3, description="half width of the sub-pixel fit")] = 5
+    spacing_px: Annotated[float, Meta(gt=0, description="distance of points along an edge")] = 3.0
+    most_points: Annotated[int, Meta(ge=4, description="on one edge")] = 24
+    least_points: Annotated[int, Meta(ge=3, description="that make an edge")] = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one look gave, of E edges in K pictures.
+
+    line: (E, K, 2) px; found: (E, K); H: (E, K, 2, 6); N: (E, K, 2, P); opened: (K, E) px^2, what gaps leave open of the offsets;
+    lines: of each picture; share: of the points in view that was found.
+    """
+
+    edges: ModelEdges
+    samples: Samples
+    lines: list[EdgeLines]
+    line: Array
+    found: Mask
+    H: Array
+    N: Array
+    opened: Array
+    share: float
+
+
+class Scene:
+    """What does not change from look to look: pictures, cameras, landmarks, and how wrong map and rig may be."""
+
+    def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
+        pairs = zip(eyes(rig), views, strict=False)
+        self.rig, self.prisms = rig, Prisms.of(landmarks)
+        self.eyes: list[tuple[Eye, Image]] = [(eye, _channels(image)) for eye, image in pairs if image is not None]
+        sigmas = [(m.sigma_m, m.sigma_m, m.height_sigma_m if m.height_m > 0.0 else 0.0, m.outline_sigma_m) for m in landmarks]
+        self.map_sigma = np.array(sigmas, dtype=np.float64)  # (L, 4)
+        self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
+        covariances = (rig.covariance_bc, rig.covariance_rc, rig.left.covariance, rig.right.covariance)
+        self.rig_roots = [_root(covariance) for covariance in covariances]
+
+    def look(
+        self, p_n: Array, R_nb: Array, shift_m: Array, config: LookConfig, search_px: int = 0, farthest_px: float = 0.0
+    ) -> Look:
+        """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px."""
+        edges = visible_edges(self.prisms, self.eyes[0][0].pose(p_n, R_nb)[0], shift_m)
+        wanted = edges.kind == Kind.ROOF if search_px else None
+        samples = sample_edges(edges, self.eyes[0][0], p_n, R_nb, config.spacing_px, config.most_points, wanted)
+        count, lines, opened, H, N, points = len(edges.kind), [], [], [], [], 0.0
+        for eye, image in self.eyes:
+            seen = view(edges, samples, eye, p_n, R_nb, self.prisms)
+            if search_px:
+                offsets, usable, variance = _search(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
+            else:
+                offsets, usable, variance = _fit(image, edges, samples, seen, p_n, R_nb, eye, config.fit_half_px, farthest_px)
+            line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
+            pose, nuisances = self._rows(edges, samples, seen, eye, p_n, R_nb, line, with_rig=not search_px)
+            lines.append(line)
+            opened.append(variance)
+            H.append(pose)
+            N.append(nuisances)
+            points += float(usable.sum())
+        share = sum(float(line.points.sum()) for line in lines) / max(points, 1.0)
+        return Look(
+            edges, samples, lines, np.stack([line.line for line in lines], axis=1), np.stack([line.found for line in lines], axis=1),
+            np.stack(H, axis=1), np.stack(N, axis=1), np.array(opened), share,
+        )  # fmt: skip
+
+    def _rows(
+        self,
+        edges: ModelEdges,
+        samples: Samples,
+        seen: EdgeView,
+        eye: Eye,
+        p_n: Array,
+        R_nb: Array,
+        line: EdgeLines,
+        *,
+        with_rig: bool,
+    ) -> tuple[Array, Array]:
+        """H (E, 2, 6) and N (E, 2, P) of one picture; P counts map errors only, without the rig's."""
+        d = derivatives(edges, samples, seen, eye, self.rig, p_n, R_nb)
+        count = len(edges.kind)
+        every = compress(line.gain, np.hstack((d.pose, d.mapped, d.bc, d.rc, d.own)), samples.edge, count)
+        mapped = np.zeros((count, 2, len(self.map_sigma), len(MapError)))
+        mapped[np.arange(count), :, edges.landmark] = every[:, :, 6:10] * self.map_sigma[edges.landmark][:, None, :]
+        parts = [mapped.reshape(count, 2, -1)[:, :, self.map_used]]
+        if with_rig:
+            bc, rc, left, right = self.rig_roots
+            parts += [every[:, :, columns] @ root for columns, root in ((slice(10, 16), bc), (slice(16, 22), rc)) if root.size]
+            for root, mine in ((left, not eye.right), (right, eye.right)):
+                if root.size:
+                    parts.append(every[:, :, 22:] @ root if mine else np.zeros((count, 2, root.shape[1])))
+        return every[:, :, :6], np.concatenate(parts, axis=2)
+
+
+def _channels(image: Image) -> Image:
+    return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
+
+
+def _root(covariance: Array | None) -> Array:
+    """L (n, r) with covariance = L L^T; empty where there is none."""
+    if covariance is None:
+        return np.zeros((0, 0))
+    values, vectors = np.linalg.eigh(covariance)
+    keep = values > 1e-14 * max(values[-1], 1e-300)
+    root: Array = vectors[:, keep] * np.sqrt(values[keep])
+    return root
+
+
+def _alone(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, pose: tuple[Array, Array], reach: float) -> Mask:
+    """Samples whose profile no other edge of the model crosses."""
+    p_nk, R_nk = eye.pose(*pose)
+    count = len(edges.kind)
+    ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
+    crossed = outline.crossed(seen.px, seen.normal, samples.edge, edges.partner, ends[:count], ends[count:], reach)
+    alone: Mask = seen.usable & ~crossed
+    return alone
+
+
+def _search(
+    image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int
+) -> tuple[Array, Mask, Array]:
+    """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
+    usable = _alone(edges, samples, seen, eye, pose, _SEARCH_BESIDE_PX)
+    values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 1, usable)
+    distance, _ = outline.off_roof(values, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
+    return outline.search(distance, samples.edge, len(edges.kind), 1.0, usable), usable, np.zeros(len(edges.kind))
+
+
+def _fit(
+    image: Image,
+    edges: ModelEdges,
+    samples: Samples,
+    seen: EdgeView,
+    p_n: Array,
+    R_nb: Array,
+    eye: Eye,
+    half: int,
+    farthest: float,
+) -> tuple[Array, Mask, Array]:
+    """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
+    roof, count = edges.kind == Kind.ROOF, len(edges.kind)
+    usable = _alone(edges, samples, seen, eye, (p_n, R_nb), half + _BESIDE_PX)
+    gap = edge_gaps(edges, samples, seen, eye, p_n, R_nb)
+    near = np.abs(gap) < half + _BESIDE_PX  # base edges there are fitted along with the roof edge
+    usable &= ~((edges.kind == Kind.BASE) & near)[samples.edge]
+    values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3, usable)
+    _, alien = outline.off_roof(values, samples.edge, edges.landmark, roof, usable)
+    usable &= ~alien[samples.edge]
+    grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
+    narrow = roof & (gap > 0.0) & near
+    double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)
+    offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
+    variance = _GAP_FACTOR * variance + np.where(narrow & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)
+    offsets[(variance > _WIDEST_OPEN_PX**2)[samples.edge]] = np.nan
+    return offsets, usable, variance + np.where(clipped, _CLIPPED_PX**2, 0.0)
