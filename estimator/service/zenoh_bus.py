@@ -148,9 +148,12 @@ class ZenohBus:
 
     def report(self) -> dict[str, Any]:
         """For the status."""
-        info = self.session.info
-        peers = len(info.peers_zid()) + len(info.routers_zid())
-        return {"peers": peers, "received": self.received, "oversized": self.oversized, "unsent": self.unsent}
+        return {
+            "links": len(self.session.info.transports()),
+            "received": self.received,
+            "oversized": self.oversized,
+            "unsent": self.unsent,
+        }
 
     def _receiver(self, inbox: Inbox, topic: str, schema: str) -> Callable[[zenoh.Sample], None]:
         limit = self._config.largest_image_mb * _MB if topic in self._images else self._config.largest_kb * _KB

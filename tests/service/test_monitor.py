@@ -6,10 +6,12 @@ from io import StringIO
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from rich.console import Console
 
 from estimator.config import parse
 from estimator.service.monitor import View
+from logs import cdr_fast
 from logs.codec import encode
 from models.messages import AidStatus, Health, LastGnss, Mode, Reason
 from tests.service.flying import client, environment, fly, free_port, in_thread, toml
@@ -31,6 +33,15 @@ def test_silence_is_told_and_how_long_it_lasts() -> None:
         view.hear(message.topic, message.data, 10.0)
     assert "1.25 m" in _text(view, 11.0)
     assert "nothing heard for 7 s" in _text(view, 17.0)
+
+
+def test_the_rate_is_that_of_the_stamps_however_fast_they_are_read() -> None:
+    view = View()
+    for k in range(300):
+        values = np.zeros(85)
+        values[6] = 1.0
+        view.hear("/landfix/odometry", cdr_fast.odometry(T0 + k * 2_500_000, values), 1.0 + 1e-4 * k)
+    assert "400 Hz" in _text(view, 1.5)
 
 
 def test_a_source_is_shown_with_its_state_and_the_fate_of_its_measurements() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.service_vehicle import Vehicle, truth
+from estimator.config import parse
 from estimator.service.recovery import torn_logs
 from logs.codec import Odometry
 from models.messages import Array
@@ -20,6 +21,7 @@ from tests.service.flying import (
     environment,
     fly,
     free_port,
+    in_thread,
     logs_of,
     odometry,
     records,
@@ -120,3 +122,30 @@ def test_what_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
     assert second.returncode == 1
     assert second.stderr.count("\n") == 1
     assert str(port) in second.stderr
+
+
+def test_a_subscriber_that_stands_still_holds_up_nobody(tmp_path: Path) -> None:
+    """It is subscribed to everything, pictures included, and reads nothing any more."""
+    port = free_port()
+    text = toml(tmp_path, port)
+    code = (
+        "import time; from benchmarks.service_vehicle import connected\n"
+        f"session = connected('tcp/127.0.0.1:{port}')\n"
+        "subscriber = session.declare_subscriber('**', lambda sample: None)\n"
+        "print('ready', flush=True); time.sleep(100)\n"
+    )
+    command = [sys.executable, "-c", code]
+    with (
+        in_thread(parse(text), tmp_path) as daemon,
+        client(port) as session,
+        subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE) as slow,
+    ):
+        assert slow.stdout is not None
+        assert slow.stdout.readline() == b"ready\n"
+        slow.send_signal(signal.SIGSTOP)
+        vehicle = fly(session, 4.0, image_hz=5.0)
+        until(lambda: len(daemon.mailbox) == 0, "all is handled")
+        slow.kill()
+    (log,) = logs_of(tmp_path)
+    assert {topic: len(records(log, topic)) for topic in vehicle.sent} == vehicle.sent
+    assert len(vehicle.latency_ns) >= 0.99 * len(odometry(log)) > 500
