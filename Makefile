@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real campaign install lock clean
+.PHONY: help demo test check bench bench-real campaign soak install lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +32,9 @@ bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside
 
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign
+
+soak: install  ## the daemon under load for an hour: latency, memory, drops, and its log replayed (MINUTES=60)
+	$(BIN)/python -m benchmarks.service --minutes $(or $(MINUTES),60)
 
 install: $(VENV)/.installed $(VENV)/.kernels
 
