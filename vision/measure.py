@@ -138,7 +138,7 @@ def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, leve
         orientation_rad=turn,
         orientation_sigma_rad=float(np.sqrt(covariance[_ORIENTATION, _ORIENTATION])),
         covariance=covariance[_SIZES, _SIZES],
-        disparity_px=disparity,
+        disparity_px=float(rig.left.fx * rig.baseline_m / values[2]),
         disparity_sigma_px=sigma,
         rig_sigma_px=float(np.sqrt(row @ from_rig @ row)),
     )

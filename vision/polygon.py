@@ -6,11 +6,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.messages import Array
+from models.outline import crosses_itself
 
 _TOLERANCES = (0.012, 0.025, 0.045)  # of the perimeter, for the first guess of the corners; coarser if too many sides come out
 _MOST_SIDES = 12
 _LEAST_TURN = 0.26  # rad between two sides (15 degrees): less is one side
 _RMS_PX = 0.7  # of the points about their sides: more is not this polygon
+_LEAST_POINTS = 6  # of a side
+_MOST_SHIFT_PX = 4.0  # of a corner from the contour's nearest point
 _CLEAR_PX = 2.0  # points nearer than this to a corner are rounded off by the optics
 
 
@@ -22,7 +25,7 @@ def fit_polygon(contour: Array) -> Array | None:
         guess = cv2.approxPolyDP(closed, max(tolerance * perimeter, 1.2), True).reshape(-1, 2).astype(np.float64)
         if 3 <= len(guess) <= _MOST_SIDES:
             corners = _fit(contour, _indices(contour, guess))
-            if corners is not None:
+            if corners is not None and not crosses_itself(corners):
                 return corners
     return None
 
@@ -84,7 +87,7 @@ def _fit(contour: Array, corner_at: NDArray[np.int64]) -> Array | None:
             if _apart(p, contour[a]) > _CLEAR_PX and _apart(p, contour[b]) > _CLEAR_PX:
                 side[used] = p
                 used += 1
-        if used < 4:
+        if used < _LEAST_POINTS:
             return None
         lines[i] = _line(side[:used])
         residual = side[:used] @ lines[i, :2] - lines[i, 2]
@@ -100,6 +103,6 @@ def _fit(contour: Array, corner_at: NDArray[np.int64]) -> Array | None:
             return None
         corners[i, 0] = (a[2] * b[1] - a[1] * b[2]) / det
         corners[i, 1] = (a[0] * b[2] - a[2] * b[0]) / det
-        if _apart(corners[i], contour[corner_at[i]]) > 6.0:
+        if _apart(corners[i], contour[corner_at[i]]) > _MOST_SHIFT_PX:
             return None
     return corners

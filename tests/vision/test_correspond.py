@@ -143,8 +143,8 @@ def test_what_is_not_there_is_not_found() -> None:
 
 
 def test_a_fence_fits_in_many_places() -> None:
-    """Vertical stripes every 8 px: ambiguous, not a guess."""
-    stripes = np.tile((60 + 120 * (np.arange(320) // 4 % 2)).astype(np.uint8), (240, 1))
+    """Vertical stripes every 24 px: ambiguous, not a guess."""
+    stripes = np.tile((60 + 120 * (np.arange(320) // 12 % 2)).astype(np.uint8), (240, 1))
     mask = np.zeros((240, 320), np.uint8)
     mask[90:130, 140:200] = 1
     (region,) = find_regions(np.dstack([stripes // 3, stripes // 3, stripes]), mask)[:1]
