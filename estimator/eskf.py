@@ -11,7 +11,8 @@ the others this is the full update whose considered block and mean are put back 
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,6 +20,7 @@ from numba import njit
 
 from estimator.kalman import ErrorStateKalman
 from estimator.samples import ImuBuffer
+from estimator.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import imu, so3
 from models.measurements import Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
@@ -27,38 +29,6 @@ from models.state import E, X, sound
 _LONG_S = 1e9
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
-
-
-@dataclass(frozen=True, slots=True)
-class SlowErrors:
-    """Slow errors behind the 15 states of P: first-order Gauss-Markov, named blocks of them.
-
-    columns: where a block stands in P; tau_s, sigma2, mean: (k,) of all; estimated: (k,) 1 where corrected, 0 where considered.
-    """
-
-    columns: dict[str, slice]
-    tau_s: Array
-    sigma2: Array
-    mean: Array
-    estimated: Array
-
-    def also(self, block: str, sigma2: Array, tau_s: float, *, estimated: bool) -> "SlowErrors":
-        """With one more block behind the others, of mean zero."""
-        start, k = E.SIZE + len(self.tau_s), len(sigma2)
-        return SlowErrors(
-            self.columns | {block: slice(start, start + k)},
-            np.append(self.tau_s, np.full(k, tau_s)),
-            np.append(self.sigma2, sigma2),
-            np.append(self.mean, np.zeros(k)),
-            np.append(self.estimated, np.full(k, float(estimated))),
-        )
-
-    def moved(self, by: Array) -> "SlowErrors":
-        """With the means of what is estimated moved; by: (k,)."""
-        return replace(self, mean=self.mean + self.estimated * by)
-
-
-NO_SLOW_ERRORS = SlowErrors({}, *(np.zeros(0) for _ in range(4)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,23 +109,32 @@ class Eskf:
         scale[E.P], scale[E.V], scale[E.THETA] = factor, factor, factor
         self.cov = self.cov * np.outer(scale, scale)
 
-    def innovation(
-        self, z: Measurement, gyro_b: Array, slow_error: str | None = None, slow_jacobian: Array | None = None
-    ) -> Innovation:
-        """z against the present state; slow_error: the block it carries, with H of it (m, k); None: rows of I."""
+    def forget(self, block: str) -> None:
+        """The slow error `block` is no longer taken into account."""
+        kept = np.delete(np.arange(len(self.cov)), self.slow.columns[block])
+        self.cov = np.ascontiguousarray(self.cov[np.ix_(kept, kept)])
+        self.slow = self.slow.without(block)
+
+    def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
+        """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
         nu, h = z.evaluate(self.x, gyro_b)
         if len(self.cov) > E.SIZE:
             h = np.hstack([h, np.zeros((len(nu), len(self.cov) - E.SIZE))])
-            if slow_error is not None:
-                columns = self.slow.columns[slow_error]
-                h[:, columns] = np.eye(columns.stop - columns.start)[z.rows] if slow_jacobian is None else slow_jacobian
-                nu = nu - h[:, E.SIZE :] @ self.slow.mean
+            for block, jacobian in slow:
+                columns = self.slow.columns[block]
+                h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
+            nu = nu - h[:, E.SIZE :] @ self.slow.mean
         s = innovation_covariance(self.cov, h, z.noise)
         distance2, logdet = mahalanobis(nu, s)
         return Innovation(nu, h, z.noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:
         """Fuse a measurement that has passed its gate."""
+        dx = self.correct(seen)
+        self.sound = inject(self.x, self.cov, dx)
+
+    def correct(self, seen: Innovation) -> Array:
+        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
         dx, cov = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
         if len(cov) > E.SIZE:
             considered = E.SIZE + np.flatnonzero(self.slow.estimated == 0.0)
@@ -163,7 +142,7 @@ class Eskf:
             cov[kept] = self.cov[kept]
             self.slow = self.slow.moved(dx[E.SIZE :])
         self.cov = cov
-        self.sound = inject(self.x, self.cov, dx[: E.SIZE])
+        return dx[: E.SIZE]
 
 
 _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start

@@ -29,6 +29,7 @@ from models.measurements import Measurement
 from models.messages import Array
 from models.state import E, local
 
+MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
@@ -218,11 +219,14 @@ class Hypotheses:
 
 
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
-    """The measurement seen from one filter, with its slow error."""
-    slow = aid.slow_error
-    if slow is None:
-        return eskf.innovation(z, gyro_b)
-    jacobian = slow.jacobian(eskf.x) if slow.jacobian else None
-    if eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk) and slow.walk is not None:
-        eskf.zero(slow.block, eskf.innovation(z, gyro_b, slow.block, jacobian))
-    return eskf.innovation(z, gyro_b, slow.block, jacobian)
+    """The measurement seen from one filter, with its slow errors."""
+    carried = [(slow.block, slow.jacobian(eskf.x) if slow.jacobian else None) for slow in aid.slow_errors]
+    for slow, block in zip(aid.slow_errors, carried, strict=True):
+        if slow.block not in eskf.slow.columns:
+            if oldest := eskf.slow.oldest(slow.block.partition("/")[0], MOST_OF_A_KIND):
+                eskf.forget(oldest)
+            eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
+            if slow.walk is not None:
+                eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
+        eskf.slow = eskf.slow.used(slow.block)
+    return eskf.innovation(z, gyro_b, carried)

@@ -48,6 +48,12 @@ def world_covariance(p: Array) -> Array:
     return permuted
 
 
+def world_rows(j: Array) -> Array:
+    """ENU <-> NED of rows x y z rx ry rz of (..., 6, k)."""
+    permuted: Array = j[..., _ORDER6, :] * _SIGN6[:, None]
+    return permuted
+
+
 def body_covariance(p: Array) -> Array:
     """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes."""
     turned: Array = p * np.outer(_BODY_SIGN6, _BODY_SIGN6)

@@ -231,7 +231,8 @@ def _pose_fix(topic: str, message: Any, arrived_ns: int) -> PoseFix:
 
 def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
     p_n, q_nb_wxyz, covariance = _pose(message.pose)
-    common = message.covariance_common.reshape(6, 6)
+    common, rig = message.covariance_common.reshape(6, 6), message.covariance_rig.reshape(6, 6)
+    errors, names = message.landmark_errors, tuple(message.landmarks)
     return LandmarkFix(
         t_ns=_t_ns(message.header.stamp),
         arrived_ns=arrived_ns,
@@ -239,9 +240,11 @@ def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
         q_nb_wxyz=q_nb_wxyz,
         covariance=covariance,
         covariance_common=axes.world_covariance(common) if common.any() else None,
-        landmarks=tuple(message.landmarks),
+        landmarks=names,
         similarity=message.similarity,
         residual_px=message.residual_px,
+        landmark_errors=axes.world_rows(errors.reshape(len(names), 6, -1)) if len(errors) and names else None,
+        covariance_rig=axes.world_covariance(rig) if rig.any() else None,
         topic=topic,
     )
 

@@ -45,6 +45,11 @@ string[] landmarks
 float64 similarity
 # RMS of the outline fit, px.
 float64 residual_px
+# What makes up covariance_common, where it is known. How the pose is moved by the errors of each landmark, each of variance 1 and
+# its own: for each landmark 6 rows (x y z rx ry rz) of as many columns as it has errors.
+float64[] landmark_errors
+# The rest, which is the rig's.
+float64[36] covariance_rig
 """,
     AID_STATUS: """\
 # What became of one measurement; sent again with a higher revision when the decision changes.

@@ -77,6 +77,10 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     """A PoseFix made by our own vision, with what it rests on.
 
     landmarks: identifiers in the map; similarity: 0..1, the thesis' eq. 5.5; residual_px: RMS of the outline fit.
+    What makes up covariance_common, where it is known: landmark_errors (m, 6, k), how the pose is moved by k errors of each of
+    the m landmarks, of variance 1 and its own; covariance_rig (6, 6), the rest, which is the rig's.
+
+        covariance_common = sum_j L_j L_j^T + covariance_rig
     """
 
     t_ns: int
@@ -88,6 +92,8 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     landmarks: tuple[str, ...]
     similarity: float
     residual_px: float
+    landmark_errors: Array | None = None
+    covariance_rig: Array | None = None
     topic: str = "/landfix/fix"
 
 

@@ -66,5 +66,5 @@ def baro_aid(reading: Baro, config: BaroConfig) -> Aid | Refusal:
         absolute=False,
         log_false=log_false(config, [_FALSE_HEIGHT_M]),
         measurement=lambda _: z,
-        slow_error=SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),
+        slow_errors=(SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),),
     )

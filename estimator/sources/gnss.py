@@ -88,7 +88,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         absolute=True,
         log_false=log_false(config, [FALSE_POSITION_M] * 3),
         measurement=measurement,
-        slow_error=SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s) if slow else None,
+        slow_errors=(SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s),) if slow else (),
         geodetic=place,
     )
 

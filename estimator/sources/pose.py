@@ -1,6 +1,7 @@
 """Pose fixes, from outside or from our own landmarks: position and attitude of the body on the map, whole or in part."""
 
 import math
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -21,10 +22,13 @@ from estimator.sources.source import (
 from models import so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Reason
+from models.state import X
 
 _NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 _FARTHEST_M = 1e6
 _PERMANENT_S = 1e9  # time constant of an error that does not change
+_MOST_LANDMARKS, _MOST_ERRORS = 8, 6  # in one fix, and of each
+_ROUNDING = 1e-9
 _ATTITUDES = {(True, True, True): "full", (True, True, False): "tilt", (False, False, True): "yaw", (False, False, False): "none"}
 
 
@@ -70,11 +74,9 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
     p_n, q = np.where(given[:3], p_n, 0.0), (q / norm if attitude != "none" else np.array([1.0, 0.0, 0.0, 0.0]))
-    common = fix.covariance_common
-    if common is None and config.tilt_deg > 0:
-        common = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]) * math.radians(config.tilt_deg) ** 2
-    if common is not None and (common.shape != (6, 6) or not np.isfinite(common).all() or np.linalg.eigvalsh(common)[0] < 0):
-        return Refusal(Reason.NOT_PSD, "common covariance")
+    slow_errors = _slow_errors(fix, config)
+    if isinstance(slow_errors, Refusal):
+        return slow_errors
     z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
     widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]
     return Aid(
@@ -87,5 +89,58 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         absolute=bool(given[:3].all()),
         log_false=log_false(config, widths),
         measurement=lambda _: z,
-        slow_error=SlowError(fix.topic, common, _PERMANENT_S) if common is not None and common.any() else None,
+        slow_errors=slow_errors,
     )
+
+
+def _slow_errors(fix: PoseFix | LandmarkFix, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
+    """What repeats: errors of each landmark and of the rig, where a fix tells them apart; else all of it as one, the topic's own.
+
+    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it tells.
+    """
+    common = fix.covariance_common
+    if common is None:
+        return _tilted(fix.topic, config.tilt_deg) if config.tilt_deg > 0 else ()
+    apart = isinstance(fix, LandmarkFix) and fix.landmark_errors is not None and len(fix.landmarks) <= _MOST_LANDMARKS
+    rest = fix.covariance_rig if apart and isinstance(fix, LandmarkFix) else common
+    rest = np.zeros((6, 6)) if rest is None else np.asarray(rest, dtype=float)
+    if rest.shape != (6, 6) or not np.isfinite(rest).all() or np.linalg.eigvalsh(rest)[0] < -_ROUNDING * max(np.trace(rest), 0.0):
+        return Refusal(Reason.NOT_PSD, "common covariance")
+    if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
+        return (_steady(fix.topic, _root(rest)),) if rest.any() else ()
+    errors = fix.landmark_errors
+    if errors.ndim != 3 or errors.shape[:2] != (len(fix.landmarks), 6) or errors.shape[2] > _MOST_ERRORS or not np.isfinite(errors).all():
+        return Refusal(Reason.MALFORMED, "errors of the landmarks")
+    blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved in zip(fix.landmarks, errors, strict=True) if moved.any()]
+    if rest.any():
+        blocks.append(_on_the_body(f"{fix.topic}.rig", rest, np.array(fix.q_nb_wxyz)))
+    return tuple(blocks)
+
+
+@cache
+def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
+    """The frame of the fixes is level but for this, about both horizontal axes."""
+    return (_steady(topic, np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]) * math.radians(tilt_deg)),)
+
+
+def _steady(block: str, moved: Array) -> SlowError:
+    """k errors of variance 1 that move the pose by `moved` (6, k)."""
+    return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, lambda _: moved)
+
+
+def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:
+    """Six errors of what is mounted on the body: they turn with it."""
+    still = _turn(so3.matrix(so3.normalise(q_nb))).T
+    root = _root(still @ covariance @ still.T)
+    return SlowError(block, np.eye(6), _PERMANENT_S, lambda x: _turn(so3.matrix(x[X.Q])) @ root)
+
+
+def _turn(R: Array) -> Array:
+    """Position and rotation turned, (6, 6)."""
+    return np.kron(np.eye(2), R)
+
+
+def _root(covariance: Array) -> Array:
+    """The symmetric L with L L^T = C: unlike Cholesky's it changes little when C does, and C may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, dtype=np.float64)

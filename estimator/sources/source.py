@@ -53,8 +53,7 @@ class Aid:
     """A message that passed its checks, as a measurement.
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
-    on the map; log_false: ln of the probability density of a false reading; slow_error: which slow errors it carries, with
-    their covariance if the message brings it.
+    on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries.
     """
 
     t_ns: int
@@ -66,7 +65,7 @@ class Aid:
     absolute: bool
     log_false: float
     measurement: Callable[[Origin | None], Measurement | None]
-    slow_error: "SlowError | None" = None
+    slow_errors: "tuple[SlowError, ...]" = ()
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
 

@@ -131,7 +131,7 @@ def test_consideration_is_the_schmidt_kalman_filter() -> None:
     eskf.consider("map", np.eye(6) * 0.09, 1e9)
     for offset in (0.3, -0.2):
         z = _pose_of(retract(_truth(), np.full(E.SIZE, offset) * SIGMA), 0.1)
-        seen = eskf.innovation(z, GYRO, "map")
+        seen = eskf.innovation(z, GYRO, [("map", None)])
         dx, expected = _schmidt(eskf.cov, seen)
         before = eskf.x.copy()
         eskf.update(seen)
@@ -147,7 +147,7 @@ def test_fixes_with_a_common_error_never_make_the_filter_surer_than_that_error()
     considered, white = _filter(), _filter()
     considered.consider("map", np.eye(6) * 0.3**2, 1e9)
     for _ in range(60):
-        considered.update(considered.innovation(_pose_of(_truth(), 0.1), GYRO, "map"))
+        considered.update(considered.innovation(_pose_of(_truth(), 0.1), GYRO, [("map", None)]))
         white.update(white.innovation(_pose_of(_truth(), math.hypot(0.1, 0.3)), GYRO))
     assert np.sqrt(np.diag(considered.cov)[E.P]).min() > 0.27
     assert np.sqrt(np.diag(white.cov)[E.P]).max() < 0.05
@@ -159,7 +159,7 @@ def test_a_block_shifts_only_the_components_that_were_given() -> None:
     eskf.consider("map", np.diag([4.0, 5.0, 6.0, 7.0, 8.0, 9.0]), 1e9)
     x = _truth()
     rows = np.array([1, 2, 5])
-    seen = eskf.innovation(Pose(x[X.P], x[X.Q], np.eye(3), rows), GYRO, "map")
+    seen = eskf.innovation(Pose(x[X.P], x[X.Q], np.eye(3), rows), GYRO, [("map", None)])
     assert seen.h.shape == (3, E.SIZE + 9)
     np.testing.assert_array_equal(seen.h[:, E.SIZE + 3 :], np.eye(6)[rows])
     np.testing.assert_array_equal(seen.h[:, E.SIZE : E.SIZE + 3], 0.0)
@@ -176,6 +176,28 @@ def test_a_block_once_known_stays_as_it_is() -> None:
     np.testing.assert_array_equal(eskf.slow.tau_s, np.full(6, 1e9))
 
 
+def _moved(k: int) -> Array:
+    """How a pose is moved by four errors of landmark k."""
+    return np.random.default_rng(k).standard_normal((6, 4)) * 0.1
+
+
+def test_what_is_forgotten_leaves_the_others_as_they_were() -> None:
+    both, one = _filter(), _filter()
+    for eskf, blocks in ((both, "abc"), (one, "ac")):
+        for name in blocks:
+            eskf.consider(name, np.eye(4), 1e9)
+    for name in "ac":
+        for eskf in (both, one):
+            eskf.update(eskf.innovation(_pose_of(_truth(), 0.1), GYRO, [(name, _moved(ord(name)))]))
+    both.forget("b")
+    assert both.slow.columns == one.slow.columns
+    np.testing.assert_allclose(both.cov, one.cov, atol=1e-15)
+    for eskf in (both, one):
+        eskf.update(eskf.innovation(_pose_of(_truth(), 0.1), GYRO, [("a", _moved(9)), ("c", _moved(8))]))
+    np.testing.assert_allclose(both.cov, one.cov, atol=1e-15)
+    np.testing.assert_allclose(both.x, one.x, atol=1e-15)
+
+
 # --- slow errors that are estimated ----------------------------------------------------------------------------------------
 
 
@@ -187,8 +209,8 @@ def test_an_unknown_zero_is_set_by_the_first_reading_which_then_says_nothing_abo
     eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
     x, cov = eskf.x.copy(), eskf.cov.copy()
     eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
-    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", _zero_and_slope(x)))
-    seen = eskf.innovation(z, GYRO, "baro", _zero_and_slope(x))
+    eskf.zero("baro", eskf.innovation(z, GYRO, [("baro", _zero_and_slope(x))]))
+    seen = eskf.innovation(z, GYRO, [("baro", _zero_and_slope(x))])
     assert seen.nu[0] == pytest.approx(0.0, abs=1e-12)
     assert eskf.slow.mean[0] == pytest.approx(240.0 + x[X.P][2])
     eskf.update(seen)
@@ -201,7 +223,7 @@ def test_the_zero_is_as_uncertain_as_height_and_reading_and_goes_with_the_height
     slope = _zero_and_slope(eskf.x)
     down, zero, temperature = E.P.stop - 1, E.SIZE, E.SIZE + 1
     eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
-    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", slope))
+    eskf.zero("baro", eskf.innovation(z, GYRO, [("baro", slope)]))
     height = eskf.cov[down, down]
     assert eskf.cov[zero, zero] == pytest.approx(height + 0.5 + (0.04 * slope[0, 1]) ** 2)
     assert eskf.cov[zero, down] == pytest.approx(height)  # too deep by as much as the zero is too high
@@ -213,8 +235,8 @@ def test_estimation_is_the_kalman_filter_of_the_larger_state() -> None:
     slope = _zero_and_slope(eskf.x)
     eskf.consider("map", np.eye(6) * 0.09, 1e9)
     eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
-    eskf.zero("baro", eskf.innovation(z, GYRO, "baro", slope))
-    seen = eskf.innovation(Height(243.0, np.array([[0.5]])), GYRO, "baro", slope)
+    eskf.zero("baro", eskf.innovation(z, GYRO, [("baro", slope)]))
+    seen = eskf.innovation(Height(243.0, np.array([[0.5]])), GYRO, [("baro", slope)])
     assert seen.nu[0] == pytest.approx(3.0)
     gain = (eskf.cov @ seen.h.T / seen.s)[:, 0]
     mean, block = eskf.slow.mean.copy(), eskf.cov[-2:, -2:] - np.outer(gain, gain)[-2:, -2:] * seen.s

@@ -83,11 +83,10 @@ def test_where_the_receiver_gives_no_covariance_the_configured_one_holds() -> No
 
 
 def test_the_slow_error_is_considered_unless_there_is_none() -> None:
-    slow = _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.5, slow_s=60.0))).slow_error
-    assert slow is not None
+    (slow,) = _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.5, slow_s=60.0))).slow_errors
     np.testing.assert_allclose(slow.covariance, np.diag([0.25, 0.25, 1.0]))
     assert slow.tau_s == 60.0
-    assert _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.0))).slow_error is None
+    assert _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.0))).slow_errors == ()
 
 
 @pytest.mark.parametrize(

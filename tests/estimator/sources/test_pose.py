@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from estimator.sources.pose import PoseConfig, given_components, pose_aid
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.source import Aid, Refusal, SlowError
 from models import so3
 from models.measurements import Pose
 from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason
+from models.state import X
 
 Q: Quat = tuple(so3.from_euler(0.1, 0.2, 0.3).tolist())
+LEVEL = np.eye(X.SIZE)[X.Q.start]
 GIVEN = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
 
 
@@ -130,12 +132,69 @@ def test_an_unusable_fix_has_its_reason(changes: dict[str, Any], reason: Reason)
 
 def test_the_common_part_is_considered_under_the_topics_name() -> None:
     common = np.eye(6) * 0.04
-    slow = _aid(_fix(covariance_common=common, topic="/tower")).slow_error
-    assert slow is not None
+    (slow,) = _aid(_fix(covariance_common=common, topic="/tower")).slow_errors
     assert slow.block == "/tower"
-    np.testing.assert_array_equal(slow.covariance, common)
+    np.testing.assert_allclose(_told(slow), common, atol=1e-15)
     assert slow.tau_s > 1e6
-    assert _aid(_fix(covariance_common=np.zeros((6, 6)))).slow_error is None
+    assert _aid(_fix(covariance_common=np.zeros((6, 6)))).slow_errors == ()
+
+
+def _told(slow: SlowError, x: Array | None = None) -> Array:
+    """The covariance of the pose that a slow error makes at state x."""
+    assert slow.jacobian is not None
+    moved = slow.jacobian(LEVEL if x is None else x)
+    return moved @ slow.covariance @ moved.T
+
+
+def test_a_common_part_that_grows_with_height_is_told_each_time_anew() -> None:
+    low, high = (_aid(_fix(covariance_common=np.eye(6) * v)).slow_errors[0] for v in (0.04, 0.16))
+    assert low.block == high.block
+    np.testing.assert_allclose(_told(low), np.eye(6) * 0.04, atol=1e-15)
+    np.testing.assert_allclose(_told(high), np.eye(6) * 0.16, atol=1e-15)
+
+
+def _landmark_fix(q: tuple[float, float, float, float], names: tuple[str, ...] = ("a", "b"), **changes: Any) -> LandmarkFix:
+    errors = np.random.default_rng(3).standard_normal((len(names), 6, 4)) * 0.1
+    rig = np.diag([1e-4, 2e-4, 3e-4, 1e-6, 4e-6, 9e-6])
+    total = np.einsum("mik,mjk->ij", errors, errors) + rig
+    fields: dict[str, Any] = {"landmark_errors": errors, "covariance_rig": rig} | changes
+    return LandmarkFix(10**9, 10**9, (1.0, 2.0, 3.0), q, GIVEN, total, names, 0.9, 0.4, **fields)
+
+
+def test_errors_of_each_landmark_and_of_the_rig_are_told_apart_and_make_up_the_whole() -> None:
+    fix = _landmark_fix(Q)
+    slow = _aid(fix).slow_errors
+    assert [s.block for s in slow] == ["/landfix/fix/a", "/landfix/fix/b", "/landfix/fix.rig"]
+    x = LEVEL.copy()
+    x[X.Q] = Q
+    assert fix.covariance_common is not None
+    np.testing.assert_allclose(sum(_told(s, x) for s in slow), fix.covariance_common, atol=1e-12)
+
+
+def test_what_the_rig_does_turns_with_the_body() -> None:
+    rig = _aid(_landmark_fix(Q)).slow_errors[-1]
+    x = LEVEL.copy()
+    x[X.Q] = Q
+    then = so3.matrix(x[X.Q])
+    x[X.Q] = so3.from_euler(0.0, 0.0, 1.2)
+    turn = np.kron(np.eye(2), so3.matrix(x[X.Q]) @ then.T)
+    expected = turn @ np.diag([1e-4, 2e-4, 3e-4, 1e-6, 4e-6, 9e-6]) @ turn.T
+    np.testing.assert_allclose(_told(rig, x), expected, atol=1e-15)
+
+
+def test_of_too_many_landmarks_the_sum_is_taken() -> None:
+    names = tuple(f"roof {k}" for k in range(12))
+    (slow,) = _aid(_landmark_fix(Q, names)).slow_errors
+    assert slow.block == "/landfix/fix"
+
+
+@pytest.mark.parametrize(
+    "errors", [np.zeros((1, 6, 4)), np.zeros((2, 3, 4)), np.full((2, 6, 4), math.nan), np.zeros((2, 6, 400)), np.zeros(12)]
+)
+def test_errors_that_do_not_fit_their_landmarks_are_malformed(errors: Array) -> None:
+    refusal = pose_aid(_landmark_fix(Q, landmark_errors=errors), PoseConfig())
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is Reason.MALFORMED
 
 
 def test_a_landmark_fix_is_a_pose_fix_too() -> None:

@@ -1,0 +1,65 @@
+"""Errors that repeat from fix to fix, states behind the 15 of the filter: named blocks of first-order Gauss-Markov processes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.messages import Array
+from models.state import E
+
+
+@dataclass(frozen=True, slots=True)
+class SlowErrors:
+    """columns: where a block stands in P, the one that was used last behind the others; tau_s, sigma2, mean: (k,) of all;
+
+    estimated: (k,) 1 where it is corrected, 0 where it is considered.
+    """
+
+    columns: dict[str, slice]
+    tau_s: Array
+    sigma2: Array
+    mean: Array
+    estimated: Array
+
+    def also(self, block: str, sigma2: Array, tau_s: float, *, estimated: bool) -> "SlowErrors":
+        """With one more block behind the others, of mean zero."""
+        start, k = E.SIZE + len(self.tau_s), len(sigma2)
+        return SlowErrors(
+            self.columns | {block: slice(start, start + k)},
+            np.append(self.tau_s, np.full(k, tau_s)),
+            np.append(self.sigma2, sigma2),
+            np.append(self.mean, np.zeros(k)),
+            np.append(self.estimated, np.full(k, float(estimated))),
+        )
+
+    def without(self, block: str) -> "SlowErrors":
+        """With one block less."""
+        gone = self.columns[block]
+        size = gone.stop - gone.start
+        columns = {
+            name: slice(c.start - size, c.stop - size) if c.start > gone.start else c
+            for name, c in self.columns.items()
+            if name != block
+        }
+        rows = slice(gone.start - E.SIZE, gone.stop - E.SIZE)
+        kept = (np.delete(values, rows) for values in (self.tau_s, self.sigma2, self.mean, self.estimated))
+        return SlowErrors(columns, *kept)
+
+    def used(self, block: str) -> "SlowErrors":
+        """With the block as the one that was used last."""
+        if next(reversed(self.columns)) == block:
+            return self
+        others = {name: c for name, c in self.columns.items() if name != block}
+        return replace(self, columns=others | {block: self.columns[block]})
+
+    def oldest(self, kind: str, most: int) -> str | None:
+        """Of the blocks called kind/..., the one that was not used for longest, where there are `most` or more of them."""
+        same = [name for name in self.columns if name.startswith(f"{kind}/")]
+        return same[0] if len(same) >= most else None
+
+    def moved(self, by: Array) -> "SlowErrors":
+        """With the means of what is estimated moved; by: (k,)."""
+        return replace(self, mean=self.mean + self.estimated * by)
+
+
+NO_SLOW_ERRORS = SlowErrors({}, *(np.zeros(0) for _ in range(4)))
