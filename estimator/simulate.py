@@ -3,6 +3,7 @@
 import heapq
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from logs.codec import Encoded, encode_input, encode_truth
 from logs.recorder import Recorder
@@ -11,12 +12,26 @@ from models.sim.scenario import Simulation
 _PROGRESS_EVERY = 2000  # messages
 
 
-def write(simulation: Simulation, out: Path, progress: Callable[[float], None] | None = None) -> int:
-    """Writes `out`; returns the number of messages. Of equal times the sensors' messages come first, then the truth."""
-    total = len(simulation.messages) + len(simulation.truth.t_ns)
+class Pictures(Protocol):
+    """Messages with their times of arrival, in order: flight_pictures.Flight."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[int, Encoded]]: ...
+
+
+def write(
+    simulation: Simulation,
+    out: Path,
+    progress: Callable[[float], None] | None = None,
+    pictures: Pictures = (),
+) -> int:
+    """Writes `out`; returns the number of messages. Of equal times the sensors come first, then the truth, then pictures."""
+    total = len(simulation.messages) + len(simulation.truth.t_ns) + len(pictures)
     inputs = ((m.arrived_ns, 0, encode_input(m)) for m in simulation.messages)
+    shots = ((arrived_ns, 2, message) for arrived_ns, message in pictures)
     with Recorder(out) as recorder:
-        merged = heapq.merge(inputs, _truth(simulation), key=lambda item: item[:2])
+        merged = heapq.merge(inputs, _truth(simulation), shots, key=lambda item: item[:2])
         for count, (log_time_ns, _, encoded) in enumerate(merged):
             recorder.write(*encoded, log_time_ns)
             if progress and count % _PROGRESS_EVERY == 0:

@@ -13,27 +13,43 @@ def command(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Vehicle, sensors and what goes wrong.")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal logs.")] = 0,
+    images: Annotated[
+        bool, typer.Option("--images/--no-images", help="Draw the pictures of a scenario that has [cameras], or leave them out.")
+    ] = True,
     json: Json = False,
 ) -> None:
     """Simulate a flight as a log.
 
-    OUT.mcap holds the sensors' messages and the truth; OUT.toml is the configuration that fits it.
+    OUT.mcap holds the sensors' messages and the truth; OUT.toml is the configuration that fits it. With [cameras] in the scenario
+    there are stereo pictures in it, and OUT_map.geojson and OUT_rig.yaml are what the vehicle is told of world and cameras.
 
     \b
     Examples:
       landfix simulate examples/scenarios/demo.toml -o flight.mcap --seed 3
       landfix replay flight.mcap -o estimate.mcap -c flight.toml
       landfix evaluate estimate.mcap
+      landfix simulate examples/scenarios/village.toml -o village.mcap
+      landfix replay village.mcap -o estimate.mcap -c village.toml --from-images
     """
     from estimator.simulate import write
     from models.sim.scenario import simulate
     from models.sim.scenario_file import loads
 
-    simulation = simulate(loads(scenario.read_text(), str(scenario)), seed)
-    config = out.with_suffix(".toml")
+    plan = loads(scenario.read_text(), str(scenario))
+    simulation = simulate(plan, seed)
+    config, text = out.with_suffix(".toml"), simulation.config_toml
     with progress(f"simulate {scenario.stem}") as report:
-        messages = write(simulation, out, report)
-    config.write_text(simulation.config_toml)
+        if images and plan.cameras:
+            from estimator import flight_pictures
+
+            map_file, rig_file = (out.with_name(f"{out.stem}_{name}") for name in ("map.geojson", "rig.yaml"))
+            flight = flight_pictures.plan(plan.cameras, simulation, seed)
+            flight.write_map_and_rig(map_file, rig_file)
+            text = flight_pictures.configuration(simulation, map_file.name, rig_file.name)
+            messages = write(simulation, out, report, flight)
+        else:
+            messages = write(simulation, out, report)
+    config.write_text(text)
     if json:
         print_json({"out": str(out), "config": str(config), "messages": messages, "seed": seed})
     else:

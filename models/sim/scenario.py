@@ -17,6 +17,7 @@ from models.frames import Origin
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
 from models.sim.aids import Gnss, PoseFixes, make_pose_fixes, receive_gnss
+from models.sim.cameras import Cameras
 from models.sim.faults import AnyFault, in_order
 from models.sim.ranges import Rate
 from models.sim.sensors import GRADES, Imu, ImuRecord, measure
@@ -42,11 +43,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     imu: Imu = msgspec.field(default_factory=Imu)
     gnss: Gnss | None = None
     pose_fix: PoseFixes | None = None
+    cameras: Cameras | None = None
     faults: tuple[AnyFault, ...] = ()
 
     def __post_init__(self) -> None:
         if self.gnss is not None and not self.geographic:
             raise ValueError("gnss: there is no GNSS where geographic = false")
+        if self.cameras is not None and not self.geographic:
+            raise ValueError("cameras: their map needs a place on Earth, geographic = false has none")
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,8 +34,8 @@ class WorldSpec:
 
     area_m: side of the square around the origin; spacing_m: between buildings; painted: share of landmarks in strong colours, the
     others are pale and textured; flat: share painted on the ground; unmapped: share of buildings that no map has; gone: share of
-    the map that no longer stands. cars, trees, patches: per hectare. The sigmas are written into the map, and the truth is drawn
-    from them. Look-alikes: one outline and colour, +-10 % in size, 25 m apart.
+    the map that no longer stands; clear_m: nothing stands so near the origin. cars, trees, patches: per hectare. The sigmas are
+    written into the map, and the truth is drawn from them. Look-alikes: one outline and colour, +-10 % in size, 25 m apart.
     """
 
     layout: Layout = "village"
@@ -45,6 +45,7 @@ class WorldSpec:
     flat: float = 0.1
     unmapped: float = 0.0
     gone: float = 0.0
+    clear_m: float = 0.0
     cars: float = 10.0
     trees: float = 25.0
     patches: float = 8.0
@@ -71,6 +72,9 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
     streets = _streets(spec) if spec.layout == "grid" else []
     built = [_landmark(str(k + 1), place, spec, for_layout) for k, place in enumerate(_places(spec, for_layout))]
+    if spec.clear_m > 0.0:
+        taken.append((0.0, 0.0, spec.clear_m))
+        built = [b for b in built if math.hypot(*b[0].centre_n) > spec.clear_m + _radius(b[0].outline_n, np.array(b[0].centre_n))]
     believed, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
     for mark, look in built:
         taken.append((*mark.centre_n, _radius(mark.outline_n, np.array(mark.centre_n))))

@@ -1,0 +1,60 @@
+"""Cameras in a scenario: which rig looks at which world, how pictures are taken, and when there are none that help.
+
+Numbers only; the pictures are drawn by vision.synthetic.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from models.sim.ranges import Interval, NotNegative, Positive, Rate, Share, ascending
+
+Pixels = Annotated[int, msgspec.Meta(ge=64, le=4096)]
+
+
+class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The world below, and how well the map knows it; truth is drawn from the sigmas.
+
+    layout: houses anywhere, along streets, or look-alikes; area_m: side of the square, spacing_m: between buildings; clear_m:
+    nothing stands so near the place of take-off; painted: share of strong colours; unmapped: share of buildings that no map has;
+    gone: share of the map that no longer stands; seed: another village.
+    """
+
+    layout: Literal["village", "grid", "lookalikes"] = "village"
+    area_m: Positive = 300.0
+    spacing_m: Positive = 25.0
+    clear_m: NotNegative = 8.0
+    painted: Share = 0.5
+    unmapped: Share = 0.2
+    gone: Share = 0.05
+    sigma_m: NotNegative = 0.3
+    height_sigma_m: NotNegative = 0.3
+    outline_sigma_m: NotNegative = 0.1
+    seed: int = 1
+
+
+class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down).
+
+    exposure_s: blurs moving pictures; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
+    jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no pictures; dark_s: pictures
+    of a covered lens.
+    """
+
+    rate_hz: Rate = 2.0
+    width: Pixels = 640
+    height: Pixels = 480
+    focal_px: Positive = 600.0
+    baseline_m: Positive = 0.3
+    pitch_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=0.0)] = -90.0
+    exposure_s: NotNegative = 0.002
+    haze_per_m: NotNegative = 3e-4
+    light_swing: Share = 0.15
+    jpeg_quality: Annotated[int, msgspec.Meta(ge=0, le=100)] = 92
+    delay_s: NotNegative = 0.06
+    outages_s: tuple[Interval, ...] = ()
+    dark_s: tuple[Interval, ...] = ()
+    world: Village = msgspec.field(default_factory=Village)
+
+    def __post_init__(self) -> None:
+        ascending("outages_s, dark_s", *self.outages_s, *self.dark_s)
