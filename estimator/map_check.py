@@ -34,6 +34,13 @@ class LookAlike(msgspec.Struct, frozen=True):
     similarity: float
 
 
+class Nested(msgspec.Struct, frozen=True):
+    """A landmark whose middle lies inside another's outline."""
+
+    outer: str
+    inner: str
+
+
 class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
     """What was found. rejected: features that are not in the map, each with its reason."""
 
@@ -45,6 +52,7 @@ class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
     rejected: tuple[Finding, ...]
     remarks: tuple[Finding, ...]
     look_alikes: list[LookAlike]
+    nested: list[Nested]
 
 
 def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
@@ -52,6 +60,7 @@ def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
     pairs, distances, similarities = look_alikes(the_map, radius_m, alike)
     order = np.lexsort((distances, -similarities))
     names = the_map.columns.ids
+    nested = [Nested(names[outer], names[inner]) for outer, inner in the_map.nested().tolist()]
     listed = [
         LookAlike(names[a], names[b], round(float(distances[k]), 2), round(float(similarities[k]), 4))
         for k in order.tolist()
@@ -62,10 +71,11 @@ def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
         features=the_map.report.features,
         usable=len(the_map) > 0,
         origin=the_map.origin,
-        checks=[*_contents(the_map), *(_quality(the_map, pairs, radius_m, alike) if len(the_map) else [])],
+        checks=[*_contents(the_map), *(_quality(the_map, pairs, len(nested), radius_m, alike) if len(the_map) else [])],
         rejected=the_map.report.rejected,
         remarks=the_map.report.remarks,
         look_alikes=listed,
+        nested=nested,
     )
 
 
@@ -102,7 +112,7 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     return [few, rejected, *lacks]
 
 
-def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], radius_m: float, alike: float) -> list[Check]:
+def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], nested: int, radius_m: float, alike: float) -> list[Check]:
     d, columns = the_map.description, the_map.columns
     north, east, size = d[:, polygon.NORTH], d[:, polygon.EAST], d[:, polygon.SIZE]
     far_km = float(np.hypot(north, east).max()) / 1000.0
@@ -113,12 +123,14 @@ def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], radius_m: float, ali
     small = "landmarks under 1 m2 are seen from close by only"
     exact = "sigma_m = 0 says that the map is exact; no survey is"
     waiting = "shape and size alone do not tell them apart: fixes wait until several are in view"
+    one_place = "a roof is one landmark: keep the whole or its parts (building or building:part)"
     return [
         judge("extent", extent, warn=far_km > 20.0, advice=tilted),
         judge("size", f"{_spread(size)} m2", warn=bool(np.median(size) < 1.0), advice=small),
         judge("fill ratio", _spread(d[:, polygon.FILL], 2)),
         judge("height", f"{_spread(columns.height_m)} m, sigma {_spread(columns.height_sigma_m)} m"),
         judge("map sigma", f"{_spread(columns.sigma_m, 2)} m", warn=bool(np.any(columns.sigma_m == 0.0)), advice=exact),
+        judge("one in another", f"{nested} pairs", warn=nested > 0, advice=one_place),
         judge("look-alikes", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
     ]
 

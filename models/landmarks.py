@@ -165,6 +165,10 @@ class LandmarkMap:
         """As near, but row numbers of `columns` and `description`."""
         return self._index.near(north_m, east_m, radius_m)
 
+    def nested(self) -> NDArray[np.int64]:
+        """Pairs (P, 2) of rows, larger and smaller: the centroid of the second lies inside the outline of the first."""
+        return self._index.nested(self.columns.vertices, self.columns.offsets)
+
     def _landmarks(self, rows: NDArray[np.int64]) -> list[Landmark]:
         """Landmark objects of these rows; columns are turned into Python numbers together, which is what takes the time."""
         c = self.columns
@@ -191,24 +195,25 @@ class _Grid:
     """Centroids in square cells, sorted by cell, so a row of cells is one slice; landmarks larger than a cell stand apart."""
 
     def __init__(self, description: Array) -> None:
-        self._circles = np.ascontiguousarray(description[:, [polygon.NORTH, polygon.EAST, polygon.RADIUS]])
-        centre, radius = self._circles[:, :2], self._circles[:, 2]
-        self._low = centre.min(axis=0, initial=math.inf) if len(centre) else np.zeros(2)
-        extent = centre.max(axis=0) - self._low if len(centre) else np.zeros(2)
-        self._cell = max(50.0, 2.0 * math.sqrt(float(extent[0] * extent[1]) / max(len(centre), 1)), float(extent.max()) / 4000.0)
-        self._shape = (extent // self._cell).astype(np.int64) + 1
-        small = np.flatnonzero(radius <= self._cell)
-        self._large = np.flatnonzero(radius > self._cell)
-        cells = ((centre[small] - self._low) // self._cell).astype(np.int64)
-        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
-        self._order = small[np.argsort(keys, kind="stable")]
-        counts = np.bincount(keys, minlength=int(self._shape[0] * self._shape[1]))
-        self._starts = np.concatenate(([0], np.cumsum(counts)))
+        circles = np.ascontiguousarray(description[:, [polygon.NORTH, polygon.EAST, polygon.RADIUS]])
+        centre, radius = circles[:, :2], circles[:, 2]
+        low = centre.min(axis=0, initial=math.inf) if len(centre) else np.zeros(2)
+        extent = centre.max(axis=0) - low if len(centre) else np.zeros(2)
+        cell = max(50.0, 2.0 * math.sqrt(float(extent[0] * extent[1]) / max(len(centre), 1)), float(extent.max()) / 4000.0)
+        shape = (extent // cell).astype(np.int64) + 1
+        small, large = np.flatnonzero(radius <= cell), np.flatnonzero(radius > cell)
+        cells = ((centre[small] - low) // cell).astype(np.int64)
+        keys = cells[:, 0] * shape[1] + cells[:, 1]
+        order = small[np.argsort(keys, kind="stable")]
+        counts = np.bincount(keys, minlength=int(shape[0] * shape[1]))
+        starts = np.concatenate(([0], np.cumsum(counts)))
+        self._grid = (circles, low, cell, shape, starts, order, large)
 
     def near(self, north: float, east: float, radius: float) -> NDArray[np.int64]:
-        return _near(
-            north, east, radius, self._circles, self._low, self._cell, self._shape, self._starts, self._order, self._large
-        )
+        return _near(north, east, radius, *self._grid)
+
+    def nested(self, vertices: Array, offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+        return _nested(vertices, offsets, *self._grid)
 
 
 @njit(cache=True)
@@ -239,3 +244,21 @@ def _near(
             found.append(i)
             distance.append(d)
     return np.array(found)[np.argsort(np.array(distance))]
+
+
+@njit(cache=True)
+def _nested(
+    vertices: Array, offsets: NDArray[np.int64], circles: Array, low: Array, cell: float, shape: NDArray[np.int64],
+    starts: NDArray[np.int64], order: NDArray[np.int64], large: NDArray[np.int64],
+) -> NDArray[np.int64]:  # fmt: skip
+    pairs = [(0, 0) for _ in range(0)]
+    for inner in range(len(circles)):
+        north, east, radius = circles[inner]
+        for outer in _near(north, east, 0.0, circles, low, cell, shape, starts, order, large):
+            larger = circles[outer, 2] > radius or (circles[outer, 2] == radius and outer < inner)
+            if larger and polygon.contains(vertices[offsets[outer] : offsets[outer + 1]], north, east):
+                pairs.append((outer, inner))
+    result = np.empty((len(pairs), 2), np.int64)
+    for k in range(len(pairs)):
+        result[k, 0], result[k, 1] = pairs[k]
+    return result

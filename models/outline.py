@@ -166,6 +166,17 @@ def _centroid(outline: Array, size: float) -> tuple[float, float]:
     return (n0, e0) if size == 0.0 else (n0 + north / (6.0 * size), e0 + east / (6.0 * size))
 
 
+@njit(cache=True)
+def contains(outline: Array, north: float, east: float) -> bool:
+    """Whether a place lies inside an outline (K, 2), even-odd rule."""
+    inside = False
+    for k in range(len(outline)):
+        (n0, e0), (n1, e1) = outline[k - 1], outline[k]
+        if (n0 <= north) != (n1 <= north) and e0 + (north - n0) / (n1 - n0) * (e1 - e0) > east:
+            inside = not inside
+    return inside
+
+
 GOOD, FEW, SMALL, MANY, CROSSED = range(5)  # verdicts of repair
 
 

@@ -194,5 +194,7 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
             else ""
         )
         print_table(f"look-alikes{more}", pairs, ("landmark", "and", "apart", "similarity"))
+    for pair in result.nested[:_MOST_LINES]:
+        note(f"one in another: {pair.inner} lies in {pair.outer}")
     _findings("rejected", result.rejected)
     _findings("remark", result.remarks)

@@ -165,6 +165,13 @@ def test_check_fails_when_nothing_is_usable(tmp_path: Path) -> None:
     assert "fail" in result.stdout
 
 
+def test_check_names_what_lies_in_another(tmp_path: Path) -> None:
+    path = tmp_path / "map.geojson"
+    path.write_bytes(LandmarkMap.from_landmarks(ORIGIN, [box("hall", 0, 0, 40, 20), box("part", 5, 3, 10, 8)]).to_geojson())
+    assert json.loads(run("check", path, "--json").stdout)["nested"] == [{"outer": "hall", "inner": "part"}]
+    assert "part lies in hall" in run("check", path).stderr
+
+
 def test_look_alikes_are_near_and_of_one_kind() -> None:
     red, blue = (0, 0, 200), (200, 0, 0)
     the_map = LandmarkMap.from_landmarks(

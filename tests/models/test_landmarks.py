@@ -120,3 +120,13 @@ def test_rows_are_those_of_the_columns() -> None:
     assert names == [x.id for x in the_map.near(0.0, 2000.0, 300.0)]
     sizes: Array = the_map.description[rows, 0]
     assert sizes.tolist() == [the_map[name].size_m2 for name in names]
+
+
+def test_one_in_another() -> None:
+    the_map = LandmarkMap.from_landmarks(
+        ORIGIN, [box("hall", 0.0, 0.0, 40.0, 20.0), box("beside", 0.0, 20.0), box("tower", 5.0, 3.0), box("far", 500.0, 0.0)]
+    )
+    assert the_map.nested().tolist() == [[0, 2]]
+    ring = Landmark.of("l", [(0, 0), (0, 30), (10, 30), (10, 10), (30, 10), (30, 0)])
+    assert len(LandmarkMap.from_landmarks(ORIGIN, [ring, box("in its corner", 20.0, 20.0, 6.0, 6.0)]).nested()) == 0
+    assert len(LandmarkMap.from_landmarks(ORIGIN, []).nested()) == 0

@@ -113,3 +113,9 @@ def test_a_finely_drawn_circle_stays_one() -> None:
 def test_self_crossing(points: Array, crosses: bool) -> None:
     for shift in range(len(points)):
         assert outline.crosses_itself(np.roll(points, shift, axis=0)) is crosses
+
+
+def test_contains_agrees_with_opencv() -> None:
+    rng = np.random.default_rng(5)
+    for n, e in rng.uniform(-1.0, 9.0, (300, 2)):
+        assert outline.contains(ELL, n, e) == (cv2.pointPolygonTest(ELL.astype(np.float32), (float(n), float(e)), False) > 0)
