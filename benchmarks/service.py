@@ -56,6 +56,7 @@ def run(minutes: float, image_hz: float, port: int, folder: Path) -> dict[str, A
     said, _ = vehicle.communicate()
     daemon.terminate()
     daemon.wait()
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     result: dict[str, Any] = json.loads(said)
     (log,) = (folder / "logs").glob("*.mcap")
     logged = _counts(log)

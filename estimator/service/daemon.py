@@ -107,13 +107,20 @@ class Daemon:
             if wait_ns > 0:
                 arrival = self.mailbox.get(wait_ns * 1e-9)
                 if arrival is not None:
-                    self.take(arrival)
+                    self._survive(self.take, arrival)
                 continue
             if -wait_ns > _ASLEEP_NS:
                 next_tick_ns = self._clock.now_ns() + round(_GRACE_S * SECOND_NS)
                 continue
-            self._tick()
+            self._survive(self._tick)
             next_tick_ns += self._tick_ns
+
+    def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
+        """A defect of ours costs one message, is counted and told once a second, and does not end the flight."""
+        try:
+            step(*given)
+        except Exception as error:
+            self._status.note_defect(f"{type(error).__name__}: {error}")
 
     def take(self, arrival: Arrival) -> None:
         """One message: to the log, through Fusion, out."""

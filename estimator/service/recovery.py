@@ -1,32 +1,54 @@
-"""Logs that a killed daemon left torn are made whole, beside the flight and never in its way."""
+"""The folder of the logs belongs to one daemon at a time; what a killed one left torn in it is made whole, beside the flight."""
 
+import fcntl
 import subprocess
 import sys
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 _SCRIPT: Final = """\
-import os, sys
+import fcntl, os, sys
 os.nice(19)
 from pathlib import Path
+from estimator.service.recovery import is_torn
 from logs.recover import recover
-for name in sys.argv[1:]:
+alone = open(sys.argv[1], "w")
+fcntl.flock(alone, fcntl.LOCK_EX)  # an earlier recovery may still be at it
+for name in sys.argv[2:]:
     torn, whole = Path(name), Path(name).with_suffix(".recovered")
     try:
-        if recover(torn, whole).chunks_lost == 0:
-            whole.replace(torn)
-        else:
-            whole.rename(torn.with_suffix(".recovered.mcap"))
+        if is_torn(torn):
+            lost = recover(torn, whole).chunks_lost
+            whole.replace(torn if lost == 0 else torn.with_suffix(".recovered.mcap"))
     except Exception as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        print(f"landfix: {name}: {error}", file=sys.stderr)
 """
+
+
+class FolderError(Exception):
+    """The folder cannot be used; one line for the user."""
+
+
+def claim(folder: Path) -> IO[str]:
+    """Make the folder ours for as long as the file that is returned stays open. Raises FolderError when it is another's."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "landfix.lock").open("w")
+    except OSError as error:
+        raise FolderError(f"[log] {folder}: {(error.strerror or 'cannot be used').lower()}") from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        lock.close()
+        raise FolderError(f"[log] {folder}: another landfix records there; give each its own folder") from None
+    return lock
 
 
 def torn_logs(folder: Path) -> list[Path]:
     """The logs in a folder that lack their proper end, oldest first."""
-    return [path for path in sorted(folder.glob("landfix-*.mcap")) if _is_torn(path)]
+    return [path for path in sorted(folder.glob("landfix-*.mcap")) if is_torn(path)]
 
 
 def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
@@ -37,10 +59,12 @@ def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
     torn = torn_logs(folder)
     if not torn:
         return None
-    return subprocess.Popen([sys.executable, "-c", _SCRIPT, *map(str, torn)], stdin=subprocess.DEVNULL)
+    words = [str(folder / "landfix.recovery.lock"), *map(str, torn)]
+    return subprocess.Popen([sys.executable, "-c", _SCRIPT, *words], stdin=subprocess.DEVNULL)
 
 
-def _is_torn(path: Path) -> bool:
+def is_torn(path: Path) -> bool:
+    """Whether an MCAP file lacks its proper end."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)

@@ -19,7 +19,7 @@ from estimator.service.handover import AutopilotConfig, Handover, Px4Config
 from estimator.service.log_writer import LogConfig, LogWriter
 from estimator.service.ports import Arrival, Outbox
 from estimator.service.px4_link import Px4Link
-from estimator.service.recovery import recover_in_background
+from estimator.service.recovery import claim, recover_in_background
 from estimator.service.state_file import StateKeeper
 from estimator.service.status import Status
 from estimator.service.warm_up import warm_up
@@ -69,7 +69,7 @@ class RunConfig(Protocol):
 def run(config: RunConfig, folder: Path) -> None:
     """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count.
 
-    Raises ConfigError or BusError when it cannot start; once it has started it raises nothing.
+    Raises ConfigError, FolderError or BusError when it cannot start; once it has started it raises nothing.
     """
     notifier = Notifier()
     with assembled(config, folder, alive=notifier.alive) as daemon, _until_signalled(daemon):
@@ -88,11 +88,13 @@ def assembled(
     warm_up()
     logs = Path(config.log.folder)
     state_path = logs / config.service.state_file if config.service.state_file else None
-    saved = state_file.load(state_path) if state_path else None
-    clock = clock or state_file.clock_of(saved)
-    if config.log.enabled:
-        recover_in_background(logs)
     with ExitStack() as stack:
+        if config.log.enabled or state_path:
+            stack.enter_context(claim(logs))
+        saved = state_file.load(state_path) if state_path else None
+        clock = clock or state_file.clock_of(saved)
+        if config.log.enabled and (recovery := recover_in_background(logs)):
+            stack.callback(recovery.poll)
         log = _log(stack, config, clock, attachments, digest)
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
@@ -185,7 +187,6 @@ def _log(stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[At
 def _keeper(stack: ExitStack, path: Path | None, clock: Clock, digest: str) -> StateKeeper | None:
     if path is None:
         return None
-    path.parent.mkdir(parents=True, exist_ok=True)
     keeper = StateKeeper(path, clock, digest)
     stack.callback(keeper.close)
     return keeper

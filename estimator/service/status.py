@@ -28,6 +28,7 @@ class Status:
         self._counts: dict[str, int] = {}  # by topic, since the last report
         self._totals: dict[str, int] = {}
         self._latency_ns: deque[tuple[int, int]] = deque(maxlen=_RECENT)  # since validity, since arrival
+        self._defects, self._defect = 0, ""
         self.unbelieved = 0  # messages whose stamps are of no known clock
         self._health: Health | None = None
         self._values: dict[str, str] = {}
@@ -53,6 +54,10 @@ class Status:
                 reason = f"{output.topic} {output.reason}"
                 self._totals[reason] = self._totals.get(reason, 0) + 1
 
+    def note_defect(self, detail: str) -> None:
+        """Something happened that cannot happen."""
+        self._defects, self._defect = self._defects + 1, detail
+
     def report(self, now_ns: int) -> Encoded | None:
         """What became of the last second, if it is over."""
         if now_ns < self._next_ns:
@@ -62,6 +67,8 @@ class Status:
         values: dict[str, Any] = {"uptime_s": f"{(now_ns - self._began_ns) * 1e-9:.0f}"}
         values |= {f"rate_hz {topic}": f"{n / period_s:.1f}" for topic, n in sorted(self._counts.items())}
         values["unbelieved_stamps"] = self.unbelieved
+        if self._defects:
+            values |= {"internal_errors": self._defects, "internal_error": self._defect}
         values |= self._latencies()
         for name, part in self._parts.items():
             values |= {f"{name} {key}": value for key, value in part().items()}

@@ -176,7 +176,8 @@ class ZenohBus:
     def _keys(self, inputs: Mapping[str, str], images: Sequence[str]) -> list[str]:
         """All keys of the inputs, for the access control."""
         topics = [*inputs, *images]
-        return [f"{self._config.domain}/{t.strip('/')}/**" for t in topics] + [keys.plain_key(t) for t in topics]
+        px4 = f"{self._config.domain}/fmu/out/**"
+        return [px4, *(f"{self._config.domain}/{t.strip('/')}/**" for t in topics), *(keys.plain_key(t) for t in topics)]
 
     def _output_keys(self) -> list[str]:
         """Likewise of the outputs and queryables."""

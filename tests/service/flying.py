@@ -25,7 +25,7 @@ from logs.codec import Odometry, decode_odometry
 from logs.reader import LogReader, Record
 
 ODOMETRY = "/landfix/odometry"
-_PATIENCE_S = 60.0  # a machine may be busy; nothing here waits longer than it must
+_PATIENCE_S = 180.0  # a machine may be busy; nothing here waits longer than it must
 
 
 def free_port() -> int:

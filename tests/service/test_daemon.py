@@ -45,6 +45,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str
         keys = [health, "landfix/odometry", "landfix/status", "landfix/config", "landfix/map"]
         told = {key: ask(session, key) for key in keys}
         told["health"] = told.pop(health)
+        tokens = [reply.ok for reply in session.liveliness().get("@ros2_lv/**", timeout=5.0)]
+        told["tokens"] = [str(token.key_expr).encode() for token in tokens if token is not None]
     (log,) = logs_of(folder)
     return log, text, vehicle.sent, len(vehicle.latency_ns), told
 
@@ -98,6 +100,17 @@ def test_who_comes_late_is_told(flown: tuple[Path, str, dict[str, int], int, dic
     assert int(status["zenoh received"]) == sum(sent.values())
 
 
+def test_ros_sees_the_node_and_its_topics(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
+    tokens = [token.decode().split("/") for token in flown[-1]["tokens"]]
+    assert [t[-1] for t in tokens if t[5] == "NN"] == ["landfix"]
+    published = {t[9].replace("%", "/"): t[10] for t in tokens if t[5] == "MP"}
+    assert published["/landfix/odometry"] == "nav_msgs::msg::dds_::Odometry_"
+    assert len(published) == 8
+    subscribed = {t[9].replace("%", "/") for t in tokens if t[5] == "MS"}
+    assert {"/imu", "/gnss", "/pose_fix", "/landfix/fix", "/left/image"} <= subscribed
+    assert "/landfix/tick" not in subscribed
+
+
 def test_with_no_log_it_flies_as_well(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port, more="enabled = false\n[service]\nstate_file = ''")
@@ -148,6 +161,16 @@ def test_torn_and_random_bytes_get_a_reason_and_nothing_else(tmp_path: Path) -> 
     positions: list[Vec3] = [decode_odometry(r.data).p_n for r in records(log, ODOMETRY)]
     assert np.isfinite(positions).all()
     assert_replay_says_the_same(log, text)
+
+
+def test_a_defect_of_ours_costs_one_message(tmp_path: Path) -> None:
+    port = free_port()
+    with in_thread(parse(toml(tmp_path, port)), tmp_path) as daemon, client(port) as session:
+        daemon.mailbox.put_bytes("/imu", schemas.IMU, None)  # type: ignore[arg-type]
+        vehicle = fly(session, 1.5)
+        until(lambda: "internal_errors" in values(ask(session, "landfix/status")[0]), "the status tells of it")
+        assert values(ask(session, "landfix/status")[0])["internal_errors"] == "1"
+    assert len(vehicle.latency_ns) > 50
 
 
 def test_a_router_that_is_restarted_is_found_again(tmp_path: Path) -> None:

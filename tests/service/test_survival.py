@@ -11,7 +11,8 @@ import pytest
 
 from benchmarks.service_vehicle import Vehicle, truth
 from estimator.config import parse
-from estimator.service.recovery import torn_logs
+from estimator.service.recovery import FolderError, torn_logs
+from estimator.service.zenoh_bus import BusError
 from logs.codec import Odometry
 from models.messages import Array
 from tests.service.flying import (
@@ -111,17 +112,20 @@ def test_told_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: 
     assert (tmp_path / "stderr.txt").read_text() == ""
 
 
-def test_what_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
-    port = free_port()
+def test_what_cannot_start_says_why_in_one_line_and_leaves_the_other_alone(tmp_path: Path) -> None:
+    port, other = free_port(), tmp_path / "other"
+    other.mkdir()
     text = toml(tmp_path, port)
-    file = tmp_path / "vehicle.toml"
-    with as_process(text, tmp_path, port):
-        second = subprocess.run(
-            [sys.executable, "-m", "estimator", "run", "-c", str(file)], capture_output=True, text=True, check=False, timeout=60
-        )
-    assert second.returncode == 1
-    assert second.stderr.count("\n") == 1
-    assert str(port) in second.stderr
+    with in_thread(parse(text), tmp_path):
+        (log,) = logs_of(tmp_path)
+        with pytest.raises(FolderError, match="another landfix records there"), in_thread(parse(text), tmp_path):
+            pass
+        with pytest.raises(BusError, match=str(port)) as refused, in_thread(parse(toml(other, port)), other):
+            pass
+        assert logs_of(tmp_path) == [log]
+        assert torn_logs(tmp_path / "logs") == [log]  # still being written
+    assert "\n" not in str(refused.value)
+    assert torn_logs(tmp_path / "logs") == []
 
 
 def test_a_subscriber_that_stands_still_holds_up_nobody(tmp_path: Path) -> None:
