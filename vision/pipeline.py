@@ -188,6 +188,8 @@ class LandmarkPipeline:
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
         residual = epipolar.region_residual(matches)
+        if 2 * sum(isinstance(m, Match) for m in matches) < len(matches):  # in doubt: looks further, and takes longer
+            residual = epipolar.edge_residual(grey(views.work), grey(views.other), rig) or residual
         if residual and abs(residual.vertical_px) > max(_ROWS_PX, 4.0 * float(np.hypot(residual.sigma_px, self._rows_sigma_px))):
             problem = f"rows differ by {residual.vertical_px:+.1f} px: wrong calibration, or pictures not taken together"
             return self._one_camera(views, whole, prior, known, refused, f"{views.remark}right camera not used: {problem}; ")
