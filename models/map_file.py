@@ -48,7 +48,6 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
     origin = defaults.origin or (head.landfix and head.landfix.origin) or _middle(lonlat, offsets, good, table[:, 4])
     if not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0 and math.isfinite(origin[2])):
         raise MapError(f"the origin {origin} is not a latitude, longitude and height")
-    lonlat[np.repeat(~good, parts.counts)] = origin[1], origin[0]
     table[np.isnan(table[:, 4]), 4] = origin[2]
     vertices, base_d = _to_ned(origin, lonlat, offsets, ground=table[:, 4], roof=table[:, 4] + table[:, 0])
     good &= _in_reach(parts, origin, lonlat, vertices, offsets, good)

@@ -322,6 +322,15 @@ def test_building_footprints_in_utm(landfix_data: Path) -> None:
     assert the_map.origin[:2] == pytest.approx((33.639, -84.479), abs=2e-3)
 
 
+def test_coordinates_beyond_all_bounds_in_a_projection_hurt_nobody_else() -> None:
+    square = [[465_000.0, 5_250_000.0], [465_020.0, 5_250_000.0], [465_020.0, 5_250_010.0], [465_000.0, 5_250_010.0]]
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
+    data = collection(feature([square], id="good"), feature([[[1e300, 1e300], [-1e300, 0.0], [0.0, 1e9]]], id="bad"), crs=crs)
+    the_map = LandmarkMap.from_geojson(data)
+    assert [(x.id, round(x.size_m2)) for x in the_map] == [("good", 200)]
+    assert "not longitude and latitude" in the_map.report.rejected[0].text
+
+
 def test_utm_agrees_with_the_receiver_s_own_conversion(landfix_data: Path) -> None:
     from models.projection import to_lonlat  # noqa: PLC0415
 
