@@ -22,11 +22,13 @@ from vision.rectify import Image
 Grey = NDArray[np.uint8]
 
 _FIRST_WINDOW, _WINDOW = 0.4, 0.3  # of the local square
+_WINDOW_PX = (4, 15)  # fewer pixels give a noisy corner, more nothing
 _SMOOTHING_PX = 0.8
 _SEARCH_PX = 1500  # larger pictures are searched at reduced size
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _BLURRED_PX: Final = 6.0  # an edge that takes more pixels from 10 to 90 % is blurred ...
 _BLURRED_SQUARE: Final = 0.25  # ... and so is one that takes this part of a square
+_UNKNOWN_PX: Final = 9999.0  # OpenCV's word for it
 _OTHER_SIZES = (
     (9, 6),
     (8, 6),
@@ -133,8 +135,8 @@ def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
     """Corners (N, 2) roughly, row by row."""
     enhanced = stretch(median(picture))
     shrink = max(1.0, max(picture.shape) / _SEARCH_PX)
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-    for candidate in (enhanced, picture):
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for candidate in (enhanced, picture):  # where squares are small the median takes too much
         small = (
             candidate
             if shrink == 1.0
@@ -169,7 +171,7 @@ def _refined(picture: Grey, corners: Array, board: Board) -> Array:
 
 def _sub_pixel(picture: Grey, px: Array, half_window_px: Array) -> Array:
     """cornerSubPix with a window of its own for each corner."""
-    windows = np.clip(half_window_px, 2, 15).astype(int)
+    windows = np.clip(half_window_px, *_WINDOW_PX).astype(int)
     refined = px.copy()
     for w in np.unique(windows):
         some = windows == w
@@ -222,6 +224,7 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
 
 
 def _edge_width(picture: Grey, px: Array, board: Board) -> float:
-    """Pixels that the board's edges take from 10 to 90 % of their height."""
+    """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small to tell."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
-    return float(np.ravel(cv2.estimateChessboardSharpness(picture, (board.columns, board.rows), corners)[0])[0])
+    width = float(np.ravel(cv2.estimateChessboardSharpness(picture, (board.columns, board.rows), corners)[0])[0])
+    return width if width < _UNKNOWN_PX else 0.0

@@ -79,12 +79,12 @@ def rests(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> list[slice]:
     return found
 
 
-def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
-    """Noise in the longest rest. Raises CalibrationError where there is none of ten seconds."""
+def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array, shortest_s: float = _SHORTEST_S) -> Static:
+    """Noise in the longest rest. Raises CalibrationError where there is none of shortest_s."""
     check(t_ns, gyro, accel)
     found = rests(t_ns, gyro, accel)
     lengths = [1e-9 * float(t_ns[r.stop - 1] - t_ns[r.start]) for r in found]
-    if not found or max(lengths) < _SHORTEST_S:
+    if not found or max(lengths) < shortest_s:
         longest = max(lengths, default=0.0)
         raise CalibrationError(
             f"the IMU rests for {longest:.0f} s at most: let it lie still, ten minutes for the noise, hours for the walk"

@@ -1,6 +1,6 @@
 """Kalibr camchain: cam0 is the left, cam1 the right camera.
 
-cam1.T_cn_cnm1 = T_rc,   cam0.T_cam_imu = T_cb (x_c = T_cb x_b),   t_imu = t_cam + timeshift_cam_imu
+cam1.T_cn_cnm1 = T_rc,  cam0.T_cam_imu = T_cb (x_c = T_cb x_b; OpenVINS: T_imu_cam = T_bc),  t_imu = t_cam + timeshift_cam_imu
 """
 
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.errors import CalibrationError
+from calib.fisheye import rational
 from calib.plain_yaml import number, rows, sequence
 from calib.rig_yaml import FORWARD, UNKNOWN_POSE
 from models.camera import CameraModel, StereoRig
@@ -20,28 +21,36 @@ def camera(value: dict[str, Any], name: str, where: str) -> CameraModel:
     if not isinstance(chain, dict):
         raise CalibrationError(f"{where}: {name} is missing: a rig has cam0 (left) and cam1 (right)")
     kind, lens = chain.get("camera_model"), chain.get("distortion_model", "none")
-    if kind != "pinhole" or lens not in {"radtan", "none"}:
-        raise CalibrationError(f"{where}: {name} is {kind}-{lens}; supported is pinhole-radtan")
+    if kind != "pinhole" or lens not in {"radtan", "none", "equidistant"}:
+        raise CalibrationError(f"{where}: {name} is {kind}-{lens}; supported are pinhole-radtan and pinhole-equidistant")
     try:
         width, height = (int(x) for x in chain["resolution"])
         fx, fy, cx, cy = (float(x) for x in chain["intrinsics"])
         distortion = tuple(float(x) for x in chain.get("distortion_coeffs", ()))
     except (KeyError, TypeError, ValueError):
         raise CalibrationError(f"{where}: {name}: resolution, intrinsics or distortion_coeffs missing or no numbers") from None
+    if lens == "equidistant":
+        try:
+            return rational(fx, fy, cx, cy, np.array(distortion), (width, height))
+        except CalibrationError as error:
+            raise CalibrationError(f"{where}: {name}: {error}") from None
     return CameraModel(width, height, fx, fy, cx, cy, distortion)
 
 
 def rig(value: dict[str, Any], where: str) -> StereoRig:
     """The rig of a parsed camchain. Raises CalibrationError."""
     left, right = camera(value, "cam0", where), camera(value, "cam1", where)
-    R_rc, t_rc = _pose(value["cam1"], "T_cn_cnm1", where)
+    on_body = [_on_body(value[name], where) for name in ("cam0", "cam1")]
+    if "T_cn_cnm1" in value["cam1"] or on_body[0] is None or on_body[1] is None:
+        T_rc = _pose(value["cam1"], "T_cn_cnm1", where)
+    else:
+        T_rc = np.linalg.inv(on_body[1]) @ on_body[0]
     R_bc, p_bc = FORWARD, np.zeros(3)
     covariance_bc: Array | None = UNKNOWN_POSE
-    if "T_cam_imu" in value["cam0"]:
-        R_cb, t_cb = _pose(value["cam0"], "T_cam_imu", where)
-        R_bc, p_bc, covariance_bc = R_cb.T, -R_cb.T @ t_cb, None
+    if on_body[0] is not None:
+        R_bc, p_bc, covariance_bc = on_body[0][:3, :3], on_body[0][:3, 3], None
     offset = float(value["cam0"].get("timeshift_cam_imu", 0.0))
-    return StereoRig(left, right, R_rc, t_rc, R_bc, p_bc, None, covariance_bc, offset)
+    return StereoRig(left, right, T_rc[:3, :3], T_rc[:3, 3], R_bc, p_bc, None, covariance_bc, offset)
 
 
 def camera_text(model: CameraModel, name: str = "cam0") -> str:
@@ -74,9 +83,20 @@ def _text(name: str, R: Array, t: Array) -> str:
     return f"  {name}:{rows(T, '    ')}\n"
 
 
-def _pose(chain: dict[str, Any], name: str, where: str) -> tuple[Array, Array]:
+def _on_body(chain: dict[str, Any], where: str) -> Array | None:
+    """T_bc (4, 4), which OpenVINS writes as it is and Kalibr inverted; None where there is neither."""
+    if "T_imu_cam" in chain:
+        return _pose(chain, "T_imu_cam", where)
+    if "T_cam_imu" not in chain:
+        return None
+    T_cb = _pose(chain, "T_cam_imu", where)
+    T_bc = np.eye(4)
+    T_bc[:3, :3], T_bc[:3, 3] = T_cb[:3, :3].T, -T_cb[:3, :3].T @ T_cb[:3, 3]
+    return T_bc
+
+
+def _pose(chain: dict[str, Any], name: str, where: str) -> Array:
     try:
-        T = np.array(chain[name], dtype=np.float64).reshape(4, 4)
+        return np.array(chain[name], dtype=np.float64).reshape(4, 4)
     except (KeyError, TypeError, ValueError):
         raise CalibrationError(f"{where}: {name} is missing or not a 4 x 4 matrix") from None
-    return T[:3, :3], T[:3, 3]

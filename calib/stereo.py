@@ -61,7 +61,7 @@ def calibrate(
     told = progress or (lambda _: None)
     for side in (0, 1):
         check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} pictures")
-    both = [shared for pair in pairs if (shared := _shared(pair)) is not None]
+    both = [common for pair in pairs if (common := shared(pair)) is not None]
     chosen = [both[i] for i in choose([p.left for p in both], board)]
     problem = _start(chosen, board, lens)
     told(0.4)
@@ -126,7 +126,7 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
     return middle
 
 
-def _shared(pair: Pair) -> Pair | None:
+def shared(pair: Pair) -> Pair | None:
     """The corners that both pictures show, in one order; None where there are too few."""
     left, right = pair
     ids, a, b = np.intersect1d(left.ids, right.ids, return_indices=True)

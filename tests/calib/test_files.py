@@ -55,6 +55,17 @@ def test_kalibr_and_back(tmp_path: Path) -> None:
     assert_same(rig(), load_rig(tmp_path / "camchain.yaml"), 1e-15)
 
 
+def test_the_rig_of_a_recorded_data_set(landfix_data: Path) -> None:
+    """EuRoC's, as OpenVINS writes a camchain (in JSON, which is YAML): its README measured baseline 0.11008 m, 0.818 degrees."""
+    euroc = load_rig(landfix_data / "flights" / "euroc" / "calib.json")
+    assert euroc.baseline_m == pytest.approx(0.11008, abs=1e-5)
+    turn = np.linalg.norm(so3.quat_log(so3.from_matrix(np.ascontiguousarray(euroc.R_rc))))
+    assert np.rad2deg(turn) == pytest.approx(0.818, abs=1e-3)
+    np.testing.assert_allclose(euroc.p_bc, (-0.0216401454975, -0.064676986768, 0.00981073058949))
+    with pytest.raises(CalibrationError, match="80 degrees"):  # TUM-VI's lenses see 195 degrees
+        load_rig(landfix_data / "flights" / "tumvi_room" / "calib.json")
+
+
 def test_ros_and_back_without_the_pose_on_the_body(tmp_path: Path) -> None:
     written = save_rig(tmp_path / "rig.yaml", rig(), Format.ROS)
     assert [p.name for p in written] == ["rig_left.yaml", "rig_right.yaml"]

@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 from estimator.cli import app
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ["demo", "replay", "evaluate", "simulate", "import", "recover", "doctor"]
+COMMANDS = ["demo", "replay", "evaluate", "simulate", "import", "recover", "doctor", "calibrate"]
 
 
 def run(*args: object) -> Result:

@@ -1,0 +1,153 @@
+"""Calibration on real recordings: published chessboard pairs, EuRoC's rig, IMUs at rest beside their data sheets; speed.
+
+    python -m benchmarks.calibration_real
+
+Needs the recorded data (LANDFIX_DATA). Writes out/bench_calibration/real.md.
+"""
+
+import gzip
+import resource
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.tables import Table, number
+from benchmarks.tasks import data_folder
+from calib import imu, mono, stereo
+from calib.bundle import Seen
+from calib.chessboard import Board, View, find
+from calib.errors import CalibrationError
+from calib.files import load_rig
+from calib.mono import Lens
+from calib.stereo import Pair
+from models import so3
+from models.messages import Array
+
+OUT = Path("out/bench_calibration")
+SHORTEST_S = 2.4  # of a rest: enough for the density
+DATA_SHEETS = {  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz)
+    "euroc": ("ADIS16448, as published with the set", 1.7e-4, 2.0e-3),
+    "tumvi_room": ("BMI160, as published with the set", 1.6e-4, 2.8e-3),
+    "inertialnav_logs": ("scatter on the ground / sqrt(50 Hz), its README", 4.1e-5, 1.05e-3),
+    "rtk_drive_walk": ("author's configuration; here the engine runs", 6.6e-5, 6.9e-4),
+    "umn_thor75": ("scatter on the ground / sqrt(50 Hz), its README", 4.2e-4, 2.8e-3),
+}
+
+
+def views_of(folder: Path, pattern: str, board: Board) -> list[View]:
+    """All views of a board in a folder's pictures."""
+    found = [find(np.asarray(cv2.imread(str(p))), board, p.name) for p in sorted(folder.glob(pattern))]
+    return [v for v in found if isinstance(v, View)]
+
+
+def chessboards(folder: Path) -> list[Table]:
+    """OpenCV's 13 pairs with every lens model, and what it costs."""
+    board = Board()
+    began = time.process_time()
+    sides = [views_of(folder, f"{side}*.jpg", board) for side in ("left", "right")]
+    found_s = time.process_time() - began
+    rows, cost = [], []
+    for lens in (Lens.TWO, Lens.FOUR, Lens.FIVE, Lens.EIGHT):
+        began = time.process_time()
+        left, right = (mono.calibrate(s, board, lens) for s in sides)
+        both = stereo.calibrate([Pair(*p) for p in zip(*sides, strict=True)], board, lens)
+        cost.append((lens.value, f"{time.process_time() - began:.1f} s"))
+        rig = both.rig
+        assert rig.covariance_rc is not None
+        assert left.camera.covariance is not None
+        sigma = np.sqrt(np.diagonal(rig.covariance_rc))
+        turn = np.rad2deg(np.linalg.norm(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc)))))
+        rows.append((
+            lens.value, f"{left.solution.rms:.3f}", f"{right.solution.rms:.3f}", f"{both.solution.rms:.3f}",
+            f"{left.held_out_rms:.3f}", f"{both.epipolar_before_px:.2f}",
+            f"{both.epipolar_after_px:.3f}", f"{both.held_out_px:.3f}",
+            f"{left.camera.fx:.2f} +- {np.sqrt(left.camera.covariance[0, 0]):.2f}", f"{left.spread.max():.1f}",
+            f"{1e3 * rig.baseline_m:.2f} +- {1e3 * sigma[0]:.2f}", f"{turn:.2f} +- {np.rad2deg(sigma[3:].max()):.2f}",
+            f"{1e3 * both.square_m:.3f}",
+        ))  # fmt: skip
+    rows.append((
+        "reference", "0.195", "0.207", "0.217", "", "", "0.171", "0.173-0.176", "532.83", "", "83.21", "0.50", "25.011",
+    ))  # fmt: skip
+    columns = (
+        "lens", "left px", "right px", "stereo px", "left out px", "epipolar px", "rectified px", "left out px", "fx left",
+        "worst change / sigma", "baseline mm", "rotation deg", "square mm",
+    )  # fmt: skip
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    speed = [
+        ("26 VGA pictures: corners", f"{found_s:.2f} s"),
+        *(("two cameras and the rig, lens " + lens, t) for lens, t in cost),
+    ]
+    speed.append(("peak memory of the process", f"{memory:.0f} MB"))
+    return [Table("OpenCV's 13 chessboard pairs", columns, rows), Table("Cost", ("what", "time"), speed)]
+
+
+def euroc(folder: Path, calibration: Path) -> Table:
+    """EuRoC's published rig, through our Kalibr import, on its own pictures of a 7 x 6 board of 60 mm."""
+    rig, board = load_rig(calibration), Board(7, 6, 0.06)
+    left, right = views_of(folder / "cam0", "*", board), views_of(folder / "cam1", "*", board)
+    pairs = [p for a, b in zip(left, right, strict=True) if (p := stereo.shared(Pair(a, b))) is not None]
+    errors = np.concatenate(stereo.row_errors(rig, pairs))
+    sides = stereo.square_sides(rig, pairs, board)
+    turn = np.rad2deg(np.linalg.norm(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc)))))
+    depth = [mono.board_pose(rig.left, Seen(board.points[v.ids], v.px)).of(board.points.mean(axis=0)[None])[0, 2] for v in left]
+    return Table("EuRoC's published rig on its board (8 pairs, at rest)", ("what", "here", "reference"), [
+        ("pairs with the board", str(len(pairs)), "8"),
+        ("baseline m", f"{rig.baseline_m:.5f}", "0.11008"),
+        ("rotation deg", f"{turn:.3f}", "0.818"),
+        ("rectified row error px, RMS", f"{np.sqrt(np.mean(errors**2)):.3f}", "0.323 (SIFT)"),
+        ("triangulated square mm", f"{1e3 * sides.mean():.2f}", "60.2"),
+        ("distance of the board m", f"{np.mean(depth):.3f}", "2.27"),
+    ])  # fmt: skip
+
+
+def read_imu(path: Path) -> tuple[NDArray[np.int64], Array, Array]:
+    """t_s, gyro, accel of an imu.csv.gz."""
+    with gzip.open(path, "rt") as file:
+        rows = np.genfromtxt(file, delimiter=",", skip_header=1)
+    if rows[0, 0] > 1e12:
+        rows[:, 0] = (rows[:, 0] - rows[0, 0]) * 1e-9
+    rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0))]
+    return np.rint(1e9 * rows[:, 0]).astype(np.int64), rows[:, 1:4], rows[:, 4:7]
+
+
+def at_rest(flights: Path) -> Table:
+    """Allan deviation of the longest rest of every flight that has one of ten seconds."""
+    rows = []
+    for path in sorted(flights.glob("**/imu.csv.gz")):
+        name = path.parent.relative_to(flights).as_posix()
+        sheet = DATA_SHEETS.get(name.partition("/")[0], ("", float("nan"), float("nan")))
+        try:
+            found = imu.static_noise(*read_imu(path), shortest_s=SHORTEST_S)
+        except CalibrationError as error:
+            rows.append((name, str(error)[:60], "", "", "", "", "", ""))
+            continue
+        c = found.config()
+        rows.append((
+            name, f"{found.duration_s:.0f}", f"{found.rate_hz:.0f}", number(c["gyro_noise"]), number(sheet[1]),
+            number(c["accel_noise"]), number(sheet[2]), sheet[0],
+        ))  # fmt: skip
+    columns = ("flight", "rest s", "Hz", "gyro", "data sheet", "accel", "data sheet", "IMU")
+    return Table("Noise density at rest (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)), worst axis", columns, rows)
+
+
+def main() -> None:
+    """All tables."""
+    cv2.setNumThreads(1)
+    OUT.mkdir(parents=True, exist_ok=True)
+    data = data_folder()
+    images, flights = data / "images", data / "flights"
+    tables = [
+        *chessboards(images / "opencv_chessboard_stereo"),
+        euroc(images / "euroc_v101_static_stereo_imu", flights / "euroc" / "calib.json"),
+        at_rest(flights),
+    ]  # fmt: skip
+    text = "\n".join(t.markdown() for t in tables)
+    (OUT / "real.md").write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
