@@ -141,7 +141,7 @@ class History:
             return
         del self._checkpoints[:keep], self._checkpoint_times[:keep]
         oldest = self._checkpoint_times[0]
-        self.samples.forget_before(oldest - _LEVELLING_NS)
+        self.samples.forget_before(min(oldest - _LEVELLING_NS, self._checkpoints[0].needs_from_ns))
         drop = 0
         while drop < self._next and self._entries[drop].aid.t_ns <= oldest:
             drop += 1

@@ -45,7 +45,7 @@ class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     still_accel: Annotated[float, Meta(gt=0, description="m/s^2: deviation below which the vehicle may be at rest")] = 0.3
     still_rate: Annotated[float, Meta(gt=0, description="rad/s: mean rate below which the vehicle may be at rest")] = 0.15
     level_moving_deg: Annotated[float, Meta(gt=0, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
-    heading_deg: Annotated[float, Meta(gt=0, description="deg: attitude sigma below which the estimate is aligned")] = 10.0
+    heading_deg: Annotated[float, Meta(gt=0, description="deg: attitude sigma below which the estimate is aligned")] = 5.0
     velocity_m_s: Annotated[float, Meta(gt=0, description="m/s: velocity sigma below which the estimate is aligned")] = 3.0
 
 
@@ -62,11 +62,14 @@ class Level:
     still: bool
 
 
-def level(t_ns: int, u: Array, config: InitialiseConfig) -> Level:
-    """Judge a stretch of samples u (k, 6), gyro then accel, that ends at t_ns."""
+def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = True) -> Level:
+    """Judge a stretch of samples u (k, 6), gyro then accel, that ends at t_ns.
+
+    may_rest: nothing else says that the vehicle moves; a gentle coordinated turn feels like rest.
+    """
     gyro, force = u[:, :3], u[:, 3:]
     f = force.mean(axis=0)
-    still = bool(
+    still = may_rest and bool(
         gyro.std(axis=0).max() < config.still_gyro
         and force.std(axis=0).max() < config.still_accel
         and np.linalg.norm(gyro.mean(axis=0)) < config.still_rate
@@ -92,7 +95,7 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
     r_nb = so3.matrix(z.q_nb_wxyz)
     turn = np.eye(6)
     turn[3:, 3:] = r_nb.T  # the fix's attitude error is about n's axes, ours about the body's
-    noise = turn @ z.noise @ turn.T
+    noise = _symmetric(turn @ z.noise @ turn.T)
     cov[E.P, E.P], cov[E.THETA, E.THETA] = noise[:3, :3], noise[3:, 3:]
     cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
     return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns)])
@@ -100,17 +103,32 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
     """Eight filters, levelled, at a position fix: one for each eighth of the circle."""
-    members = []
-    for k in range(_HEADINGS):
-        x, cov = _unknown(at, config)
-        x[X.P] = z.z_n
-        x[X.Q] = so3.from_euler(at.roll, at.pitch, 2.0 * math.pi * k / _HEADINGS)
-        cov[E.P, E.P] = z.noise[:3, :3]
-        about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, (math.pi / _HEADINGS) ** 2])
-        r_nb = so3.matrix(x[X.Q])
-        cov[E.THETA, E.THETA] = r_nb.T @ about_n @ r_nb
-        members.append(Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns))
-    return Hypotheses(members)
+    headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
+    filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
+    return Hypotheses([Hypothesis(f, fused_ns=t_ns, established_ns=t_ns) for f in filters])
+
+
+def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
+    """What is known at a position fix, without favour for any heading."""
+    return _levelled(t_ns, z, at, 0.0, 2.0 * math.pi, constants, config)
+
+
+def _levelled(
+    t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
+) -> Eskf:
+    """A filter at a position fix, roll and pitch from levelling; heading and its sigma in rad."""
+    x, cov = _unknown(at, config)
+    x[X.P], x[X.Q] = z.z_n, so3.from_euler(at.roll, at.pitch, heading)
+    cov[E.P, E.P] = z.noise[:3, :3]
+    about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, sigma**2])
+    r_nb = so3.matrix(x[X.Q])
+    cov[E.THETA, E.THETA] = _symmetric(r_nb.T @ about_n @ r_nb)
+    return Eskf(t_ns, x, cov, constants)
+
+
+def _symmetric(cov: Array) -> Array:
+    """To the last bit."""
+    return 0.5 * (cov + cov.T)
 
 
 def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:

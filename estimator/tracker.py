@@ -14,6 +14,7 @@ from estimator import initialise
 from estimator.eskf import Eskf
 from estimator.hypotheses import Hypotheses, Hypothesis
 from estimator.initialise import InitialiseConfig, Level
+from estimator.relinearise import Stretch, relinearise
 from estimator.samples import ImuBuffer
 from estimator.sources.imu import Plausibility, stream_plausibility
 from estimator.sources.source import Aid, Phase, SourceState
@@ -29,6 +30,8 @@ _FEWEST_SAMPLES = 5  # of IMU, to level with
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _XYZ = 3
+_MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
+_AGREES = 0.1  # squared, per state, in units of P: a run of the stretch that moves the estimate by less finds the filter right
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,10 +56,11 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """The vehicle at rest: levelled, at a position fix."""
+    """The vehicle at rest: levelled, at a position fix; since: the first fix of this rest."""
 
     level: Level
     z: Position | Pose
+    since: Position | Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,7 @@ class Tracker:
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
         self.still: Still | None = None
+        self.stretch: Stretch | None = None
         self.plausibility = Plausibility(Phase.STARTING, "no IMU yet")
         self.sources: dict[str, SourceState] = {}
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
@@ -115,10 +120,15 @@ class Tracker:
             place, fixed_ns = (last.lat_deg, last.lon_deg, last.alt_m), checkpoint.t_ns - round(last.age_s * 1e9)
             self.anchor = GnssAnchor(place, fixed_ns, last.sigma_m, float(np.linalg.norm(lead.x[X.V])))
 
+    @property
+    def needs_from_ns(self) -> int:
+        """The oldest IMU sample that may be gone through again."""
+        return self.stretch.t_ns if self.stretch is not None else 2**62
+
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
         if to_ns - self.t_ns > _LOST_NS:
-            self.hypotheses, self.is_aligned = None, False
+            self.hypotheses, self.stretch, self.is_aligned = None, None, False
         if self.hypotheses is not None and self.t_ns < to_ns:
             index = samples.first_after(self.t_ns)
             for member in self.hypotheses.members:
@@ -154,7 +164,12 @@ class Tracker:
                 state = state._replace(fused_ns=aid.t_ns)
                 self._note_absolute(aid, z)
         else:
+            switches = self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state)
+            if self.hypotheses.switches != switches:
+                self.stretch = None  # another filter leads, with another past
+            elif self.stretch is not None and decision.reason is Reason.FUSED:
+                self._settle(self.stretch.also(aid, z, gyro_b), samples)
         self.sources[aid.topic] = state
         return decision
 
@@ -190,10 +205,11 @@ class Tracker:
                 self.plausibility = stream_plausibility(stretch)
                 if self.plausibility.phase is not Phase.ACTIVE:
                     return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
-                at = initialise.level(self.t_ns, stretch, config)
+                at = initialise.level(self.t_ns, stretch, config, may_rest=not (aid.absolute and self._has_moved(z)))
             if whole and isinstance(z, Pose):
                 if self.hypotheses is None or len(self.hypotheses.members) > 1:
                     self.hypotheses = initialise.start_from_pose(self.t_ns, z, self.constants, config)
+                    self.stretch = Stretch.of(self.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
             elif not aid.absolute or not isinstance(z, Pose | Position):
                 return Decision(Reason.ALIGNING, detail="waiting for a position")
@@ -201,29 +217,74 @@ class Tracker:
                 return Decision(Reason.ALIGNING, detail="waiting for the IMU")
             else:
                 return self._find_heading(aid, z, at, samples, gyro_b)
+        self._go_on(aid, z, samples, gyro_b)
+        return Decision(Reason.ALIGNING)
+
+    def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
+        """Aligned when enough is known, and the linear filter has come to what the whole stretch says when it is run again."""
         assert self.hypotheses is not None
         initialise.weigh(self.hypotheses, aid, z, gyro_b)
-        if initialise.aligned(self.hypotheses, config):
+        if self.stretch is not None:
+            self.stretch = self.stretch.also(aid, z, gyro_b)
+        known = initialise.aligned(self.hypotheses, self.config.initialise)
+        if known:
             del self.hypotheses.members[1:]
-            self.is_aligned = True
-        return Decision(Reason.ALIGNING)
+        if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
+            self.stretch = Stretch.of(self.hypotheses.lead) if known else None
+            self.is_aligned = known
+        elif len(self.hypotheses.members) == 1 and self.stretch.has_grown:
+            agrees = self._relinearise(self.stretch, samples)
+            self.is_aligned = known and agrees and initialise.aligned(self.hypotheses, self.config.initialise)
+
+    def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
+        """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone."""
+        assert self.hypotheses is not None
+        self.stretch, is_long = stretch, stretch.is_long(self.t_ns)
+        if is_long or stretch.due(self.hypotheses.lead):
+            self._relinearise(stretch, samples)
+        if self.stretch.is_settled:
+            self.stretch = None
+        elif is_long:
+            self.stretch = Stretch.of(self.hypotheses.lead)
+
+    def _relinearise(self, stretch: Stretch, samples: ImuBuffer) -> bool:
+        """The leading filter, linearised about what is known now, goes on; whether it had been right before."""
+        assert self.hypotheses is not None
+        result = relinearise(stretch, self.hypotheses.lead, samples)
+        if result is None:
+            return False
+        self.hypotheses.members[0].filter, self.stretch, moved = result
+        return moved < _AGREES
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
         config = self.config.initialise
         if at.still:
-            self.still = Still(at, z)
+            self.still = Still(at, z, self.still.since if self.still else z)
             return Decision(Reason.ALIGNING, detail="at rest: the heading shows when the vehicle moves")
         if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
             self.hypotheses = initialise.start_from_position(self.t_ns, z, at, self.constants, config)
+            self.stretch = Stretch.of(initialise.heading_unknown(self.t_ns, z, at, self.constants, config))
             return Decision(Reason.ALIGNING)
         rest = self.still
         self.hypotheses = initialise.start_from_position(rest.level.t_ns, rest.z, rest.level, self.constants, config)
+        self.stretch = Stretch.of(initialise.heading_unknown(rest.level.t_ns, rest.z, rest.level, self.constants, config))
         index = samples.first_after(rest.level.t_ns)
         for member in self.hypotheses.members:
             member.filter.propagate(samples, index, self.t_ns)
-        initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
+
+    def _has_moved(self, z: Measurement) -> bool:
+        """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""
+        if self.still is None or not isinstance(z, Pose | Position):
+            return False
+        first, axes = self.still.since, slice(0, _XYZ)
+        sigma = np.sqrt(np.diag(z.noise)[axes] + np.diag(first.noise)[axes])
+        if (np.abs(z.z_n - first.z_n) < _MOVED_SIGMA * sigma).all():
+            return False
+        self.still = None
+        return True
 
     def _stretch(self, samples: ImuBuffer) -> Array | None:
         """The last `level_s` of IMU samples up to now (k, 6); None where there is no such stretch yet."""
