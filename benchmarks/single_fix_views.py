@@ -1,4 +1,4 @@
-"""Views for the accuracy of single fixes: a world, its map with errors, a rig with errors, a pose, and what the filter would know.
+"""Views for the accuracy of single fixes: a world, its map with errors, a rig with errors, a pose, and what a filter would know.
 
 Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator is told.
 """

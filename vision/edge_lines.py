@@ -2,8 +2,8 @@
 
     r_i = a + b tau_i + noise,   tau = 2 t - 1                                    (offset a and tilt b of the residuals, px)
 
-A straight edge holds no more about the pose than its offset and its tilt, so the fit, its nuisances and its covariance live on two
-numbers per edge instead of dozens of dependent ones.
+A straight edge holds no more about the pose than its offset and its tilt, so the fit, its nuisances and its covariance live on
+two numbers per edge instead of dozens of dependent ones.
 """
 
 import math
@@ -25,8 +25,8 @@ _ROUNDS = 5
 class EdgeLines:
     """Lines of E edges in one picture.
 
-    line: (E, 2) offset and tilt, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e; weight (N,) of the
-    points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white noise of 1 px;
+    line: (E, 2) offset and tilt, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e; weight (N,) of
+    the points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white noise of 1 px;
     square: (E,) weighted sum of squared residuals; points: (E,) effective number.
     """
 

@@ -91,7 +91,7 @@ def _scatter(lines: EdgeLines, config: NoiseConfig) -> Array:
 
 
 def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
-    """tau of the pooled correlation of neighbours; a fitted line takes about (2 tau + 1) / n of correlation away, so it is given back."""
+    """tau of the pooled correlation of neighbours; a fitted line takes about 2 / n of it away, so that is given back."""
     product = square = 0.0
     taken = 0.0
     for k, one in enumerate(lines):

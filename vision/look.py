@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import outline
+from vision import outline, step_fit
 from vision.edge_lines import EdgeLines, compress, fit_lines
 from vision.sensitivity import EdgeView, Eye, Samples, derivatives, edge_gaps, eyes, sample_edges, view
 from vision.visibility import Kind, MapError, ModelEdges, Prisms, visible_edges
@@ -36,8 +36,8 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     search_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
     farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
     fit_half_px: Annotated[int, Meta(ge=3, description="half width of the sub-pixel fit")] = 5
-    spacing_px: Annotated[float, Meta(gt=0, description="distance of points along an edge")] = 3.0
-    most_points: Annotated[int, Meta(ge=4, description="on one edge")] = 24
+    spacing_px: Annotated[float, Meta(gt=0, description="distance of points along an edge")] = 4.0
+    most_points: Annotated[int, Meta(ge=4, description="on one edge")] = 20
     least_points: Annotated[int, Meta(ge=3, description="that make an edge")] = 4
 
 
@@ -96,7 +96,8 @@ class Scene:
             points += float(usable.sum())
         share = sum(float(line.points.sum()) for line in lines) / max(points, 1.0)
         return Look(
-            edges, samples, lines, np.stack([line.line for line in lines], axis=1), np.stack([line.found for line in lines], axis=1),
+            edges, samples, lines, np.stack([line.line for line in lines], axis=1),
+            np.stack([line.found for line in lines], axis=1),
             np.stack(H, axis=1), np.stack(N, axis=1), np.array(opened), share,
         )  # fmt: skip
 
@@ -185,7 +186,7 @@ def _fit(
     grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
     narrow = roof & (gap > 0.0) & near
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)
-    offsets, _, variance = outline.fit(grey, samples.edge, double, farthest, 1.0, usable)
+    offsets, _, variance = step_fit.fit(grey, samples.edge, double, farthest, 1.0, usable)
     variance = _GAP_FACTOR * variance + np.where(narrow & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)
     offsets[(variance > _WIDEST_OPEN_PX**2)[samples.edge]] = np.nan
     return offsets, usable, variance + np.where(clipped, _CLIPPED_PX**2, 0.0)

@@ -31,6 +31,7 @@ Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 _TUKEY = 5.0  # in units of the median distance of edges
+_NEAR = 0.4  # of the first fit's reach: offsets of that size need no further search
 _LARGEST_TURN_RAD = 0.2  # in the last step
 
 
@@ -88,7 +89,7 @@ class _Fit:
         self.scene = scene
         self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
         self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-        self.information: Array = np.linalg.inv(prior.covariance)
+        self.information = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
 
@@ -132,13 +133,20 @@ def estimate_pose(
     if not scene.eyes or not landmarks:
         return NoPose("no_picture" if landmarks else "too_few_edges")
     fit = _Fit(scene, start, prior, shift_m)
-    rounds = [(half, 0.0, 1.0) for half in config.look.search_px] + [(0, far, 0.3) for far in config.look.farthest_px]
-    for number, (search_px, farthest_px, common_px) in enumerate(rounds):
-        seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, search_px, farthest_px)
+    near = False
+    for half in config.look.search_px:
+        if not near:
+            seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, search_px=half)
+            if refusal := _not_enough(seen, config):
+                return refusal
+            near = _median(np.abs(seen.line[:, :, 0][seen.found])) < _NEAR * config.look.farthest_px[0]
+            fit.move(_robust_step(fit, seen, 1.0))
+    for number, farthest in enumerate(config.look.farthest_px):
+        if number:
+            fit.move(_robust_step(fit, seen, 0.3))
+        seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
-        if number < len(rounds) - 1:
-            fit.move(_robust_step(fit, seen, common_px))
     system, step = _final_step(fit, seen, config)
     return _report(fit, seen, system, step, config)
 
@@ -168,12 +176,16 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     system = _system(seen, R)
     step = fit.solve(system)
     used = seen.found.any(axis=1)
-    for k in range(5):
+    for k in range(4):
         distance = np.sqrt(distances(system, step.residual) / np.maximum(seen.found.sum(axis=1), 1))
-        ratio = distance / max(1.4826 * float(np.median(distance[used])), 0.5)
+        ratio = distance / max(1.4826 * _median(distance[used]), 0.5)
         inside = np.minimum(ratio / _TUKEY, 1.0)
         step = fit.solve(system.weighted(1.0 / np.maximum(ratio, 1.0) if k < 2 else (1.0 - inside**2) ** 2))
     return step
+
+
+def _median(values: Array) -> float:
+    return float(np.sort(values)[len(values) // 2])
 
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:

@@ -5,7 +5,8 @@
          + R_bc^T (-dt_bc + [x_b - p_bc]x dtheta_bc)            camera on the body
     dx_r = R_rc dx_c + dt_rc - [R_rc x_c]x dtheta_rc            right camera
 
-A row is n . du/d(unknown) [px per unit]: the thesis' Table 1 (after Lowe), for any camera model and with all that else may be wrong.
+A row is n . du/d(unknown) [px per unit]: the thesis' Table 1 (after Lowe), for any camera model and with
+all that else may be wrong.
 """
 
 from collections.abc import Sequence
@@ -154,7 +155,8 @@ def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n
 @dataclass(frozen=True, slots=True)
 class Derivatives:
     """n . du of the samples: by dp_n and dtheta_n (N, 6), by their landmark's MapError (N, 4), by what covariance_bc (N, 6) and
-    covariance_rc (N, 6) speak of, and by the camera's own parameters (N, 4 + n)."""
+    covariance_rc (N, 6) speak of, and by the camera's own parameters (N, 4 + n).
+    """
 
     pose: Array
     mapped: Array
@@ -182,23 +184,36 @@ def _derivative_rows(
     R_bk: Array, lever_b: Array, t_rc: Array, right: bool,
 ) -> Array:  # fmt: skip
     """(N, 22): pose 6, map 4, bc 6, rc 6.  row . (q x dtheta) = -(q x row) . dtheta."""
-    rows = np.zeros((row_c.shape[0], 22))
-    for i in range(row_c.shape[0]):
-        out, row_k = rows[i], row_c[i]
-        row_n, row_b = np.dot(R_nk, row_k), np.dot(R_bk, row_k)
-        out[0], out[1], out[2] = -row_n[0], -row_n[1], -row_n[2]
-        _minus_cross(points[i] - p_n, row_n, out[3:6])
+    n = row_c.shape[0]
+    rows, row_n, row_b, q = np.zeros((n, 22)), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(n):
+        out, row_k, e = rows[i], row_c[i], edge[i]
+        _turn(R_nk, row_k, row_n)
+        _turn(R_bk, row_k, row_b)
+        _turn(R_bk, x_c[i], q)
+        for a in range(3):
+            out[a], out[10 + a] = -row_n[a], -row_b[a]
+            q[a] += lever_b[a]
+        _minus_cross(q, row_b, out[13:16])
+        for a in range(3):
+            q[a] = points[i, a] - p_n[a]
+        _minus_cross(q, row_n, out[3:6])
         for k in range(4):
-            total = 0.0
             for a in range(3):
-                total += row_n[a] * ((1.0 - t[i]) * map_start[edge[i], a, k] + t[i] * map_end[edge[i], a, k])
-            out[6 + k] = total
-        out[10], out[11], out[12] = -row_b[0], -row_b[1], -row_b[2]
-        _minus_cross(np.dot(R_bk, x_c[i]) + lever_b, row_b, out[13:16])
+                out[6 + k] += row_n[a] * ((1.0 - t[i]) * map_start[e, a, k] + t[i] * map_end[e, a, k])
         if right:
-            out[16], out[17], out[18] = row_k[0], row_k[1], row_k[2]
-            _minus_cross(row_k, x_c[i] - t_rc, out[19:22])
+            for a in range(3):
+                out[16 + a] = row_k[a]
+                q[a] = x_c[i, a] - t_rc[a]
+            _minus_cross(row_k, q, out[19:22])
     return rows
+
+
+@njit(cache=True)
+def _turn(R: Array, x: Array, out: Array) -> None:
+    """R x."""
+    for a in range(3):
+        out[a] = R[a, 0] * x[0] + R[a, 1] * x[1] + R[a, 2] * x[2]
 
 
 @njit(cache=True)

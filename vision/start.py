@@ -18,7 +18,7 @@ from vision.identify import Prior
 from vision.sensitivity import Eye
 from vision.visibility import MapError
 
-_ROUNDS = 3
+_ROUNDS = 2
 
 
 def centroid_and_size(contour_px: Array) -> tuple[Array, float]:

@@ -1,0 +1,291 @@
+"""Where blurred steps lie on profiles across an outline, to a few hundredths of a pixel.
+
+    g(s) = a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma)
+
+One step where roof meets ground; two a known gap apart where a narrow wall lies between, or a strip of shadow whose width is
+found. Levels, place and blur come from the mean profile of an edge (Levenberg-Marquardt), then each point takes one linear
+least-squares estimate on that shape: its gain, and how far it is shifted.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
+_FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how far it reaches
+_PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
+_STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
+_FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
+
+
+@njit(cache=True)
+def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, usable: Mask) -> tuple[Array, Array, Array]:
+    """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
+
+    gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
+    belongs to which step is estimated, and what that leaves open of the place is the variance. No edge is farther off than
+    `farthest` px on the mean.
+    """
+    n, size = grey.shape
+    edges, half = len(gap), size // 2
+    offsets, blur, opened = np.full(n, np.nan), np.full(edges, np.nan), np.zeros(edges)
+    mean, count = np.zeros((edges, size)), np.zeros(edges)
+    for i in range(n):
+        if usable[i]:
+            mean[edge[i]] += grey[i]
+            count[edge[i]] += 1.0
+    place = (np.arange(size) - half) * step
+    rows = np.zeros((edges, 2, size))
+    centre = np.full(edges, np.nan)
+    for e in range(edges):
+        if count[e] < 2:
+            continue
+        second = gap[e]
+        x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
+        if second == 0.0 and misfit > _STRIP_MISFIT:
+            second = _strip(place, mean[e] / count[e], misfit, farthest)
+            if second > 0.0:
+                x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
+        contrast = max(abs(x[1]), abs(x[2]))
+        if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest or abs(x[1]) < _FIRST * contrast:
+            continue
+        if _point_rows(place, x, second, rows[e]):
+            centre[e], blur[e], opened[e] = x[3], x[4], variance
+    for i in range(n):
+        e = edge[i]
+        if not usable[i] or math.isnan(centre[e]):
+            continue
+        gain = np.dot(rows[e, 0], grey[i])
+        if gain < 0.3:
+            continue
+        shift = np.dot(rows[e, 1], grey[i]) / min(max(gain, 0.6), 1.6)
+        if abs(shift) < 0.6 * half * step:
+            offsets[i] = centre[e] + shift
+    return offsets, blur, opened
+
+
+@njit(cache=True)
+def _normal(z: float) -> tuple[float, float]:
+    """Phi(z), from a table with linear interpolation (error below 1e-5), and phi(z)."""
+    if z <= -_TAIL:
+        return 0.0, 0.0
+    if z >= _TAIL:
+        return 1.0, 0.0
+    at = (z + _TAIL) * _FINENESS
+    i = int(at)
+    low, high = _PHI[i], _PHI[i + 1]
+    return low + (at - i) * (high - low), (high - low) * _FINENESS
+
+
+@njit(cache=True)
+def _basis(place: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
+    """Columns 1, Phi, Phi of the second step, and the two densities, at each place: (S, 5)."""
+    for j in range(place.shape[0]):
+        z = (place[j] - s0) / sigma
+        basis[j, 0] = 1.0
+        basis[j, 1], density = _normal(z)
+        basis[j, 3] = density / sigma
+        if gap > 0.0:
+            basis[j, 2], density = _normal(z - gap / sigma)
+            basis[j, 4] = density / sigma
+        else:
+            basis[j, 2], basis[j, 4] = 0.0, 0.0
+
+
+@njit(cache=True)
+def _solve(matrix: Array, right: Array, size: int, x: Array) -> bool:
+    """x of matrix x = right for a small positive definite matrix, in place by Cholesky; False where it is not."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if total <= 0.0:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(size):
+        total = right[i]
+        for k in range(i):
+            total -= matrix[i, k] * x[k]
+        x[i] = total / matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, size):
+            total -= matrix[k, i] * x[k]
+        x[i] = total / matrix[i, i]
+    return True
+
+
+@njit(cache=True)
+def _split(
+    place: Array,
+    g: Array,
+    gap: float,
+    weight: float,
+    s0: float,
+    sigma: float,
+    x: Array,
+    basis: Array,
+    normal: Array,
+    right: Array,
+) -> float:
+    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. normal, right: room."""
+    _basis(place, s0, sigma, gap, basis)
+    levels = 3 if gap > 0.0 else 2
+    normal[:] = 0.0
+    right[:] = 0.0
+    for j in range(place.shape[0]):
+        for k in range(levels):
+            right[k] += basis[j, k] * g[j]
+            for m in range(k + 1):
+                normal[k, m] += basis[j, k] * basis[j, m]
+    for k in range(levels):
+        normal[k, k] += 1e-9
+    if gap > 0.0:
+        normal[1, 1] += weight
+        normal[2, 2] += weight
+        normal[2, 1] -= weight
+    x[2] = 0.0
+    if not _solve(normal, right, levels, x):
+        return np.inf
+    x[3], x[4] = s0, sigma
+    cost = weight * (x[1] - x[2]) ** 2 if gap > 0.0 else 0.0
+    for j in range(place.shape[0]):
+        cost += (g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]) ** 2
+    return cost
+
+
+@njit(cache=True)
+def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Array, float, float]:
+    """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
+    the mean squared misfit. Levenberg-Marquardt from the best of several places; the levels are always the best ones.
+    """
+    size = place.shape[0]
+    reach = place[size - 1]
+    contrast = max(abs(np.mean(g[size - 3 :]) - np.mean(g[:3])), 0.5 * (g.max() - g.min()), 1.0)
+    weight = (2.0 / (1.5 * contrast)) ** 2  # the noise of a mean profile over how uneven the two steps may be
+    basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
+    normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+    cost = np.inf
+    for k in range(-4, 5):
+        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis, normal, right)
+        if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
+            cost = value
+            x[:] = trial
+    if cost == np.inf:
+        return x, 0.0, 0.0
+    damping, fresh = 1e-3, True
+    for _ in range(10):
+        if fresh:
+            _normal_equations(place, g, gap, weight, x, basis, normal, right)
+        room[:] = normal
+        for k in range(5):
+            room[k, k] += damping * normal[k, k] + 1e-9
+        if not _solve(room, right, 5, step):
+            break
+        s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
+        value = _split(place, g, gap, weight, s0, sigma, trial, basis, room, step)
+        fresh = value < cost
+        if fresh:
+            done = cost - value < 1e-3 * cost
+            cost = value
+            x[:] = trial
+            damping *= 0.2
+            if done:
+                break
+        else:
+            damping *= 8.0
+    if gap == 0.0:
+        return x, 0.0, cost / size
+    _normal_equations(place, g, gap, weight, x, basis, normal, right)
+    for k in range(5):
+        normal[k, k] += 1e-9
+    right[:] = 0.0
+    right[3] = 1.0
+    found = _solve(normal, right, 5, step)
+    return x, (max(cost / max(size - 5, 1), 1.0) * step[3] if found else np.inf), cost / size
+
+
+@njit(cache=True)
+def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
+    """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
+    contrast = max(g.max() - g.min(), 1.0)
+    weight = (2.0 / (1.5 * contrast)) ** 2
+    basis, x = np.empty((place.shape[0], 5)), np.zeros(5)
+    normal, right = np.zeros((5, 5)), np.zeros(5)
+    best, width = 0.3 * misfit * place.shape[0], 0.0
+    for k in range(4, 15):
+        gap = 0.5 * k
+        for m in range(-3, 4):
+            cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis, normal, right)
+            if cost < best and abs(x[1]) > _FIRST * abs(x[2]):
+                best, width = cost, gap
+    return width
+
+
+@njit(cache=True)
+def _normal_equations(
+    place: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
+) -> None:
+    """Lower half of J^T J, and J^T r at x = (a, c1, c2, s0, sigma)."""
+    _basis(place, x[3], x[4], gap, basis)
+    normal[:] = 0.0
+    right[:] = 0.0
+    row = np.empty(5)
+    for j in range(place.shape[0]):
+        z = (place[j] - x[3]) / x[4]
+        row[0], row[1], row[2] = 1.0, basis[j, 1], basis[j, 2]
+        row[3] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
+        row[4] = -x[1] * basis[j, 3] * z - x[2] * basis[j, 4] * (z - gap / x[4])
+        residual = g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]
+        for k in range(5):
+            right[k] += row[k] * residual
+            for m in range(k + 1):
+                normal[k, m] += row[k] * row[m]
+    if gap > 0.0:
+        normal[1, 1] += weight
+        normal[2, 2] += weight
+        normal[2, 1] -= weight
+        right[1] -= weight * (x[1] - x[2])
+        right[2] += weight * (x[1] - x[2])
+    else:
+        normal[2, 2] = 1.0
+
+
+@njit(cache=True)
+def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
+    """Rows that take gain and gain * shift out of one profile: least squares on 1, the edge's own steps and their derivative."""
+    size = place.shape[0]
+    basis, jacobian = np.empty((size, 5)), np.empty((size, 3))
+    _basis(place, x[3], x[4], gap, basis)
+    scale = np.zeros(3)
+    for j in range(size):
+        jacobian[j, 0], jacobian[j, 1] = 1.0, x[1] * basis[j, 1] + x[2] * basis[j, 2]
+        jacobian[j, 2] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
+        for k in range(3):
+            scale[k] += jacobian[j, k] ** 2
+    scale = np.sqrt(scale) + 1e-12
+    normal, room = np.zeros((3, 3)), np.zeros((3, 3))
+    for j in range(size):
+        for k in range(3):
+            for m in range(3):
+                normal[k, m] += jacobian[j, k] * jacobian[j, m] / (scale[k] * scale[m])
+    right, solution = np.empty(3), np.empty(3)
+    for j in range(size):
+        room[:] = normal
+        for k in range(3):
+            right[k] = jacobian[j, k] / scale[k]
+        if not _solve(room, right, 3, solution) or room[2, 2] < 3e-3 or room[1, 1] < 3e-3:
+            return False
+        rows[0, j], rows[1, j] = solution[1] / scale[1], solution[2] / scale[2]
+    return True
