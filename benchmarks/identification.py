@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks.identification_worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from benchmarks.tables import Table, number
+from vision.constellation import Constellation
 from vision.identify import Identification, IdentifyConfig, identify
 from vision.likelihood import Catalogue, catalogue, similarities
 
@@ -126,6 +127,42 @@ def row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
+def sequences(
+    name: str, conditions: Conditions, count: int, seed: int, pictures: int = 4, step_m: float = 12.0
+) -> tuple[str, ...]:
+    """Flights of a few pictures a second apart, regions that stay open waiting for the next: share fixed after each picture.
+
+    The prior's error stays the same but for a drift of 0.3 m a second, as in dead reckoning.
+    """
+    rng, fixed_at = np.random.default_rng(seed), [0] * pictures
+    identified = wrong = wrong_fixes = 0
+    for k in range(count):
+        if k % FRAMES_PER_WORLD == 0:
+            world = draw_world(rng, conditions)
+        p_n, q_nb = draw_pose(rng, conditions)
+        heading, error, memory = rng.uniform(-np.pi, np.pi), draw_error(rng, conditions), Constellation()
+        for picture in range(pictures):
+            frame = look(rng, world, p_n, q_nb, error, conditions)
+            frame.prior.covariance[range(3), range(3)] += picture * 0.3**2
+            near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0))
+            t_ns = picture * 1_000_000_000
+            remembered = memory.recall(frame.sightings, t_ns, frame.prior)
+            found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, SCALE_SIGMA, CONFIG)
+            now = found.accepted[: len(frame.sightings)]
+            if found.place_posterior >= CONFIG.fix_posterior and now.any():
+                named = [near.ids[j] if j >= 0 else None for j in found.landmark]
+                wrong += sum(n != t for n, t, a in zip(named, frame.truth, now, strict=False) if a)
+                identified += int(now.sum())
+                wrong_fixes += is_wrong(frame, found)
+                fixed_at[picture] += 1
+                break
+            memory.hold(frame.sightings, remembered, t_ns, frame.prior)
+            p_n = p_n + step_m * np.array([np.cos(heading), np.sin(heading), 0.0])
+            error = error + np.concatenate([rng.normal(0.0, 0.3, 3), np.zeros(3)])
+    shares = [share(sum(fixed_at[: k + 1]), count) for k in range(pictures)]
+    return (name, str(count), *shares, str(wrong_fixes), str(identified), str(wrong))
+
+
 COLUMNS = ("world", "frames", "fixed", "wrong fixes", "identified", "wrong", "alone: wrong ids", "alone: off > 3 m", "ms")
 
 
@@ -210,6 +247,11 @@ def main() -> None:
     rows = [row(name, outcomes) for name, outcomes in results.items()]
     tables = [Table("Worlds of look-alikes", COLUMNS, [*rows, row("all", everything)]), acceptance_table(results)]
     tables.append(calibration_table(everything))
+    rows = [sequences(name, c, args.frames // 2, args.seed * 100 + 30 + k) for k, (name, c) in enumerate(WORLDS.items())]
+    columns = ("world", "flights", "after 1", "2", "3", "4 pictures", "wrong fixes", "identified", "wrong")
+    tables.append(
+        Table("Flights over any number of regions, open ones waiting for the next picture: fixed by then", columns, rows)
+    )
     if args.stress:
         rows = []
         for k, (name, change) in enumerate(STRESS.items()):
