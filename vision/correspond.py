@@ -34,7 +34,7 @@ class Search:
     nearest_m: float = 4.0  # nothing is nearer than this
     least_score: float = 0.55  # of the correlation coefficient of the edges
     least_lead: float = 0.02  # over the next best place
-    vertical_px: int = 2  # how far from the epipolar line a fine match may lie and still be measured
+    vertical_px: int = 6  # how far from its row a match is sought, to notice that rows do not fit
     template_px: int = 350  # pixels of a template at the coarse level
     cells: int = 24  # of a region, about
     slope_tangent: float = 0.3  # sigma of the surfaces' tilt against the picture plane, tan
@@ -120,8 +120,8 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
     disparity, score = found
     rim = correlation.template(region.mask, region.bbox[0], region.bbox[1], 0, _RIM)
     place = _to_the_pixel(pair, rim, disparity, search)
-    if place is None:
-        return Unmatched(region, "ambiguous: two places fit alike")
+    if isinstance(place, str):
+        return Unmatched(region, place)
     disparity, vertical = place
     if disparity - offset < -1.5:
         return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
@@ -152,23 +152,27 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
     return (low + best) * size, float(scores[best])
 
 
-def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | None:
-    """Disparity and vertical offset to one pixel, by the same coefficient at full resolution; None where another fits alike."""
+def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | str:
+    """Disparity and vertical offset to one pixel, by the same coefficient at full resolution, or why there is none."""
     left, right = pair.grey(0)
     some = rim[:: max(len(rim) // 900, 1)]
-    scores = correlation.scan(left, right, some, disparity - 12, disparity + 12, 0)
-    best = int(scores.argmax())
+    vertical = 0
+    for _ in range(2):  # along the row, across it, along it again where that led to another row
+        scores = correlation.scan(left, right, some, disparity - 12, disparity + 12, vertical)
+        best = int(scores.argmax())
+        disparity += best - 12
+        shifts = range(-search.vertical_px, search.vertical_px + 1)
+        across = [correlation.scan(left, right, some, disparity, disparity, dv)[0] for dv in shifts]
+        found = int(np.argmax(across)) - search.vertical_px
+        if across[found + search.vertical_px] < across[vertical + search.vertical_px] + 0.01 or found == vertical:
+            break
+        vertical = found
     others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
     peaks = others[1:-1][(others[1:-1] >= scores[:-2]) & (others[1:-1] >= scores[2:])]
     if peaks.max(initial=-1.0) > scores[best] - search.least_lead:
-        return None
-    disparity += best - 12
-    vertical = 0
-    if search.vertical_px:
-        shifts = range(-search.vertical_px, search.vertical_px + 1)
-        vertical = max(shifts, key=lambda dv: (correlation.scan(left, right, some, disparity, disparity, dv)[0], -abs(dv)))
-    if vertical:
-        disparity += int(correlation.scan(left, right, some, disparity - 3, disparity + 3, vertical).argmax()) - 3
+        return "ambiguous: two places fit alike"
+    if scores[best] < search.least_score:
+        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
     return disparity, vertical
 
 

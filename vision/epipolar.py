@@ -69,9 +69,10 @@ def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None)
     """Why what the pair says of distances is not to be believed: swapped, or rows that do not fit; None if it is."""
     behind = sum(isinstance(m, Unmatched) and m.behind for m in matches)
     found = sum(isinstance(m, Match) for m in matches)
-    if behind > found:
+    misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)
+    if behind > max(found, int(misfit)):  # one region on a wrong row is found anywhere
         return f"left and right are swapped: {behind} of {behind + found} regions lie behind the camera"
-    if residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px):
+    if residual is not None and misfit:
         return (
             f"rows do not fit by {residual.vertical_px:+.1f} +- {residual.sigma_px:.1f} px: "
             "wrong calibration, or pictures not taken together"

@@ -122,7 +122,7 @@ def test_what_is_too_far_or_behind_is_not_measured() -> None:
 def test_a_known_normal_makes_the_sizes_better() -> None:
     """Tilt hardly seen at a distance: with the attitude known the sizes are right, and their sigmas smaller."""
     rig = stereo_scene.rig()
-    left, right, corners = stereo_scene.board(rig, 11.0, slope=(0.3, -0.2), noise=2.0)
+    left, right, corners = stereo_scene.board(rig, 11.0, slope=(0.3, -0.2), noise=3.0, contrast=8.0)
     (match,) = correspond(grey(left), grey(right), regions_of(left), rig)
     assert isinstance(match, Match)
     normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
@@ -130,7 +130,7 @@ def test_a_known_normal_makes_the_sizes_better() -> None:
     free, level = measure(match, rig), measure(match, rig, level=Level(normal, np.radians(1.0)))
     assert isinstance(free, Measured)
     assert isinstance(level, Measured)
-    assert abs(level.width_m - 1.6) < 3.0 * level.sigma("width_m") < 0.1
+    assert abs(level.width_m - 1.6) < 3.0 * level.sigma("width_m") < 0.15
     assert level.sigma("size_m2") < 0.7 * free.sigma("size_m2")
     assert np.degrees(np.arccos(level.normal_c @ normal)) < 1.5
 
