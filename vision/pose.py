@@ -22,6 +22,7 @@ from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
+from vision.ambiguity import alternatives
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
 from vision.joint import POSE, Solution, System, distances, solve
@@ -32,6 +33,7 @@ _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these:
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 _TUKEY = 5.0  # in units of the median distance of edges
 _NEAR = 0.4  # of the first fit's reach: offsets of that size need no further search
+_APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
 
 
@@ -43,9 +45,13 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     freedom: Annotated[float, Meta(gt=0, description="weight of the expected residuals in the variance factor, in numbers")] = (
         16.0
     )
+    expected: Annotated[
+        float, Meta(gt=0, description="variance factor believed beforehand; above 1, since errors have tails")
+    ] = 1.25
     worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is not believed")] = 8.0
     edge_gate: Annotated[float, Meta(gt=0, description="chi-square (4) above which an edge is left out")] = 22.0
     most_left_out: Annotated[float, Meta(ge=0, lt=1, description="share of the edges that may be left out")] = 0.25
+    decided: Annotated[float, Meta(gt=0, description="difference of costs, chi-square, that decides between two poses")] = 13.8
     look: LookConfig = LookConfig()
     noise: NoiseConfig = NoiseConfig()
 
@@ -65,7 +71,8 @@ class PoseEstimate:
     p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every picture; covariance_common (6, 6): the part
     that map and rig repeat; both order x y z rx ry rz in NED axes. joint_*: posterior of prior and pictures. residual_px: RMS of
     the edges' offsets; factor: measured over expected variance of the residuals; found: share of the outline in view that was
-    found; edges: lines used, over all pictures; shift_m: (L, 4) estimated map errors (MapError).
+    found; edges: lines used, over all pictures; shift_m: (L, 4) estimated map errors (MapError); cost: chi-square of all
+    residuals and of the prior's.
     """
 
     p_n: Array
@@ -80,6 +87,7 @@ class PoseEstimate:
     found: float
     edges: int
     shift_m: Array
+    cost: float
 
 
 class _Fit:
@@ -132,6 +140,37 @@ def estimate_pose(
     scene = Scene(rig, views, landmarks)
     if not scene.eyes or not landmarks:
         return NoPose("no_picture" if landmarks else "too_few_edges")
+    found = _estimate(scene, start, prior, shift_m, config)
+    if isinstance(found, NoPose):
+        return found
+    for other in alternatives(found.joint_p_n, found.joint_R_nb, landmarks):
+        if not _may_be(other, found, prior, config):
+            continue
+        rival = _estimate(scene, other, prior, found.shift_m, config)
+        if isinstance(rival, NoPose) or rival.found < 0.9 * found.found or not _apart(rival, found):
+            continue
+        if abs(rival.cost - found.cost) < config.decided:
+            return NoPose("ambiguous", "another pose shows the same picture, and the prior allows both")
+        found = min(found, rival, key=lambda one: one.cost)
+    return found
+
+
+def _may_be(other: Pose, found: PoseEstimate, prior: Prior, config: PoseConfig) -> bool:
+    """Whether the prior allows another pose nearly as well as the one found."""
+    q0 = np.asarray(prior.q_nb_wxyz, dtype=float)
+    information = np.linalg.inv(np.asarray(prior.covariance, dtype=float))
+    ours, theirs = difference(found.joint_p_n, found.joint_R_nb, prior.p_n, q0), difference(*other, prior.p_n, q0)
+    return bool(theirs @ information @ theirs < ours @ information @ ours + 2.0 * config.decided)
+
+
+def _apart(rival: PoseEstimate, found: PoseEstimate) -> bool:
+    """Whether two poses are two: farther from each other than the uncertainty of the one found."""
+    between = difference(rival.joint_p_n, rival.joint_R_nb, found.joint_p_n, so3.from_matrix(found.joint_R_nb))
+    return bool(between @ np.linalg.solve(found.joint_covariance, between) > _APART)
+
+
+def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, config: PoseConfig) -> PoseEstimate | NoPose:
+    """Searches, robust fits and the final one, from a start."""
     fit = _Fit(scene, start, prior, shift_m)
     near = False
     for half in config.look.search_px:
@@ -207,7 +246,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     used = system.W[:, ::2, ::2].diagonal(axis1=1, axis2=2) > 0.0  # (E, K)
     freedom = max(2 * system.count - POSE, 1)
     chi2 = float(distances(system, step.residual).sum() + step.nuisance @ step.nuisance)
-    factor = (config.freedom + chi2) / (config.freedom + freedom)
+    factor = (config.freedom * config.expected + chi2) / (config.freedom + freedom)
     if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
         return NoPose("diverged")
     if factor > config.worst_factor:
@@ -217,9 +256,11 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     total = image + common
     joint = np.linalg.inv(fit.information + np.linalg.inv(total))
     p_n, R_nb = _pictures_alone(fit, total)
+    delta = fit.delta()
     return PoseEstimate(
         p_n, R_nb, _symmetric(image), _symmetric(common), fit.p_n, fit.R_nb, _symmetric(joint),
         float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
+        chi2 + float(delta @ fit.information @ delta),
     )  # fmt: skip
 
 
