@@ -10,10 +10,12 @@ from estimator.commands.console import Json, Out, note, print_json, print_table,
 
 if TYPE_CHECKING:
     from estimator.map_check import MapCheck
+    from models.colours import Colour
     from models.landmarks import LandmarkMap
     from models.map_table import Finding
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+_PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
 app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, show, check.", rich_markup_mode=None)
@@ -22,7 +24,10 @@ MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or 
 
 @app.command()
 def build(
-    source: Annotated[Path, typer.Argument(metavar="IN.geojson", help="Polygons: building footprints, roofs, pools, pads ...")],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IN.geojson", help="Polygons: building footprints, roofs, pools, pads ...; or an orthophoto."),
+    ],
     out: Out,
     height_m: Annotated[float, typer.Option(min=0, max=1000, help="Height of what does not tell its own; 0 = painted.")] = 6.0,
     sigma_m: Annotated[
@@ -36,8 +41,12 @@ def build(
         typer.Option(metavar="PICTURE", help="Orthophoto that colours what does not tell its own: GeoTIFF or world file."),
     ] = None,
     picture_epsg: Annotated[
-        int, typer.Option(metavar="CODE", help="Coordinate system of PICTURE, where it does not tell: 4326, 326xx, 327xx, 3857.")
+        int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
     ] = 0,
+    pick: Annotated[
+        str, typer.Option(metavar="COLOURS", help="IN is an orthophoto: its regions of these colours, as in red,#30a050.")
+    ] = "",
+    least_m2: Annotated[float, typer.Option(min=0, help="Regions picked from an orthophoto are at least this large.")] = 4.0,
     json: Json = False,
 ) -> None:
     """Make a map from polygons.
@@ -50,17 +59,23 @@ def build(
       landfix map build buildings.geojson -o map.geojson
       landfix map build buildings.geojson -o map.geojson --colour-from orthophoto.tif
       landfix map build pads.geojson -o map.geojson --height-m 0 --sigma-m 0.05 --origin 47.3977,8.5456,488
+      landfix map build orthophoto.tif -o map.geojson --pick red,white --height-m 0
     """
+    from estimator import orthophoto
     from estimator.map_store import load
+    from models.landmarks import LandmarkMap
     from models.map_table import Defaults
 
+    colours = _colours(pick, source)
     defaults = Defaults(height_m=height_m, sigma_m=sigma_m, origin=_origin(origin))
     with progress(f"build {source.name}") as report:
-        the_map = load(source, defaults)
+        if colours:
+            regions = orthophoto.landmarks(orthophoto.load(source, picture_epsg), colours, least_m2)
+            the_map = LandmarkMap.from_geojson(regions, defaults)
+        else:
+            the_map = load(source, defaults)
         report(0.5)
         if colour_from is not None:
-            from estimator import orthophoto
-
             picture = orthophoto.load(colour_from, picture_epsg)
             the_map = orthophoto.coloured(the_map, picture)
             if picture.is_grey:
@@ -144,6 +159,24 @@ def check(
         _print_check(map_file, result)
     if not result.usable:
         raise typer.Exit(1)
+
+
+def _colours(pick: str, source: Path) -> "tuple[Colour, ...]":
+    """The colours to pick from a picture; none for polygons. Raises a usage error."""
+    from models.colours import parse
+
+    is_picture = source.suffix.lower() in _PICTURES
+    if is_picture != bool(pick):
+        raise typer.BadParameter(
+            f"{source} is a picture: say with --pick which colours are landmarks"
+            if is_picture
+            else "--pick wants a picture as IN"
+        )
+    found = [(word, parse(word)) for word in pick.split(",") if word.strip()]
+    for word, colour in found:
+        if colour is None:
+            raise typer.BadParameter(f"--pick: {word!r} is neither a CSS name nor #rrggbb")
+    return tuple(colour for _, colour in found if colour is not None)
 
 
 def _origin(text: str) -> tuple[float, float, float] | None:

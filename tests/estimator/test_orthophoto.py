@@ -1,6 +1,7 @@
 """Colours from orthophotos: the picture is painted first, the map is where its patches lie on Earth."""
 
 import json
+import shutil
 import struct
 from pathlib import Path
 
@@ -90,6 +91,36 @@ def test_colours_of_a_geotiff(tmp_path: Path, order: str) -> None:
     np.testing.assert_allclose(load(path).affine, NORTH_UP)
     the_map = build(footprints(tmp_path / "in.geojson", NORTH_UP), path)
     assert {x.id: x.colour_bgr for x in the_map} == {name: patch[4] for name, patch in PATCHES.items()}
+
+
+def test_landmarks_are_picked_from_a_picture(tmp_path: Path) -> None:
+    """The patches come out where the polygons of the other tests are, to a fifth of a pixel in size."""
+    path, out = geotiff(tmp_path / "ortho.tif", picture(), "<"), tmp_path / "picked.geojson"
+    result = CliRunner().invoke(
+        app, ["map", "build", str(path), "-o", str(out), "--pick", "red, #28b41e ,white", "--height-m", "0"]
+    )
+    assert result.exit_code == 0, result.stderr
+    picked = LandmarkMap.from_geojson(out.read_bytes())
+    expected = build(footprints(tmp_path / "in.geojson", NORTH_UP), path, "--origin", ",".join(map(repr, picked.origin)))
+    assert len(picked) == len(PATCHES)
+    for there in expected:
+        (found,) = picked.near(*there.centre_n, 1.0)
+        assert found.centre_n == pytest.approx(there.centre_n, abs=0.1)
+        assert found.length_m == pytest.approx(there.length_m + 0.5, abs=0.35), "half a pixel more on each side"
+        assert found.width_m == pytest.approx(there.width_m + 0.5, abs=0.35)
+        assert found.colour_bgr is not None
+        assert np.abs(np.array(found.colour_bgr) - np.array(there.colour_bgr)).max() < 25
+        assert (found.height_m, len(found.outline_n)) == (0.0, 4)
+
+
+@pytest.mark.parametrize(
+    ("source", "pick", "words"), [("a.tif", "", "--pick"), ("a.geojson", "red", "picture"), ("a.png", "reddish", "'reddish'")]
+)
+def test_wrong_use_of_pick(tmp_path: Path, source: str, pick: str, words: str) -> None:
+    arguments = ["map", "build", str(tmp_path / source), "-o", str(tmp_path / "out.geojson"), *(["--pick", pick] if pick else [])]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert words in result.stderr
 
 
 def test_given_colours_stay(tmp_path: Path) -> None:
