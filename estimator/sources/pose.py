@@ -137,7 +137,7 @@ def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:
 
 def _turn(R: Array) -> Array:
     """Position and rotation turned, (6, 6)."""
-    return np.kron(np.eye(2), R)
+    return np.asarray(np.kron(np.eye(2), R), dtype=np.float64)
 
 
 def _root(covariance: Array) -> Array:

@@ -1,5 +1,8 @@
 """Fixes on landmarks whose places are wrong by what their map says: the filter is as sure as it may be, however many fixes come."""
 
+from collections.abc import Sequence
+from typing import TypeAlias
+
 import numpy as np
 import pytest
 
@@ -13,20 +16,21 @@ from models.state import E, X
 
 SIGMA_MAP_M, SIGMA_FIX_M, SIGMA_RAD = 0.5, 0.1, 0.01
 Q = (1.0, 0.0, 0.0, 0.0)
+Visits: TypeAlias = Sequence[tuple[str, ...]]
 
 
 def _fix(names: tuple[str, ...], shifts: dict[str, Array], rng: np.random.Generator, k: int) -> LandmarkFix:
     """A fix at the origin that is off by the mean of its landmarks' errors."""
     share = SIGMA_MAP_M / len(names) * np.eye(6)[:, :3]
     off = sum(shifts[name] for name in names) / len(names) + SIGMA_FIX_M * rng.standard_normal(3)
-    w, *xyz = 1.0, *(0.5 * SIGMA_RAD * rng.standard_normal(3)).tolist()
+    x, y, z = (0.5 * SIGMA_RAD * rng.standard_normal(3)).tolist()
     cov = np.diag([SIGMA_FIX_M**2] * 3 + [SIGMA_RAD**2] * 3)
     common = len(names) * share @ share.T
     errors = np.array([share] * len(names))
-    return LandmarkFix(k, k, vec3(off), (w, *xyz), cov, common, names, 0.9, 0.3, errors, None)  # type: ignore[arg-type]
+    return LandmarkFix(k, k, vec3(off), (1.0, x, y, z), cov, common, names, 0.9, 0.3, errors)
 
 
-def _fly(visits: list[tuple[str, ...]], seed: int) -> tuple[Array, Eskf]:
+def _fly(visits: Visits, seed: int) -> tuple[Array, Eskf]:
     rng = np.random.default_rng(seed)
     shifts = {name: SIGMA_MAP_M * rng.standard_normal(3) for names in visits for name in names}
     x = np.zeros(X.SIZE)
@@ -41,7 +45,7 @@ def _fly(visits: list[tuple[str, ...]], seed: int) -> tuple[Array, Eskf]:
     return eskf.x[X.P].copy(), eskf
 
 
-VISITS = {
+VISITS: dict[str, Visits] = {
     "one for long": [("a",)] * 40,
     "one, then another": [("a",)] * 20 + [("b",)] * 20,
     "two that overlap": [("a",), ("a", "b"), ("b",)] * 13,
@@ -59,7 +63,8 @@ def test_position_is_consistent(name: str) -> None:
 
 
 def test_two_landmarks_are_worth_more_than_one_and_fixes_on_one_are_worth_no_more() -> None:
-    one, long, two = (_fly(visits, 0)[1] for visits in ([("a",)] * 5, [("a",)] * 50, [("a",)] * 25 + [("b",)] * 25))
+    stays: tuple[Visits, ...] = [("a",)] * 5, [("a",)] * 50, [("a",)] * 25 + [("b",)] * 25
+    one, long, two = (_fly(visits, 0)[1] for visits in stays)
     sigma = [float(np.sqrt(eskf.cov[0, 0])) for eskf in (one, long, two)]
     assert sigma[1] == pytest.approx(SIGMA_MAP_M, rel=0.02)
     assert sigma[0] == pytest.approx(sigma[1], rel=0.02)

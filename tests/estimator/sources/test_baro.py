@@ -48,6 +48,7 @@ def test_the_messages_noise_is_added_to_that_of_the_air_where_it_is_known(unknow
 def test_its_zero_drifts_and_a_climb_is_mistaken_by_what_the_temperature_is_off() -> None:
     (slow,) = _aid(config=BaroConfig(drift_m_sqrt_s=0.2, temperature_sigma_k=20.0)).slow_errors
     assert slow.jacobian is not None
+    assert slow.walk is not None
     np.testing.assert_allclose(slow.walk, [0.04, 0.0])
     climbed = np.zeros(16)
     climbed[2] = -100.0
