@@ -1,16 +1,22 @@
 """Where the board is in each picture of a recording, with covariance: x_c = R_co @ x_o + t_co."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.bundle import IDENTITY, Pose, Problem, Seen, adjust
+from calib.bundle import IDENTITY, Pose, Problem, Seen, Solution, adjust
 from calib.chessboard import Board, View
+from calib.errors import CalibrationError
 from calib.mono import board_pose
 from models.camera import CameraModel
 from models.messages import Array
+
+_OUTLIER: Final = 5.0  # times the residual of the middle view
 
 
 @dataclass(frozen=True)
@@ -41,33 +47,41 @@ class BoardPoses:
 
 def board_poses(
     views: Sequence[View], board: Board, camera: CameraModel, progress: Callable[[float], None] | None = None
-) -> BoardPoses:
-    """Each view's pose by least squares; the noise of the corners is what all views leave together."""
-    R, t, information, coupling, squares, spare = [], [], [], [], 0.0, 0
+) -> tuple[BoardPoses, NDArray[np.int64]]:
+    """Poses by least squares, and which views they are of; the noise of the corners is what all views leave together.
+
+    A view whose corners fit far worse than the others' is left out: what was found in it was not the board.
+    """
+    told = progress or (lambda _: None)
+    solved: list[tuple[int, Solution]] = []
     for k, view in enumerate(views):
         seen = Seen(board.points[view.ids], view.px)
-        solved = adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))
-        pose = solved.problem.poses[0]
-        x_c = pose.of(seen.x_o)
-        to_x = camera.project_jacobian(x_c)
-        turned = seen.x_o @ pose.R.T
-        J = np.concatenate((to_x, np.cross(turned[:, None], to_x)), axis=2).reshape(-1, 6)
-        J_lens = camera.parameter_jacobian(x_c).reshape(len(J), -1)
-        N = J.T @ J
-        R.append(pose.R)
-        t.append(pose.t)
-        information.append(N)
-        coupling.append(-np.linalg.solve(N, J.T @ J_lens))
-        squares += solved.rms**2 * len(seen.px)
-        spare += 2 * len(seen.px) - 6
-        if progress:
-            progress((k + 1) / len(views))
-    sigma2 = squares / max(spare, 1)
-    return BoardPoses(
-        np.array(R),
-        np.array(t),
-        np.asarray(sigma2 * np.linalg.inv(information), dtype=np.float64),
-        float(np.sqrt(sigma2)),
-        np.array(coupling),
-        camera.covariance,
-    )
+        with contextlib.suppress(CalibrationError, cv2.error):
+            solved.append((k, adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))))
+        told((k + 1) / len(views))
+    usual = float(np.median([s.rms for _, s in solved])) if solved else 0.0
+    good = [(k, s) for k, s in solved if s.rms <= _OUTLIER * usual]
+    if not good:
+        raise CalibrationError("the rig's camera fits none of the views: is it the right rig, the right --board?")
+    parts = [_information(camera, s) for _, s in good]
+    redundancy = [2 * len(views[k].px) - 6 for k, _ in good]
+    sigma2 = float(np.average([s.sigma_px**2 for _, s in good], weights=redundancy))
+    poses = BoardPoses(
+        np.array([s.problem.poses[0].R for _, s in good]), np.array([s.problem.poses[0].t for _, s in good]),
+        np.asarray(sigma2 * np.linalg.inv([N for N, _ in parts]), dtype=np.float64), float(np.sqrt(sigma2)),
+        np.array([by_lens for _, by_lens in parts]), camera.covariance,
+    )  # fmt: skip
+    return poses, np.array([k for k, _ in good], dtype=np.int64)
+
+
+def _information(camera: CameraModel, solution: Solution) -> tuple[Array, Array]:
+    """J^T J (6, 6) of a view's pose, and the pose's derivative by the lens' parameters (6, k)."""
+    seen, pose = solution.problem.views[0][0], solution.problem.poses[0]
+    assert seen is not None
+    x_c = pose.of(seen.x_o)
+    to_x = camera.project_jacobian(x_c)
+    turned = seen.x_o @ pose.R.T
+    J = np.concatenate((to_x, np.cross(turned[:, None], to_x)), axis=2).reshape(-1, 6)
+    J_lens = camera.parameter_jacobian(x_c).reshape(len(J), -1)
+    N: Array = J.T @ J
+    return N, np.asarray(-np.linalg.solve(N, J.T @ J_lens))

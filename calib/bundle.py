@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.errors import CalibrationError
 from models import so3
 from models.camera import CameraModel
 from models.messages import Array
@@ -114,10 +115,15 @@ class Solution:
 
 
 def adjust(problem: Problem) -> Solution:
-    """The least squares solution by Levenberg-Marquardt; starts from the problem's own cameras, places and poses."""
+    """The least squares solution by Levenberg-Marquardt; starts from the problem's own cameras, places and poses.
+
+    Raises CalibrationError where the start does not see the corners at all.
+    """
     mask, damping = problem.mask, 1e-3
     terms = [_terms(problem, i, mask) for i in range(len(problem.views))]
     cost = sum(float(t.r @ t.r) for t in terms)
+    if not np.isfinite(cost):
+        raise CalibrationError("no camera fits these views: are the corners those of the board that was told?")
     for _ in range(_STEPS):
         ds, dv = _step(terms, damping, int(mask.sum()))
         moved = _moved(problem, mask, ds, dv)

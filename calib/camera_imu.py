@@ -78,8 +78,8 @@ def calibrate(
             f"{int(inside.sum())} pictures show the board while the IMU ran; {_FEWEST} are the least, a minute at 20 Hz is good"
         )
     order = np.flatnonzero(inside)[np.argsort(stamps_ns[inside], kind="stable")]
-    poses = board_poses([views[i] for i in order], board, camera, lambda f: told(0.6 * f))
-    problem = _Problem(imu, stamps_ns[order], poses, noise)
+    poses, fits = board_poses([views[i] for i in order], board, camera, lambda f: told(0.6 * f))
+    problem = _Problem(imu, stamps_ns[order][fits], poses, noise)
     theta, J, e = _minimise(problem, lambda f: told(0.6 + 0.2 * f))
     good = np.sum(e[:-1].reshape(-1, 6) ** 2, axis=1) <= _OUTLIER * max(1.0, float(np.median(e[:-1] ** 2)) / 0.455)
     if not good.all():
@@ -92,7 +92,7 @@ def calibrate(
     return CameraImu(
         R_bc, theta[_POSITION].copy(), problem.offset0 + float(theta[_OFFSET]), covariance[:7, :7], e[:-1].reshape(-1, 6),
         1e-9 * (problem.stamps_ns[1:] - problem.stamps_ns[0]), float(np.rad2deg(np.linalg.norm(turn))), mean_square,
-        float(poses.sigma_px * np.sqrt(2.0)), int(np.sum(~good)),
+        float(poses.sigma_px * np.sqrt(2.0)), int(np.sum(~good)) + len(order) - len(fits),
     )  # fmt: skip
 
 

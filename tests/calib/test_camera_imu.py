@@ -4,6 +4,7 @@ import pytest
 from calib import camera_imu, grey_box, imu_report, synthetic_motion
 from calib.bundle import Pose
 from calib.camera_imu import CameraImu, Recording
+from calib.chessboard import View
 from calib.errors import CalibrationError
 from calib.synthetic_motion import EUROC_NOISE, Truth, record
 from calib.verdict import Grade
@@ -126,6 +127,18 @@ def test_motion_that_tells_nothing_is_refused_with_what_to_do() -> None:
         camera_imu.calibrate(one_axis, stamps, views, BOARD, CAMERA, EUROC_NOISE)
     with pytest.raises(CalibrationError, match="10 pictures show the board"):
         camera_imu.calibrate(imu, stamps[:10], views[:10], BOARD, CAMERA, EUROC_NOISE)
+
+
+def test_pictures_with_corners_confused_are_left_out() -> None:
+    true = truth(3, 10.0)
+    imu, stamps, views, _ = record(true, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(3))
+    confused = list(views)
+    for k in (5, 20):
+        v = views[k]
+        confused[k] = View(v.name, v.width, v.height, v.ids, np.roll(v.px, 1, axis=0), v.edge_px)
+    found = camera_imu.calibrate(imu, stamps, confused, BOARD, CAMERA, EUROC_NOISE)
+    assert found.dropped == 2
+    assert np.abs(error(true, found)[:3]).max() < 2e-3
 
 
 def test_another_recordings_imu_is_refused() -> None:
