@@ -1,0 +1,141 @@
+"""As benchmarks.identification, on rendered pictures through the whole pipeline: `python -m benchmarks.identification_pictures`.
+
+Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), or houses of all shapes (village); 30 % of them are not
+in the map, 10 % of the map is gone; cars, trees and patches of colour beside them. Map errors 0.3 m, rig errors as the rig's own
+covariance says. Wrong fix: with the prior more than 3 m off and outside its own 99.99 % ellipsoid. Wrong identity: a landmark of
+the fix that truly is not where its region is.
+"""
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import msgspec
+import numpy as np
+
+from benchmarks.identification import INSIDE_9999, OFF_M, share
+from benchmarks.tables import Table, number
+from models import so3
+from models.messages import Array
+from vision.identify import Prior
+from vision.pipeline import LandmarkPipeline, Result
+from vision.rectify import rectification
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.render import render_pair
+from vision.synthetic.scenes import Layout, Scene, WorldSpec, make_world
+
+FRAMES_PER_WORLD = 12
+PRIORS_M = (5.0, 10.0, 20.0)
+ATTITUDE_SIGMA_DEG = (1.0, 1.0, 2.0)
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """One pair. regions: measured, wholly in view."""
+
+    regions: int
+    outcome: str
+    wrong_fix: bool
+    identified: int
+    wrong: int
+    error_m: float
+    nees: float  # of the fix, pictures alone, over 6
+    seconds: float
+
+
+def run(layout: Layout, prior_m: float, frames: int, seed: int, one_camera: bool) -> Iterator[Outcome]:
+    sigma = np.array([prior_m] * 3 + [math.radians(a) for a in ATTITUDE_SIGMA_DEG])
+    spec = WorldSpec(
+        layout, area_m=280.0, painted=1.0, unmapped=0.3, gone=0.1, sigma_m=0.3, height_sigma_m=0.2, outline_sigma_m=0.08
+    )
+    rng = np.random.default_rng(seed)
+    for k in range(frames):
+        if k % FRAMES_PER_WORLD == 0:
+            scene = make_world(int(rng.integers(1 << 31)), spec)
+        p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(50.0, 90.0)])
+        roll, pitch = rng.normal(0.0, math.radians(4.0), 2)
+        q = so3.from_euler(roll, pitch, rng.uniform(-math.pi, math.pi))
+        left, right = render_pair(scene.world, scene.rig, p_n, so3.matrix(q), Conditions(), rng)
+        error = rng.normal(0.0, sigma)
+        prior = Prior(p_n - error[:3], so3.multiply(so3.quat_exp(-error[3:]), q), np.diag(sigma**2))
+        pipeline = LandmarkPipeline(scene.rig_believed, scene.map)
+        begin = perf_counter()
+        result = pipeline.process(left, None if one_camera else right, k, prior)
+        yield judge(result, scene, p_n, q, perf_counter() - begin)
+
+
+def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) -> Outcome:
+    named = [(r.landmark, r.bbox) for r in result.regions if r.state == "identified"] if result.fix else []
+    wrong = sum(not _is_there(scene, name, bbox, p_n, so3.matrix(q)) for name, bbox in named)
+    error_m, nees, wrong_fix = math.nan, math.nan, False
+    if result.fix is not None and result.pose is not None:
+        e = p_n - result.pose.joint_p_n
+        error_m = float(np.linalg.norm(e))
+        wrong_fix = error_m > OFF_M and float(e @ np.linalg.solve(result.pose.joint_covariance[:3, :3], e)) > INSIDE_9999
+        turn = so3.quat_log(so3.multiply(q, so3.conjugate(np.array(result.fix.q_nb_wxyz))))
+        d = np.concatenate([p_n - np.array(result.fix.p_n), turn])
+        nees = float(d @ np.linalg.solve(result.pose.covariance + result.pose.covariance_common, d)) / 6.0
+    measured = sum(r.state not in {"cut_off", "not_measured"} for r in result.regions)
+    return Outcome(measured, result.report.outcome, wrong_fix, len(named), wrong, error_m, nees, seconds)
+
+
+def _is_there(scene: Scene, name: str, bbox: tuple[int, int, int, int], p_n: Array, R_nb: Array) -> bool:
+    """Whether the true landmark's roof lies in the region's box of the rectified left picture."""
+    true = next((m for m in scene.world.landmarks if m.id == name), None)
+    if true is None:
+        return False
+    rig = rectification(scene.rig).rig
+    p_nc, R_nc = rig.camera_pose(p_n, R_nb)
+    u, v = rig.left.project(((np.array([*true.centre_n, true.roof_d]) - p_nc) @ R_nc)[None])[0]
+    u0, v0, width, height = bbox
+    return bool(u0 - 5 <= u <= u0 + width + 5 and v0 - 5 <= v <= v0 + height + 5)
+
+
+def row(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:
+    several = [o for o in outcomes if o.regions >= 3]
+    fixed = [o for o in outcomes if o.outcome == "fixed"]
+    return (
+        name, str(len(outcomes)), share(len(fixed), len(outcomes)),
+        f"{share(sum(o.outcome == 'fixed' for o in several), len(several))} of {len(several)}",
+        str(sum(o.wrong_fix for o in outcomes)), str(sum(o.identified for o in outcomes)), str(sum(o.wrong for o in outcomes)),
+        number(float(np.median([o.error_m for o in fixed])) if fixed else None),
+        number(float(np.mean([o.nees for o in fixed])) if fixed else None),
+        number(1e3 * float(np.median([o.seconds for o in outcomes]))),
+    )  # fmt: skip
+
+
+COLUMNS = (
+    "world", "pairs", "fixed", "with 3 regions or more", "wrong fixes", "identified", "wrong", "median error m", "NEES/6", "ms",
+)  # fmt: skip
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--frames", type=int, default=60, help="pairs per world and prior")
+    parser.add_argument("--one-camera", action="store_true", help="the left pictures alone")
+    parser.add_argument("--out", type=Path, default=Path("out/identification"))
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    rows, everything, reasons = [], list[Outcome](), Counter[str]()
+    layouts: tuple[Layout, ...] = ("lookalikes", "village")
+    for k, layout in enumerate(layouts):
+        for j, prior_m in enumerate(PRIORS_M):
+            outcomes = list(run(layout, prior_m, args.frames, args.seed * 100 + 10 * k + j, args.one_camera))
+            rows.append(row(f"{layout}, prior {prior_m:.0f} m", outcomes))
+            everything += outcomes
+            reasons.update(o.outcome for o in outcomes)
+            print(" | ".join(rows[-1]), flush=True)
+    cameras = "left pictures alone" if args.one_camera else "stereo pairs"
+    table = Table(f"Rendered {cameras} through the pipeline", COLUMNS, [*rows, row("all", everything)])
+    text = table.markdown() + "\noutcomes: " + ", ".join(f"{name} {n}" for name, n in reasons.most_common()) + "\n"
+    print(text)
+    (args.out / f"identification_pictures{'_left' if args.one_camera else ''}.md").write_text(text)
+
+
+if __name__ == "__main__":
+    main()
