@@ -240,3 +240,42 @@ def test_camera_imu_from_a_log_of_pictures(tmp_path: Path) -> None:
     wrong = fails("camera-imu", log, "--rig", tmp_path / "other.yaml", "--board", "7x5", "-o", tmp_path / "x.yaml")
     assert "calibrated for 640 x 480" in wrong
     assert len(views) == len(stamps) > 50
+
+
+def test_pairs_of_a_log_are_made_by_stamp_and_of_videos_by_frame(folder: Path, tmp_path: Path) -> None:
+    log, stamp_ns = tmp_path / "pairs.mcap", 1_700_000_000_000_000_000
+    images = {
+        side: [np.asarray(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)) for p in sorted(folder.glob(f"{side}_*.png"))]
+        for side in ("left", "right")
+    }
+    with Recorder(log) as recorder:
+        for k, (left, right) in enumerate(zip(images["left"], images["right"], strict=True)):
+            t_ns = stamp_ns + k * 200_000_000
+            if k != 3:  # one left picture was lost: frames no longer count alike
+                recorder.write(*encode_picture(t_ns, np.asarray(left, np.uint8), "/left/image"), t_ns)
+            recorder.write(*encode_picture(t_ns + 2_000_000, np.asarray(right, np.uint8), "/right/image"), t_ns)
+    facts = json.loads(run("stereo", "--left", log, "--right", log, *SIZE, "-o", tmp_path / "rig.yaml", "--json").stdout)
+    assert facts["row_error_px"] < 0.3
+    assert list(facts["unused"].values()) == ["no partner with a view of the board"]
+    assert "no pictures under /other in it" in fails(
+        "stereo", "--left", log, "--right", log, "--left-topic", "/other", "-o", tmp_path / "x.yaml"
+    )
+    for side, frames in images.items():
+        video = cv2.VideoWriter(str(tmp_path / f"{side}.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 5.0, (320, 240))
+        for frame in frames:
+            video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+        video.release()
+    filmed = json.loads(
+        run(
+            "stereo",
+            "--left",
+            tmp_path / "left.avi",
+            "--right",
+            tmp_path / "right.avi",
+            *SIZE,
+            "-o",
+            tmp_path / "v.yaml",
+            "--json",
+        ).stdout
+    )
+    assert filmed["baseline_m"] == pytest.approx(0.06, abs=2e-3)
