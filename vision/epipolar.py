@@ -16,8 +16,8 @@ from vision import correlation
 from vision.correspond import Match, Unmatched, disparity_offset
 from vision.rectify import Image
 
-_LIMIT_PX = 0.6  # of the median: more is not a good calibration
-_FLOOR_PX = 0.05  # of a region's vertical residual: interpolation
+_LIMIT_PX = 1.0  # of the median: more is not a good calibration
+_FLOOR_PX = 0.1  # of a region's vertical residual: interpolation
 _WINDOW = 7  # px, half of the window around a corner
 _CORNERS = 120
 

@@ -45,7 +45,7 @@ class Tolerance:
 class Seeds:
     """What seed segmentation asks of a peak, and where hue begins to mean something."""
 
-    peakiness: float = 0.25
+    peakiness: float = 0.15
     least_part: float = 0.002  # of the pixels under a peak
     grey_saturation: float = 0.22
     dark: float = 0.12  # lightness below which there is no hue
