@@ -108,9 +108,9 @@ class Vehicle:
         self.sent[topic] = self.sent.get(topic, 0) + 1
 
     def _publisher(self, topic: str, schema: str) -> zenoh.Publisher:
-        """Reliable for measurements, best effort for pictures, as rmw_zenoh maps them."""
+        """Reliable for measurements, best effort for cameras of their own, as rmw_zenoh maps them."""
         key, control = zenoh_keys.rmw_key(0, topic, schema, type_hash(schema)), zenoh.CongestionControl
-        if schema == schemas.IMAGE:
+        if schema == schemas.IMAGE and self._cameras is not self._session:
             return self._cameras.declare_publisher(key, congestion_control=control.DROP)
         return self._session.declare_publisher(key, congestion_control=control.BLOCK, express=True)
 

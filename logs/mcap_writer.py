@@ -6,7 +6,7 @@ and a chunk's index when the chunk is closed. The records themselves are mcap's.
 
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import BinaryIO, Final
 
 import lz4.frame
@@ -47,7 +47,8 @@ class McapWriter:
         self._entries: dict[int, list[int]] = {}  # of the open chunk, by channel: log time, offset, log time, offset, ...
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks: list[bytes] = []  # index records, packed: a day's flight has a million of them
+        self._times: tuple[int, int] | None = None  # earliest and latest log time
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -105,19 +106,19 @@ class McapWriter:
         self._close_chunk()
         self._put(DataEnd(0))
         start, summary = self._file.tell(), RecordBuilder()
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
+        groups: list[tuple[Opcode, Iterable[bytes]]] = [
+            (Opcode.SCHEMA, map(_packed, self._schemas)),
+            (Opcode.CHANNEL, map(_packed, self._channels)),
+            (Opcode.STATISTICS, [_packed(self._statistics())]),
             (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+            (Opcode.ATTACHMENT_INDEX, map(_packed, self._attachments)),
+            (Opcode.METADATA_INDEX, map(_packed, self._metadata)),
         ]
         offsets = []
         for opcode, records in groups:
             begin = summary.count
             for record in records:
-                record.write(summary)
+                summary.write(record)
             offsets.append(SummaryOffset(opcode, start + begin, summary.count - begin))
         offset_start = start + summary.count
         for offset in offsets:
@@ -151,19 +152,20 @@ class McapWriter:
             index_offsets[channel] = at
             at += len(head) + size
             self._counts[channel] = self._counts.get(channel, 0) + len(of_channel) // 2
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=offset,
-                compression="lz4",
-                compressed_size=len(data),
-                message_end_time=max(times),
-                message_index_length=at - offset - length,
-                message_index_offsets=index_offsets,
-                message_start_time=min(times),
-                uncompressed_size=len(block),
-            )
+        index = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression="lz4",
+            compressed_size=len(data),
+            message_end_time=max(times),
+            message_index_length=at - offset - length,
+            message_index_offsets=index_offsets,
+            message_start_time=min(times),
+            uncompressed_size=len(block),
         )
+        self._chunks.append(_packed(index))
+        first, last = self._times or (index.message_start_time, index.message_end_time)
+        self._times = min(first, index.message_start_time), max(last, index.message_end_time)
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -172,8 +174,8 @@ class McapWriter:
             channel_message_counts=self._counts,
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
-            message_end_time=max((c.message_end_time for c in self._chunks), default=0),
-            message_start_time=min((c.message_start_time for c in self._chunks), default=0),
+            message_end_time=self._times[1] if self._times else 0,
+            message_start_time=self._times[0] if self._times else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )

@@ -38,7 +38,7 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     enabled: Annotated[bool, Meta(description="false: nothing is recorded")] = True
     folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
     rotate_mb: Annotated[float, Meta(gt=0, description="MB: a file that has grown so large is followed by another")] = 4000.0
-    rotate_min: Annotated[float, Meta(gt=0, description="min: a file that is so old is followed by another")] = 240.0
+    rotate_min: Annotated[float, Meta(gt=0, description="min: a file that is so old is followed by another")] = 120.0
     keep_gb: Annotated[float, Meta(ge=0, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
     least_free_mb: Annotated[float, Meta(ge=0, description="MB: with less free the log pauses, for the sake of the system")] = (
         200.0

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _LOOPBACK = ("127.", "localhost", "[::1]")
 _LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe")
 _CLOSED = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": False}
-_DROP = "transport/link/tx/queue/congestion_control/drop"
+_QUEUE = "transport/link/tx/queue"
+_PATIENT, _MOST_BATCHES = ("real_time", "data"), 16
 
 
 class SecurityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -71,8 +72,9 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
         **_CLOSED,
         "transport/link/rx/max_message_size": config.largest_image_mb * 1_000_000,
-        f"{_DROP}/wait_before_drop": 100,  # us; the estimate is newer than what waits
-        f"{_DROP}/max_wait_before_drop_fragments": 1000,
+        f"{_QUEUE}/congestion_control/drop/wait_before_drop": 100,  # us; the estimate is newer than what waits
+        f"{_QUEUE}/congestion_control/drop/max_wait_before_drop_fragments": 1000,
+        **{f"{_QUEUE}/size/{priority}": _MOST_BATCHES for priority in _PATIENT},  # a busy machine is no congestion
         **_identity(config.security, folder),
         **_doorkeeper(config.security, folder, inputs, outputs),
     }

@@ -158,8 +158,18 @@ def test_question_and_answer_bound_the_offset_by_half_of_their_time() -> None:
     assert offset.bound_ns < MS // 2
 
 
-def test_a_settled_offset_follows_a_drift_and_does_not_jump() -> None:
-    offset, drift = Offset(0), 200e-6
+def test_a_foreign_clock_that_drifts_is_followed(world: World, clock: Clock) -> None:
+    stamps, t_ns = _stamps(clock), None
+    for k in range(40_000):
+        world.steady_ns += 5 * MS
+        t_ns = stamps.validity_ns("/imu", round(k * 5 * MS * (1 - 100e-6)), clock.now_ns() + MS)
+    assert t_ns is not None
+    assert abs(t_ns - clock.now_ns()) < 3 * MS  # of 20 ms that it has gone off
+
+
+@pytest.mark.parametrize("drift", [200e-6, -200e-6])
+def test_a_settled_offset_follows_a_drift_and_does_not_jump(drift: float) -> None:
+    offset = Offset(0)
     stamps: list[int] = []
     for k in range(20_000):
         t_ns = START_NS + k * 5 * MS
@@ -168,7 +178,7 @@ def test_a_settled_offset_follows_a_drift_and_does_not_jump() -> None:
         stamps.append(offset.ours(stamp_ns) or 0)
     steps = np.diff(np.array(stamps, dtype=np.int64))
     assert abs(steps - 5 * MS).max() < 10_000
-    assert abs(stamps[-1] - (START_NS + 19_999 * 5 * MS)) < 21 * drift * SECOND_NS  # of two windows at most
+    assert abs(stamps[-1] - (START_NS + 19_999 * 5 * MS)) < 21 * abs(drift) * SECOND_NS  # of two windows at most
 
 
 def test_stamps_are_read_and_written_in_the_message() -> None:

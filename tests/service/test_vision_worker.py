@@ -1,0 +1,161 @@
+"""Vision in its own process: it answers, and when it is killed, hangs or cannot start, that is all that happens."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.service.clock import Clock, ClockConfig, Stamps
+from estimator.service.vision_worker import VisionWorker
+from estimator.vision_requests import Track, VisionConfig
+from logs.codec import Encoded, decode_vision_request
+from logs.stamps import restamped
+from models.messages import Estimate, Mode
+from models.state import E, X
+from tests.estimator.sights import PLACE, village, write_flight
+
+SIDES = {"/left/image": "left", "/right/image": "right"}
+
+
+class Heard:
+    """What the worker tells."""
+
+    def __init__(self) -> None:
+        self.messages: list[Encoded] = []
+        self._more = threading.Condition()
+
+    def tell(self, message: Encoded) -> None:
+        with self._more:
+            self.messages.append(message)
+            self._more.notify_all()
+
+    def of(self, topic: str) -> list[Encoded]:
+        return [m for m in self.messages if m.topic == topic]
+
+    def wait(self, topic: str, count: int, timeout_s: float = 60.0) -> None:
+        with self._more:
+            assert self._more.wait_for(lambda: len(self.of(topic)) >= count, timeout_s), f"{topic}: {len(self.of(topic))}"
+
+
+def _until(true: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not true():
+        assert time.monotonic() < end_s, "waited in vain"
+        time.sleep(0.02)
+
+
+@contextmanager
+def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[VisionWorker, Heard, Callable[[], None]]]:
+    """A worker that is seeing, what it tells, and take(): two pictures are taken now."""
+    clock, track, heard = Clock(), Track(), Heard()
+    worker = VisionWorker(
+        (files / "rig.yaml", files / "map.geojson", None), config or VisionConfig(), SIDES, clock,
+        Stamps(clock, ClockConfig()), track, heard.tell,
+    )  # fmt: skip
+
+    def take() -> None:
+        t_ns = clock.now_ns()
+        nav = np.zeros(X.SIZE)
+        nav[X.P], nav[X.Q] = PLACE, (1.0, 0.0, 0.0, 0.0)
+        sigma = np.zeros(E.SIZE)
+        sigma[E.P], sigma[E.V], sigma[E.THETA], sigma[E.BG], sigma[E.BA] = 0.2, 0.1, 0.01, 1e-3, 1e-2
+        track.note([Estimate(t_ns, t_ns, nav, np.diag(sigma**2), (0.0, 0.0, 0.0), Mode.AIDED, 0, t_ns)])
+        for picture in village().pairs[0]:
+            worker.put(picture.topic, picture.schema, restamped(picture.data, t_ns), clock.now_ns())
+
+    try:
+        _until(lambda: worker.report()["state"] != "starting")
+        yield worker, heard, take
+    finally:
+        worker.close()
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("vision")
+    write_flight(folder)
+    return folder
+
+
+def _process_id(worker: VisionWorker) -> int:
+    process = worker._process
+    assert process is not None
+    assert process.pid is not None
+    return process.pid
+
+
+def test_a_pair_gives_a_request_a_report_and_a_fix_in_this_order(files: Path) -> None:
+    with _worker(files) as (worker, heard, take):
+        take()
+        heard.wait("/landfix/fix", 1)
+        assert [m.topic for m in heard.messages] == ["/landfix/vision_request", "/landfix/vision", "/landfix/fix"]
+        assert decode_vision_request(heard.messages[0].data, 0).run == worker.report()["restarts"] == 0
+        assert worker.report()["state"] == "seeing"
+
+
+def test_when_it_is_killed_another_takes_over_with_a_new_memory(files: Path) -> None:
+    with _worker(files) as (worker, heard, take):
+        take()
+        heard.wait("/landfix/fix", 1)
+        killed = _process_id(worker)
+        os.kill(killed, signal.SIGKILL)
+        take()
+        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
+        assert _process_id(worker) != killed
+        take()
+        heard.wait("/landfix/fix", 2)
+        assert decode_vision_request(heard.of("/landfix/vision_request")[-1].data, 0).run == 1
+
+
+def test_when_it_hangs_it_is_started_anew(files: Path) -> None:
+    with _worker(files, VisionConfig(timeout_s=0.5)) as (worker, heard, take):
+        os.kill(_process_id(worker), signal.SIGSTOP)
+        take()
+        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
+        _until(lambda: (take(), time.sleep(0.2), bool(heard.of("/landfix/fix")))[2])
+
+
+def test_a_map_that_is_not_there_is_said_and_tried_again_ever_more_rarely(files: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_bytes((files / "rig.yaml").read_bytes())
+    with _worker(tmp_path) as (worker, heard, take):
+        _until(lambda: worker.report()["restarts"] >= 2)
+        take()
+        assert "map.geojson" in worker.report()["state"]
+        assert heard.messages == []
+
+
+def test_more_pictures_than_it_can_see_are_dropped_the_oldest_first(files: Path) -> None:
+    with _worker(files) as (worker, heard, take):
+        take()
+        heard.wait("/landfix/vision", 1)
+        os.kill(_process_id(worker), signal.SIGSTOP)
+        for _ in range(20):
+            take()
+            time.sleep(0.01)
+        os.kill(_process_id(worker), signal.SIGCONT)
+        _until(lambda: worker.report()["dropped_pictures"] > 0)
+        last = max(decode_vision_request(m.data, 0).t_ns for m in heard.of("/landfix/vision_request"))
+        take()
+        _until(lambda: decode_vision_request(heard.of("/landfix/vision_request")[-1].data, 0).t_ns > last)
+
+
+def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
+    clock, heard = Clock(), Heard()
+    worker = VisionWorker(
+        (files / "rig.yaml", files / "map.geojson", None), VisionConfig(), SIDES, clock, Stamps(clock, ClockConfig()), Track(),
+        heard.tell,
+    )  # fmt: skip
+    try:
+        _until(lambda: worker.report()["state"] == "ready")
+        for picture in village().pairs[0]:
+            worker.put(picture.topic, picture.schema, restamped(picture.data, clock.now_ns()), clock.now_ns())
+        _until(lambda: worker.report()["state"] == "waiting for an estimate")
+        assert heard.messages == []
+    finally:
+        worker.close()
