@@ -75,4 +75,4 @@ def _semi_global(left: Image, right: Image) -> Array:
 def at(truth: Array, px: Array) -> Array:
     """Truth (N,) at the pixels nearest to (N, 2)."""
     u, v = np.rint(px).astype(int).T
-    return truth[np.clip(v, 0, truth.shape[0] - 1), np.clip(u, 0, truth.shape[1] - 1)]
+    return np.asarray(truth[np.clip(v, 0, truth.shape[0] - 1), np.clip(u, 0, truth.shape[1] - 1)])
