@@ -28,8 +28,12 @@ from models.messages import Array
 from models.state import E, X, local, retract
 
 _PASSES = 8
-_STAYS = 0.01  # squared, per state, in units of P: an estimate that moves by less stays where it is
+_STAYS, _CHANGES = (
+    0.01,
+    0.05,
+)  # squared, per state, in units of P: passes that move by less have converged; runs that move by more
 _LEARNT = 0.7  # an uncertainty that has fallen by this factor is worth another run
+_CONFIRMED = 1.25  # times the stretch at the last change
 _GROWN, _FEW = 1 / 16, 16  # but not before the stretch has grown by this share, where it is longer than a few measurements
 _MOST, _LONGEST_NS = 600, 120_000_000_000  # measurements and time of a stretch
 _ATTITUDE_KNOWN = math.radians(1.0)  # the linear model then holds
@@ -84,6 +88,11 @@ class Stretch:
         return self.has_grown and (self.sigma is None or bool((_sigma(found) < _LEARNT * self.sigma).any()))
 
     @property
+    def is_confirmed(self) -> bool:
+        """Whether the filter was right of late: no run has changed it for a fifth of the stretch."""
+        return self.run_at >= _CONFIRMED * self.moved_at > 0
+
+    @property
     def is_settled(self) -> bool:
         """Whether the linear filter may go on alone: attitude known, and no change by a run for half of the stretch."""
         known = self.sigma is not None and bool((self.sigma[_ATTITUDE] < _ATTITUDE_KNOWN).all())
@@ -103,11 +112,10 @@ class Link:
     cov: Array
 
 
-def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch, float] | None:
+def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
     """The filter at the last measurement, linearised about the trajectory that leads there; None where that does not converge.
 
-    found: the filter that went through the stretch as it came. Also returned are the stretch with the run noted, and how far the
-    estimate has moved: squared, per state, in units of P.
+    found: the filter that went through the stretch as it came. Also returned is the stretch with the run noted.
     """
     path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
     before = None
@@ -118,9 +126,9 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
         stays = before is not None and _distance2(end, before) < _STAYS
         before = end.x
         if stays:
-            moved, count = _distance2(end, found.x), len(stretch.taken)
-            moved_at = count if moved >= _STAYS or not stretch.moved_at else stretch.moved_at
-            return end, replace(stretch, path=tuple(path), sigma=_sigma(end), run_at=count, moved_at=moved_at), moved
+            changed, count = _distance2(end, found.x) >= _CHANGES or not stretch.path, len(stretch.taken)
+            moved_at = count if changed else stretch.moved_at
+            return end, replace(stretch, path=tuple(path), sigma=_sigma(end), run_at=count, moved_at=moved_at)
     return None
 
 

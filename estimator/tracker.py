@@ -31,7 +31,6 @@ _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _XYZ = 3
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
-_AGREES = 0.1  # squared, per state, in units of P: a run of the stretch that moves the estimate by less finds the filter right
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -221,7 +220,7 @@ class Tracker:
         return Decision(Reason.ALIGNING)
 
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
-        """Aligned when enough is known, and the linear filter has come to what the whole stretch says when it is run again."""
+        """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
         initialise.weigh(self.hypotheses, aid, z, gyro_b)
         if self.stretch is not None:
@@ -233,28 +232,29 @@ class Tracker:
             self.stretch = Stretch.of(self.hypotheses.lead) if known else None
             self.is_aligned = known
         elif len(self.hypotheses.members) == 1 and self.stretch.has_grown:
-            agrees = self._relinearise(self.stretch, samples)
-            self.is_aligned = known and agrees and initialise.aligned(self.hypotheses, self.config.initialise)
+            confirmed = self._relinearise(self.stretch, samples).is_confirmed
+            self.is_aligned = known and confirmed and initialise.aligned(self.hypotheses, self.config.initialise)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone."""
         assert self.hypotheses is not None
-        self.stretch, is_long = stretch, stretch.is_long(self.t_ns)
+        is_long = stretch.is_long(self.t_ns)
         if is_long or stretch.due(self.hypotheses.lead):
-            self._relinearise(stretch, samples)
-        if self.stretch.is_settled:
+            stretch = self._relinearise(stretch, samples)
+        self.stretch = stretch
+        if stretch.is_settled:
             self.stretch = None
         elif is_long:
             self.stretch = Stretch.of(self.hypotheses.lead)
 
-    def _relinearise(self, stretch: Stretch, samples: ImuBuffer) -> bool:
-        """The leading filter, linearised about what is known now, goes on; whether it had been right before."""
+    def _relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
+        """The leading filter, linearised about what is known now, goes on; the stretch with the run noted, where it succeeded."""
         assert self.hypotheses is not None
         result = relinearise(stretch, self.hypotheses.lead, samples)
-        if result is None:
-            return False
-        self.hypotheses.members[0].filter, self.stretch, moved = result
-        return moved < _AGREES
+        if result is not None:
+            self.hypotheses.members[0].filter, stretch = result
+        self.stretch = stretch
+        return stretch
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""

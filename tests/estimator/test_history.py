@@ -144,10 +144,10 @@ def test_ticks_between_late_samples_leave_no_trace(flight: Simulation, messages:
 
 def test_without_a_given_origin_the_first_fix_by_validity_is_it() -> None:
     """And that, like the search for the heading that follows, does not depend on what arrived first."""
-    wing = simulated('duration_s = 14.0\n[vehicle]\nkind = "fixed_wing"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n', seed=1)
+    wing = simulated('duration_s = 24.0\n[vehicle]\nkind = "fixed_wing"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n', seed=1)
     config = msgspec.structs.replace(config_of(wing), origin=None)
     rng = np.random.default_rng(0)
-    aids = [m for m in wing.messages if isinstance(m, ImuSample) or m.t_ns < EPOCH_NS + 10 * SECOND]
+    aids = [m for m in wing.messages if isinstance(m, ImuSample) or m.t_ns < EPOCH_NS + 20 * SECOND]
     late = by_arrival(m if isinstance(m, ImuSample) else arriving(m, rng.uniform(0.0, 3.0)) for m in aids)
     first = min((m for m in aids if isinstance(m, GnssFix)), key=lambda m: m.t_ns)
     assert next(m for m in late if isinstance(m, GnssFix)) is not first
