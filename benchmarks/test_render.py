@@ -39,5 +39,5 @@ def test_pair(benchmark: BenchmarkFixture, size: str, scene: str, blur: bool) ->
     left, _ = render_pair(made.world, made.rig, p_n, R_nb, conditions, np.random.default_rng(0))
     benchmark.extra_info["SIFT keypoints"] = len(cv2.SIFT.create().detect(cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)))
     benchmark.pedantic(  # type: ignore[no-untyped-call]
-        lambda: render_pair(made.world, made.rig, p_n, R_nb, conditions, np.random.default_rng(0)), rounds=30
+        lambda: render_pair(made.world, made.rig, p_n, R_nb, conditions, np.random.default_rng(0)), rounds=15
     )

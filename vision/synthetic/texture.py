@@ -65,8 +65,9 @@ def _taps(start: Scalar, size: Scalar, s: Scalar, t: Scalar) -> Taps:
     s, t = s - np.float32(0.5), t - np.float32(0.5)
     fs, ft = np.floor(s), np.floor(t)
     mask, si, ti = np.int32(size - 1), np.int32(fs), np.int32(ft)
-    s0, s1 = si & mask, (si + np.int32(1)) & mask
-    row0, row1 = start + (ti & mask) * size, start + ((ti + np.int32(1)) & mask) * size
+    # Unsigned, so that the compiled lookup need not ask whether an index counts from the end.
+    s0, s1 = np.uint32(si & mask), np.uint32((si + np.int32(1)) & mask)
+    row0, row1 = np.uint32(start + (ti & mask) * size), np.uint32(start + ((ti + np.int32(1)) & mask) * size)
     return row0 + s0, row0 + s1, row1 + s0, row1 + s1, s - fs, t - ft
 
 
