@@ -7,6 +7,7 @@ left between them, along the normals of the outlines, is the residual in pixels.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,9 +16,7 @@ from numpy.typing import NDArray
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import outline
-from vision.sensitivity import Eye, sample_edges, view
-from vision.visibility import Kind, ModelEdges, hidden, visible_edges
+from vision.visibility import Kind, hidden, visible_edges
 
 Picture = NDArray[np.uint8]
 Bgr = tuple[int, int, int]
@@ -29,7 +28,10 @@ _DARK: Bgr = (25, 25, 25)
 _WHITE: Bgr = (255, 255, 255)
 _SHIFT = 4  # binary digits of a pixel that OpenCV's lines know
 _PIECES = 32  # of an edge, so that it bends with the lens
-_SPACING_PX, _MOST_POINTS, _HALF_PX = 4.0, 40, 6
+_HALF_PX, _STEP_PX = 6.0, 0.5  # how far edges are looked for, and how finely
+_NEARER_PX = 4.0  # 1 sigma: of two edges the nearer one counts more
+_LEAST_SLOPE = 6.0  # grey values a pixel, that make an edge
+_CORNER_PX = 4.0  # from a corner two edges are seen at once
 _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
 
@@ -62,25 +64,42 @@ def outline_residuals(
 ) -> list[Residuals]:
     """Residuals of the roof outlines of those landmarks that are in view, in a picture (H, W) or (H, W, 3)."""
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
-    if not landmarks:
-        return []
-    eye = Eye(camera, np.eye(3), np.zeros(3), right=False)
-    edges = _roofs(visible_edges(landmarks, p_nc))
-    if len(edges.kind) == 0:
-        return []
-    samples = sample_edges(edges, eye, p_nc, R_nc, _SPACING_PX, _MOST_POINTS)
-    seen = view(edges, samples, eye, p_nc, R_nc, landmarks)
-    usable = seen.usable & camera.contains(seen.px, _HALF_PX + 2.0)
-    channels = np.ascontiguousarray(picture if picture.ndim == 3 else picture[:, :, None])
-    values = outline.profiles(channels, seen.px, seen.normal, _HALF_PX, 1.0, 3, usable)
-    grey, _ = outline.along_contrast(values, samples.edge, len(edges.kind), usable)
-    offsets = outline.fit(grey, samples.edge, np.zeros(len(edges.kind)), _HALF_PX - 1.0, 1.0, usable)[0]
-    owner = edges.landmark[samples.edge]
-    residuals = []
-    for i in np.unique(owner[usable]).tolist():
-        mine = usable & (owner == i)
-        residuals.append(Residuals(landmarks[i].id, seen.px[mine], seen.normal[mine], offsets[mine]))
-    return residuals
+    edges = _edges(camera, p_nc, R_nc, landmarks)
+    along = np.gradient(edges.px, axis=1) if len(edges.px) else edges.px
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+    normal = along[:, :, ::-1] * np.array([-1.0, 1.0])
+    ends = np.stack([np.linalg.norm(edges.px - edges.px[:, [k]], axis=2) for k in (0, -1)]).min(axis=0)
+    usable = edges.shown & (ends > _CORNER_PX) & (edges.kind == Kind.ROOF)[:, None]
+    usable &= camera.contains(edges.px.reshape(-1, 2), _HALF_PX + 2.0).reshape(usable.shape)
+    owner = np.repeat(edges.landmark[:, None], edges.px.shape[1], axis=1)[usable]
+    px, normal = edges.px[usable], normal[usable]
+    offset = _edge_offsets(picture, px, normal)
+    return [Residuals(landmarks[i].id, px[owner == i], normal[owner == i], offset[owner == i]) for i in np.unique(owner).tolist()]
+
+
+def _edge_offsets(picture: Picture, px: Array, normal: Array) -> Array:
+    """Where along the normals (N, 2) the picture changes most, px from the points (N, 2); NaN where it hardly changes.
+
+    The slope is that of all channels together, averaged over three neighbours along the edge; a parabola gives its summit.
+    """
+    s = np.arange(-_HALF_PX, _HALF_PX + _STEP_PX, _STEP_PX)
+    beside = normal[:, ::-1] * np.array([1.0, -1.0])
+    places = px[:, None, None] + np.arange(-1.0, 2.0)[:, None, None] * beside[:, None, None] + s[:, None] * normal[:, None, None]
+    if len(px) == 0:
+        return np.empty(0)
+    u, v = np.moveaxis(places.reshape(len(px), -1, 2), 2, 0).astype(np.float32)
+    values = cv2.remap(picture.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile = values.reshape(len(px), 3, len(s), -1).mean(axis=1)
+    slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2.0 * _STEP_PX)
+    at = s[1:-1]
+    best = np.argmax(slope * np.exp(-0.5 * (at / _NEARER_PX) ** 2), axis=1)
+    inside = np.clip(best, 1, len(at) - 2)
+    rows = np.arange(len(px))
+    left, top, right = slope[rows, inside - 1], slope[rows, inside], slope[rows, inside + 1]
+    bend = left - 2.0 * top + right
+    summit = at[inside] + _STEP_PX * 0.5 * (left - right) / np.where(bend < 0.0, bend, 1.0)
+    offsets: Array = np.where((best == inside) & (bend < 0.0) & (top >= _LEAST_SLOPE), summit, np.nan)
+    return offsets
 
 
 def draw_overlay(
@@ -134,19 +153,20 @@ def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[L
     return kept
 
 
-def _roofs(edges: ModelEdges) -> ModelEdges:
-    roof = edges.kind == Kind.ROOF
-    return ModelEdges(
-        edges.start_n[roof], edges.end_n[roof], edges.landmark[roof], edges.kind[roof], np.full(int(roof.sum()), -1),
-        edges.map_start[roof], edges.map_end[roof],
-    )  # fmt: skip
+class _Edges(NamedTuple):
+    """E edges as P points each: landmark (E,), kind (E,), px (E, P, 2), and which points (E, P) are seen."""
+
+    landmark: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    px: Array
+    shown: NDArray[np.bool_]
 
 
-def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
-    """Per landmark its visible edges in the picture: kind and points (P, 2), cut where they are hidden or out of sight."""
-    lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
+def _edges(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> _Edges:
     if not landmarks:
-        return lines
+        return _Edges(
+            np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, _PIECES + 1, 2)), np.empty((0, _PIECES + 1), bool)
+        )
     edges = visible_edges(landmarks, p_nc)
     t = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     points_n = edges.start_n[:, None] + t * (edges.end_n - edges.start_n)[:, None]
@@ -155,12 +175,17 @@ def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
     near = np.array([3.0 * camera.width, 3.0 * camera.height])
     with np.errstate(invalid="ignore"):
         shown = np.all(np.abs(px) < near, axis=1) & ~hidden(flat, p_nc, landmarks)
-    px, shown = px.reshape(-1, len(t), 2), shown.reshape(-1, len(t))
-    for edge in range(len(px)):
-        breaks = np.flatnonzero(~shown[edge])
-        for part in np.split(np.arange(len(t)), np.unique(np.concatenate((breaks, breaks + 1)))):
+    return _Edges(edges.landmark, edges.kind, px.reshape(-1, len(t), 2), shown.reshape(-1, len(t)))
+
+
+def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
+    """Per landmark its visible edges in the picture: kind and points (P, 2), cut where they are hidden or out of sight."""
+    lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
+    for landmark, kind, px, shown in zip(*_edges(camera, p_nc, R_nc, landmarks), strict=True):
+        breaks = np.flatnonzero(~shown)
+        for part in np.split(np.arange(len(px)), np.unique(np.concatenate((breaks, breaks + 1)))):
             if len(part) > 1:
-                lines[edges.landmark[edge]].append((Kind(int(edges.kind[edge])), px[edge, part]))
+                lines[landmark].append((Kind(int(kind)), px[part]))
     return lines
 
 
