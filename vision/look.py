@@ -12,12 +12,13 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from vision import outline, step_fit
 from vision.edge_lines import EdgeLines, compress, fit_lines
-from vision.sensitivity import EdgeView, Eye, Samples, derivatives, edge_gaps, eyes, sample_edges, view
+from vision.sensitivity import Derivatives, EdgeView, Eye, Samples, derivatives, edge_gaps, eyes, sample_edges, view
 from vision.visibility import Kind, MapError, ModelEdges, Prisms, visible_edges
 
 Image = NDArray[np.uint8]
@@ -64,66 +65,79 @@ class Scene:
     """What does not change from look to look: pictures, cameras, landmarks, and how wrong map and rig may be."""
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
-        pairs = zip(eyes(rig), views, strict=False)
         self.rig, self.prisms = rig, Prisms.of(landmarks)
-        self.eyes: list[tuple[Eye, Image]] = [(eye, _channels(image)) for eye, image in pairs if image is not None]
+        self.images = [None if image is None else _channels(image) for image in views]
         sigmas = [(m.sigma_m, m.sigma_m, m.height_sigma_m if m.height_m > 0.0 else 0.0, m.outline_sigma_m) for m in landmarks]
         self.map_sigma = np.array(sigmas, dtype=np.float64)  # (L, 4)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
         covariances = (rig.covariance_bc, rig.covariance_rc, rig.left.covariance, rig.right.covariance)
         self.rig_roots = [_root(covariance) for covariance in covariances]
 
+    def moved_rig(self, bc: Array, rc: Array) -> StereoRig:
+        """The rig with errors of its camera poses, in units of their own standard deviations."""
+        if not bc.any() and not rc.any():
+            return self.rig
+        on_body, between = (
+            root @ error if error.size else np.zeros(6) for root, error in zip(self.rig_roots[:2], (bc, rc), strict=True)
+        )
+        return msgspec.structs.replace(
+            self.rig,
+            p_bc=self.rig.p_bc + on_body[:3],
+            R_bc=so3.matrix(so3.quat_exp(on_body[3:])) @ self.rig.R_bc,
+            t_rc=self.rig.t_rc + between[:3],
+            R_rc=so3.matrix(so3.quat_exp(between[3:])) @ self.rig.R_rc,
+        )
+
     def look(
-        self, p_n: Array, R_nb: Array, shift_m: Array, config: LookConfig, search_px: int = 0, farthest_px: float = 0.0
+        self,
+        p_n: Array,
+        R_nb: Array,
+        shift_m: Array,
+        rig: StereoRig,
+        config: LookConfig,
+        search_px: int = 0,
+        farthest_px: float = 0.0,
     ) -> Look:
-        """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px."""
-        edges = visible_edges(self.prisms, self.eyes[0][0].pose(p_n, R_nb)[0], shift_m)
+        """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
+
+        shift_m (L, 4), rig: errors of map and rig as now believed.
+        """
+        shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
+        edges = visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == Kind.ROOF if search_px else None
-        samples = sample_edges(edges, self.eyes[0][0], p_n, R_nb, config.spacing_px, config.most_points, wanted)
+        samples = sample_edges(edges, shown[0][0], p_n, R_nb, config.spacing_px, config.most_points, wanted)
         count, lines, opened, H, N, points = len(edges.kind), [], [], [], [], 0.0
-        for eye, image in self.eyes:
+        for eye, image in shown:
             seen = view(edges, samples, eye, p_n, R_nb, self.prisms)
             if search_px:
                 offsets, usable, variance = _search(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:
                 offsets, usable, variance = _fit(image, edges, samples, seen, p_n, R_nb, eye, config.fit_half_px, farthest_px)
             line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
-            pose, nuisances = self._rows(edges, samples, seen, eye, p_n, R_nb, line, with_rig=not search_px)
+            d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb)
+            pose, nuisances = self._rows(d, edges, samples, line, right=eye.right, with_rig=not search_px)
             lines.append(line)
             opened.append(variance)
             H.append(pose)
             N.append(nuisances)
             points += float(usable.sum())
         share = sum(float(line.points.sum()) for line in lines) / max(points, 1.0)
-        return Look(
-            edges, samples, lines, np.stack([line.line for line in lines], axis=1),
-            np.stack([line.found for line in lines], axis=1),
-            np.stack(H, axis=1), np.stack(N, axis=1), np.array(opened), share,
-        )  # fmt: skip
+        line_all, found = np.stack([line.line for line in lines], axis=1), np.stack([line.found for line in lines], axis=1)
+        return Look(edges, samples, lines, line_all, found, np.stack(H, axis=1), np.stack(N, axis=1), np.array(opened), share)
 
     def _rows(
-        self,
-        edges: ModelEdges,
-        samples: Samples,
-        seen: EdgeView,
-        eye: Eye,
-        p_n: Array,
-        R_nb: Array,
-        line: EdgeLines,
-        *,
-        with_rig: bool,
+        self, d: Derivatives, edges: ModelEdges, samples: Samples, line: EdgeLines, *, right: bool, with_rig: bool
     ) -> tuple[Array, Array]:
         """H (E, 2, 6) and N (E, 2, P) of one picture; P counts map errors only, without the rig's."""
-        d = derivatives(edges, samples, seen, eye, self.rig, p_n, R_nb)
         count = len(edges.kind)
         every = compress(line.gain, np.hstack((d.pose, d.mapped, d.bc, d.rc, d.own)), samples.edge, count)
         mapped = np.zeros((count, 2, len(self.map_sigma), len(MapError)))
         mapped[np.arange(count), :, edges.landmark] = every[:, :, 6:10] * self.map_sigma[edges.landmark][:, None, :]
         parts = [mapped.reshape(count, 2, -1)[:, :, self.map_used]]
         if with_rig:
-            bc, rc, left, right = self.rig_roots
+            bc, rc, *own = self.rig_roots
             parts += [every[:, :, columns] @ root for columns, root in ((slice(10, 16), bc), (slice(16, 22), rc)) if root.size]
-            for root, mine in ((left, not eye.right), (right, eye.right)):
+            for root, mine in zip(own, (not right, right), strict=True):
                 if root.size:
                     parts.append(every[:, :, 22:] @ root if mine else np.zeros((count, 2, root.shape[1])))
         return every[:, :, :6], np.concatenate(parts, axis=2)

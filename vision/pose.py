@@ -100,24 +100,31 @@ class _Fit:
         self.information = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
+        self.bc, self.rc = (np.zeros(root.shape[1]) for root in scene.rig_roots[:2])
 
     def delta(self) -> Array:
         """x (-) x0: how far the pose is from the prior's, (6,)."""
         return difference(self.p_n, self.R_nb, self.p0, self.q0)
 
     def present(self, count: int) -> Array:
-        """The unit-variance nuisances (count,) that the drawn outlines contain: those of the map; the rig's are 0."""
+        """The unit-variance nuisances (count,) that the drawn outlines contain: map, camera poses; the cameras' own are 0."""
         used = self.scene.map_used
-        result = np.zeros(count)
-        result[: len(used)] = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
-        return result
+        mapped = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
+        if count == len(used):  # a search knows no rig errors
+            return mapped
+        return np.concatenate((mapped, self.bc, self.rc, np.zeros(count - len(mapped) - len(self.bc) - len(self.rc))))
+
+    def look(self, config: LookConfig, search_px: int = 0, farthest_px: float = 0.0) -> Look:
+        """Look from here."""
+        rig = self.scene.moved_rig(self.bc, self.rc)
+        return self.scene.look(self.p_n, self.R_nb, self.shift_m, rig, config, search_px, farthest_px)
 
     def solve(self, system: System) -> Solution:
         """The step from here."""
         return solve(system, self.present(system.A.shape[2] - POSE), self.information, self.delta())
 
     def move(self, step: Solution) -> None:
-        """Retract: p + dp, exp(dtheta) R, and the map errors as solved for."""
+        """Retract: p + dp, exp(dtheta) R, and the errors of map and camera poses as solved for."""
         self.p_n = self.p_n + step.dx[:3]
         turned = so3.multiply(so3.quat_exp(step.dx[3:]), so3.from_matrix(self.R_nb))
         self.R_nb = so3.matrix(so3.normalise(turned))
@@ -125,6 +132,8 @@ class _Fit:
         flat = self.shift_m.ravel()
         flat[used] = step.nuisance[: len(used)] * self.scene.map_sigma.ravel()[used]
         self.shift_m = flat.reshape(self.shift_m.shape)
+        if len(step.nuisance) > len(used):
+            self.bc, self.rc, _ = np.split(step.nuisance[len(used) :], np.cumsum([len(self.bc), len(self.rc)]))
 
 
 def estimate_pose(
@@ -138,7 +147,7 @@ def estimate_pose(
     """
     config = config or PoseConfig()
     scene = Scene(rig, views, landmarks)
-    if not scene.eyes or not landmarks:
+    if not landmarks or all(image is None for image in scene.images):
         return NoPose("no_picture" if landmarks else "too_few_edges")
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
@@ -175,7 +184,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
     near = False
     for half in config.look.search_px:
         if not near:
-            seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, search_px=half)
+            seen = fit.look(config.look, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
             near = _median(np.abs(seen.line[:, :, 0][seen.found])) < _NEAR * config.look.farthest_px[0]
@@ -183,7 +192,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
     for number, farthest in enumerate(config.look.farthest_px):
         if number:
             fit.move(_robust_step(fit, seen, 0.3))
-        seen = scene.look(fit.p_n, fit.R_nb, fit.shift_m, config.look, farthest_px=farthest)
+        seen = fit.look(config.look, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
     system, step = _final_step(fit, seen, config)

@@ -1,0 +1,211 @@
+"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, honesty, what repeats, what is refused."""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import pytest
+
+from models import so3
+from models.camera import StereoRig
+from models.landmarks import Landmark
+from models.messages import Array
+from tests.vision.roofs import nadir_rig
+from vision.identify import Prior
+from vision.look import Image
+from vision.pose import NoPose, PoseEstimate, combine, difference, estimate_pose
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.ground import Ground
+from vision.synthetic.render import render_pair
+from vision.synthetic.world import Look, Sun, World
+
+SIGMA = np.array([3.0, 3.0, 2.0, *np.radians([0.5, 0.5, 2.0])])
+COLOURS = ((40, 50, 190), (170, 80, 40), (60, 170, 60))
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One view, and the prior of it."""
+
+    pictures: tuple[Image, Image]
+    rig: StereoRig
+    landmarks: tuple[Landmark, ...]
+    p_n: Array
+    R_nb: Array
+    prior: Prior
+
+
+def flight(seed: int, marks: int = 3, height_m: float = 40.0, tilt: float = 0.15, rig: StereoRig | None = None) -> Flight:
+    """Painted boxes below, seen from height_m; the prior is drawn about the truth."""
+    rng, rig = np.random.default_rng(seed), rig or nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
+    places = np.array([(0.1, 0.0), (-0.2, 0.25), (-0.15, -0.25)])[:marks] * height_m
+    true = []
+    for k, place in enumerate(places):
+        a, size = rng.uniform(0.0, np.pi), rng.uniform(0.12, 0.2) * height_m
+        turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+        corners = np.array([(-0.5, -0.35), (0.5, -0.35), (0.5, 0.35), (-0.5, 0.35)]) * size
+        true.append(Landmark.of(str(k), corners @ turn + place, 0.0, rng.uniform(0.03, 0.1) * height_m, COLOURS[k]))
+    looks = tuple(Look(COLOURS[k]) for k in range(marks))
+    world = World(tuple(true), looks, (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
+    R_nb = so3.matrix(so3.from_euler(*rng.normal(0.0, tilt, 2), rng.uniform(-3.0, 3.0)))
+    p_n = np.array([*rng.normal(0.0, 1.0, 2), -height_m])
+    pictures = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
+    error = SIGMA * rng.normal(size=6)
+    q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb)))
+    return Flight(pictures, rig, tuple(true), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(SIGMA**2)))
+
+
+def near(view: Flight, seed: int = 0) -> tuple[Array, Array]:
+    """A start as regions give it: a few pixels off."""
+    error = np.random.default_rng(seed).normal(size=6) * np.array([0.1, 0.1, 0.2, 2e-3, 2e-3, 5e-3])
+    return view.p_n + error[:3], so3.matrix(so3.quat_exp(error[3:])) @ view.R_nb
+
+
+def estimate(view: Flight, pictures: tuple[Image | None, ...] | None = None, prior: Prior | None = None) -> PoseEstimate:
+    found = estimate_pose(view.rig, pictures or view.pictures, view.landmarks, near(view), prior or view.prior)
+    assert isinstance(found, PoseEstimate), found
+    return found
+
+
+def total(found: PoseEstimate) -> Array:
+    result: Array = found.covariance + found.covariance_common
+    return result
+
+
+@pytest.fixture(scope="module")
+def view() -> Flight:
+    return flight(1)
+
+
+def test_poses_of_painted_boxes_are_centimetres_off_and_know_it() -> None:
+    """Mean squared Mahalanobis distance of 12 views, per degree of freedom, two-sided; of posterior and of pictures alone."""
+    joint, alone = [], []
+    for seed in range(12):
+        one = flight(seed, marks=1 + seed % 3)
+        found = estimate(one)
+        truth = so3.from_matrix(one.R_nb)
+        e = difference(found.joint_p_n, found.joint_R_nb, one.p_n, truth)
+        joint.append(e @ np.linalg.solve(found.joint_covariance, e) / 6.0)
+        e = difference(found.p_n, found.R_nb, one.p_n, truth)
+        alone.append(e @ np.linalg.solve(total(found), e) / 6.0)
+        if len(one.landmarks) == 3:
+            assert np.linalg.norm(found.joint_p_n - one.p_n) < 0.12
+    assert 0.35 < np.mean(joint) < 1.6
+    assert 0.35 < np.mean(alone) < 1.6
+
+
+def test_fusing_the_fix_with_the_prior_gives_the_joint_optimum(view: Flight) -> None:
+    found = estimate(view)
+    p_n, R_nb, covariance = combine(view.prior, found.p_n, found.R_nb, total(found))
+    np.testing.assert_allclose(p_n, found.joint_p_n, atol=1e-3)
+    np.testing.assert_allclose(R_nb, found.joint_R_nb, atol=1e-5)
+    np.testing.assert_allclose(covariance, found.joint_covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_the_prior_is_not_in_the_fix() -> None:
+    """One landmark, where the prior matters most: one of twice the sigma, or moved by a sigma, leaves fix and covariance."""
+    one = flight(4, marks=1, height_m=100.0)
+    found = estimate(one)
+    wide = estimate(one, prior=with_changes(one.prior, covariance=4.0 * one.prior.covariance))
+    np.testing.assert_allclose(np.diag(total(wide)), np.diag(total(found)), rtol=0.3)
+    moved = estimate(one, prior=with_changes(one.prior, p_n=one.prior.p_n + np.array([0.0, SIGMA[1], 0.0])))
+    e = difference(moved.p_n, moved.R_nb, found.p_n, so3.from_matrix(found.R_nb))
+    assert e @ np.linalg.solve(total(found), e) < 0.5
+    for variance in (total(found), total(wide)):
+        assert np.diag(variance)[0] > 2.0 * np.diag(found.joint_covariance)[0]
+
+
+def with_changes(prior: Prior, **changes: Array) -> Prior:
+    values = {"p_n": prior.p_n, "q_nb_wxyz": prior.q_nb_wxyz, "covariance": prior.covariance} | changes
+    return Prior(values["p_n"], values["q_nb_wxyz"], values["covariance"])
+
+
+def test_one_camera_is_enough_and_says_less(view: Flight) -> None:
+    both = estimate(view)
+    for pictures in ((view.pictures[0], None), (None, view.pictures[1])):
+        one = estimate(view, pictures)
+        assert np.linalg.norm(one.joint_p_n - view.p_n) < 0.25
+        assert np.trace(total(one)[:3, :3]) > np.trace(total(both)[:3, :3])
+
+
+def test_grey_pictures_do(view: Flight) -> None:
+    grey = [np.ascontiguousarray(picture[:, :, 1]) for picture in view.pictures]
+    assert np.linalg.norm(estimate(view, (grey[0], grey[1])).joint_p_n - view.p_n) < 0.2
+
+
+def test_map_errors_are_common_and_estimated() -> None:
+    """All landmarks 0.4 m off to the east with sigma 0.5 m: the fix is off by as much, and says that this part repeats."""
+    view = flight(2)
+    shifted = [
+        msgspec.structs.replace(mark, outline_n=mark.outline_n + np.array([0.0, 0.4]), sigma_m=0.5) for mark in view.landmarks
+    ]
+    start, turn = near(view)
+    found = estimate_pose(view.rig, view.pictures, shifted, (start + np.array([0.0, 0.4, 0.0]), turn), view.prior)
+    assert isinstance(found, PoseEstimate)
+    assert found.joint_p_n[1] - view.p_n[1] == pytest.approx(0.4, abs=0.15)
+    common, image = np.diag(found.covariance_common), np.diag(found.covariance)
+    assert common[1] > 0.5**2 / 3.0
+    assert common[1] > 5.0 * image[1]
+    exact = estimate(view)
+    assert np.diag(exact.covariance_common)[1] < 0.01 * common[1]
+    ratio = image[:3] / np.diag(exact.covariance)[:3]
+    assert ((ratio > 0.25) & (ratio < 4.0)).all()
+
+
+def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
+    """Landmarks are weighed by their map errors: that of 2 m does not pull those of 0.05 m."""
+    view = flight(2)
+    marks = [msgspec.structs.replace(mark, sigma_m=0.05) for mark in view.landmarks]
+    marks[0] = msgspec.structs.replace(marks[0], outline_n=marks[0].outline_n + np.array([0.5, 0.0]), sigma_m=2.0)
+    found = estimate_pose(view.rig, view.pictures, marks, near(view), view.prior)
+    assert isinstance(found, PoseEstimate)
+    assert abs(found.joint_p_n[0] - view.p_n[0]) < 0.15
+    assert found.shift_m[0, 0] == pytest.approx(-0.5, abs=0.15)
+
+
+def test_rig_errors_are_common() -> None:
+    exact = flight(3)
+    rig = msgspec.structs.replace(exact.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
+    found = estimate_pose(rig, exact.pictures, exact.landmarks, near(exact), exact.prior)
+    assert isinstance(found, PoseEstimate)
+    # A camera turned on the body by 10 mrad turns the attitude by as much.
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_common))[3:], 0.01, rtol=0.1)
+
+
+def test_half_a_turn_is_left_open_without_a_heading() -> None:
+    """One rectangle painted on the ground and a prior that knows no heading."""
+    view = flight(5, marks=1)
+    flat = msgspec.structs.replace(view.landmarks[0], height_m=0.0, base_d=view.landmarks[0].roof_d)
+    loose = with_changes(view.prior, covariance=np.diag([20.0, 20.0, 2.0, 0.3, 0.3, 3.0]) ** 2)
+    found = estimate_pose(view.rig, view.pictures, [flat], near(view), loose)
+    assert isinstance(found, NoPose)
+    assert found.reason == "ambiguous"
+    assert isinstance(estimate_pose(view.rig, view.pictures, [flat], near(view), view.prior), PoseEstimate)
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_pictures_of_nothing_are_no_pose(view: Flight, value: int) -> None:
+    blank = np.full_like(view.pictures[0], value)
+    found = estimate_pose(view.rig, (blank, blank), view.landmarks, near(view), view.prior)
+    assert isinstance(found, NoPose)
+    assert found.reason in ("too_few_edges", "not_found")
+
+
+def test_nothing_to_look_at(view: Flight) -> None:
+    assert estimate_pose(view.rig, (None, None), view.landmarks, near(view), view.prior) == NoPose("no_picture")
+    assert isinstance(estimate_pose(view.rig, view.pictures, [], near(view), view.prior), NoPose)
+
+
+def test_a_start_elsewhere_is_no_confident_wrong_pose(view: Flight) -> None:
+    """20 m off the outlines fall on grass."""
+    p, turn = near(view)
+    found = estimate_pose(view.rig, view.pictures, view.landmarks, (p + np.array([20.0, 0.0, 0.0]), turn), view.prior)
+    if isinstance(found, PoseEstimate):
+        e = difference(found.p_n, found.R_nb, view.p_n, so3.from_matrix(view.R_nb))
+        assert e @ np.linalg.solve(total(found), e) < 40.0
+
+
+def test_same_input_same_bits(view: Flight) -> None:
+    first, second = estimate(view), estimate(view)
+    assert first.p_n.tobytes() == second.p_n.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
