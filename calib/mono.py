@@ -148,14 +148,22 @@ def cross_validate(solution: Solution) -> tuple[float, Array]:
         change = np.maximum(change, np.abs(_pinhole(train.cameras[0]) - full) / sigma)
         for i in range(fold, views, folds):
             left_out = Problem(train.cameras, train.places, (problem.views[i],), (problem.poses[i],))
-            squares.append(adjust(left_out).rms ** 2)
+            squares.append(_rms_or_inf(left_out) ** 2)
     return float(np.sqrt(np.mean(squares))), change
 
 
+def _rms_or_inf(problem: Problem) -> float:
+    """Residual; infinite where the lens model folds before the corners, so that it cannot predict them at all."""
+    try:
+        return adjust(problem).rms
+    except CalibrationError:
+        return float("inf")
+
+
 def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
-    """RMS of a view with only its pose adjusted [px]."""
+    """RMS of a view with only its pose adjusted [px], infinite where the lens model cannot have made it."""
     seen = Seen(board.points[view.ids], view.px)
-    return adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),))).rms
+    return _rms_or_inf(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))
 
 
 def board_pose(camera: CameraModel, seen: Seen) -> Pose:

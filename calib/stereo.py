@@ -187,7 +187,8 @@ def _held_out(solution: Solution, pairs: Sequence[Pair]) -> float:
     for fold in range(folds):
         train = adjust(solution.problem.only([i for i in range(len(pairs)) if i % folds != fold]))
         errors += row_errors(_rig(train), pairs[fold::folds])
-    return _rms(np.concatenate(errors))
+    rms = _rms(np.concatenate(errors))
+    return rms if np.isfinite(rms) else float("inf")  # a lens model that folds before the corners
 
 
 def _rays(plane: Array) -> Array:

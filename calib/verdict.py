@@ -71,6 +71,7 @@ _STILL: Final = "hold board and camera still, in good light, and see that the bo
 _TILT: Final = "tilt the board 20-45 degrees, about both axes, and come near enough to fill a third of the picture"
 _SPREAD: Final = "move the board into the picture's corners and along its borders"
 _MORE: Final = "take more pictures (20 that differ)"
+_LENS: Final = "take a lens model of fewer coefficients (--lens), or move the board into the corners"
 
 
 def of_mono(result: Mono) -> Verdict:
@@ -110,18 +111,26 @@ def _common(rms: float, held_out: float, views: int) -> tuple[Figure, Figure, Fi
     )
 
 
-def _camera(camera: CameraModel, side: str = "") -> tuple[Figure, Figure]:
+def _camera(camera: CameraModel, side: str = "") -> tuple[Figure, ...]:
     assert camera.covariance is not None
     sigma = np.sqrt(np.diagonal(camera.covariance))
     focal = 100.0 * float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     return (
         Figure(f"{side}sigma of the focal length", focal, "%", 0.3, 1.0, _TILT),
+        Figure(f"{side}picture that the lens model cannot have made", uncovered(camera), "%", 0.0, 3.0, _LENS),
         Figure(f"{side}sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _TILT),
     )
 
 
 def _covered(counts: NDArray[np.int64], good: float, usable: float) -> Figure:
     return Figure("picture without a corner", 100.0 * float(np.mean(counts == 0)), "%", good, usable, _SPREAD)
+
+
+def uncovered(camera: CameraModel) -> float:
+    """Percent of the picture's pixels that no direction is drawn to: beyond where the lens model folds."""
+    u, v = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 40), np.linspace(0.0, camera.height - 1.0, 30))
+    plane = camera.undistort(np.column_stack((u.ravel(), v.ravel())))
+    return 100.0 * float(np.mean(np.isnan(plane[:, 0])))
 
 
 def table(rows: Sequence[Figure]) -> list[tuple[str, str, str, str]]:

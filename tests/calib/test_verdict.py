@@ -1,0 +1,52 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure as Plot
+
+from calib import mono, pictures, report, verdict
+from calib.errors import CalibrationError
+from calib.verdict import Figure, Grade, Verdict
+from models.camera import CameraModel
+from tests.calib.conftest import BOARD, CAMERA, simulated_views
+
+
+def test_the_worst_figure_is_the_verdict_and_its_advice_comes_first() -> None:
+    good, usable, redo = (Figure(n, v, "px", 1.0, 2.0, f"do {n}") for n, v in (("a", 0.5), ("b", 1.5), ("c", 9.0)))
+    assert Verdict((good,)).text == "good"
+    judged = Verdict((good, usable, redo, usable))
+    assert judged.grade is Grade.REDO
+    assert judged.text == "redo: do c; do b"
+    assert Figure("n", math.nan, "", 1.0, 2.0, "").grade is Grade.USABLE
+    assert Figure("n", math.inf, "", 1.0, 2.0, "").grade is Grade.REDO
+    assert verdict.table((redo,)) == [("c", "9 px", "<= 1 / 2", "redo")]
+
+
+def test_a_lens_model_that_folds_inside_the_picture_is_noticed() -> None:
+    assert verdict.uncovered(CAMERA) == 0.0
+    folding = CameraModel(640, 480, 533.0, 534.0, 342.0, 234.0, (-0.9, 0.0, 0.0, 0.0))
+    assert 5.0 < verdict.uncovered(folding) < 90.0
+
+
+def test_a_view_beyond_the_fold_has_an_infinite_residual() -> None:
+    problem = mono.start(simulated_views(6), BOARD, mono.Lens.TWO)
+    folding = CameraModel(640, 480, 533.0, 534.0, 342.0, 234.0, (-9.0, 0.0, 0.0, 0.0))
+    assert mono._rms_or_inf(problem.only([0])) < 1.0
+    assert mono._rms_or_inf(replace(problem.only([0]), cameras=(folding,))) == math.inf
+
+
+def test_the_report_stands_alone_and_escapes_names(tmp_path: Path) -> None:
+    result = mono.calibrate(simulated_views(8), BOARD)
+    tables = [*report.mono_tables(result), report.dropped([mono.Dropped("<b>.png", "blurred & dark")])]
+    page, png = report.write(tmp_path / "x.yaml", "Camera <1>", verdict.of_mono(result), tables, pictures.mono_figure(result))
+    text = page.read_text()
+    assert png.suffix == ".png"
+    assert "&lt;b&gt;.png" in text
+    assert "Camera &lt;1&gt;" in text
+    assert "http" not in text
+    assert verdict.of_mono(result).grade.word in text
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        report.write(tmp_path / "no" / "x.yaml", "", verdict.of_mono(result), [], Plot())
+    assert np.isfinite(result.held_out_rms)
