@@ -32,7 +32,7 @@ def shifted(rig: StereoRig, which: str, k: int) -> StereoRig:
         parts[place] = parts[place] + STEP * np.eye(3)[k]
     else:
         parts[turn] = moved(parts[turn], k - 3)
-    return StereoRig(rig.left, rig.right, **parts)
+    return StereoRig(rig.left, rig.right, parts["R_rc"], parts["t_rc"], parts["R_bc"], parts["p_bc"])
 
 
 @pytest.mark.parametrize("right", [False, True])

@@ -15,7 +15,8 @@ def box(outline: np.ndarray = SQUARE, height: float = 3.0) -> Landmark:
 
 
 def kinds(mark: Landmark, p: list[float]) -> list[int]:
-    return np.bincount(visible_edges([mark], np.array(p)).kind, minlength=3).tolist()
+    counts: list[int] = np.bincount(visible_edges([mark], np.array(p)).kind, minlength=3).tolist()
+    return counts
 
 
 def test_from_right_above_only_the_roof_is_seen() -> None:
