@@ -31,6 +31,7 @@ _PIECES = 32  # of an edge, so that it bends with the lens
 _HALF_PX, _STEP_PX = 6.0, 0.5  # how far edges are looked for, and how finely
 _NEARER_PX = 4.0  # 1 sigma: of two edges the nearer one counts more
 _LEAST_SLOPE = 6.0  # grey values a pixel, that make an edge
+_SPACING_PX = 4.0  # of the points on an edge, at least
 _CORNER_PX = 4.0  # from a corner two edges are seen at once
 _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
@@ -71,6 +72,9 @@ def outline_residuals(
     ends = np.stack([np.linalg.norm(edges.px - edges.px[:, [k]], axis=2) for k in (0, -1)]).min(axis=0)
     usable = edges.shown & (ends > _CORNER_PX) & (edges.kind == Kind.ROOF)[:, None]
     usable &= camera.contains(edges.px.reshape(-1, 2), _HALF_PX + 2.0).reshape(usable.shape)
+    length = np.nan_to_num(np.linalg.norm(edges.px[:, -1] - edges.px[:, 0], axis=1), nan=1.0)
+    stride = np.ceil(_SPACING_PX * _PIECES / np.maximum(length, 1.0)).astype(np.int64)
+    usable &= np.arange(edges.px.shape[1]) % stride[:, None] == 0
     owner = np.repeat(edges.landmark[:, None], edges.px.shape[1], axis=1)[usable]
     px, normal = edges.px[usable], normal[usable]
     offset = _edge_offsets(picture, px, normal)
