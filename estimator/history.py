@@ -14,7 +14,7 @@ from estimator.tracker import Decision, Tracker
 from models.messages import ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
-_LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, for the alignment
+_LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what it may go through again, for the alignment
 
 
 @dataclass(slots=True, eq=False)
@@ -141,7 +141,7 @@ class History:
             return
         del self._checkpoints[:keep], self._checkpoint_times[:keep]
         oldest = self._checkpoint_times[0]
-        self.samples.forget_before(min(oldest - _LEVELLING_NS, self._checkpoints[0].needs_from_ns))
+        self.samples.forget_before(min(oldest, self._checkpoints[0].needs_from_ns) - _LEVELLING_NS)
         drop = 0
         while drop < self._next and self._entries[drop].aid.t_ns <= oldest:
             drop += 1
