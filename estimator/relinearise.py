@@ -4,7 +4,7 @@ While little is known the errors are too large for a linear filter, and what it 
 of the stretch are kept, and when much has been learnt the stretch is run through again. With a trajectory x_k, one state at each
 measurement, and d_k = x_true,k (-) x_k,
 
-    d_k+1 = c_k + Phi_k d_k + w_k,   c_k = x_k+1 (-) f(x_k),   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
+    d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
 
 is linear: a Kalman filter and, backward, a smoother give E[d_k | all nu], the trajectory moves by it, and so on until its end
 stays: Gauss-Newton on the whole stretch (Bell 1994). The prior is that of the first time, so nothing is counted twice.
