@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from models.messages import Array
 
 POSE = 6
+_REWEIGHTED, _HUBER_ROUNDS = 4, 2
+_TUKEY = 5.0  # in units of the median edge's distance
+_LEAST_SCALE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,7 @@ class System:
         """found: (E, M)."""
         both = found[:, :, None] & found[:, None, :]
         inverse = np.linalg.inv(np.where(both, R, np.eye(R.shape[1])))
-        return cls(z, A, R, np.where(both, inverse, 0.0))
+        return cls(z, np.ascontiguousarray(A), R, np.where(both, inverse, 0.0))
 
     def weighted(self, weight: Array) -> "System":
         """The same with each edge's information times weight (E,)."""
@@ -55,30 +58,58 @@ class Solution:
 
 def solve(system: System, present: Array, information: Array, delta: Array) -> Solution:
     """Gauss-Newton step; present: (P,) nu_0; information (6, 6) of the prior, delta = x (-) x0."""
-    omega, eta = _normal_equations(system.A, system.W, system.z, present)
-    diagonal = np.arange(POSE, len(eta))
-    omega[diagonal, diagonal] += 1.0
-    whole = omega.copy()
-    whole[:POSE, :POSE] += information
-    eta[:POSE] -= information @ delta
-    solution = np.linalg.solve(whole, eta)
-    dx, nuisance = solution[:POSE], solution[POSE:]
-    change = np.concatenate((dx, nuisance - present))
-    return Solution(dx, nuisance, omega, system.z - system.A @ change)
+    solution, omega, residual = _step(system.A, system.W, system.z, present, information, delta, np.ones(len(system.z)))
+    return Solution(solution[:POSE], solution[POSE:], omega, residual)
+
+
+def solve_robustly(system: System, present: Array, information: Array, delta: Array) -> Solution:
+    """The same, iteratively reweighted by edges: Huber first, then Tukey, their scale by the median edge.
+
+    An edge caught by a shadow or a neighbour is an outlier as a whole.
+    """
+    solution, omega, residual = _robust_step(system.A, system.W, system.z, present, information, delta)
+    return Solution(solution[:POSE], solution[POSE:], omega, residual)
 
 
 @njit(cache=True)
-def _normal_equations(A: Array, W: Array, z: Array, present: Array) -> tuple[Array, Array]:
+def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
+    edges, rows = z.shape
+    weight, ratio = np.ones(edges), np.zeros(edges)
+    numbers = np.array([np.count_nonzero(np.diag(W[e])) for e in range(edges)])
+    solution, omega, residual = _step(A, W, z, present, information, delta, weight)
+    for k in range(_REWEIGHTED):
+        for e in range(edges):
+            total = 0.0
+            for i in range(rows):
+                for j in range(rows):
+                    total += residual[e, i] * W[e, i, j] * residual[e, j]
+            ratio[e] = np.sqrt(2.0 * max(total, 0.0) / max(numbers[e], 1))
+        scale = max(1.4826 * np.median(ratio[numbers > 0]), _LEAST_SCALE)
+        for e in range(edges):
+            r = ratio[e] / scale
+            if k < _HUBER_ROUNDS:
+                weight[e] = 1.0 / max(r, 1.0)
+            else:
+                weight[e] = (1.0 - (r / _TUKEY) ** 2) ** 2 if r < _TUKEY else 0.0
+        solution, omega, residual = _step(A, W, z, present, information, delta, weight)
+    return solution, omega, residual
+
+
+@njit(cache=True)
+def _step(
+    A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array, weight: Array
+) -> tuple[Array, Array, Array]:
+    """Pose and nuisances (6 + P,), information without the pose's prior, and residuals (E, M) after the step."""
     edges, rows, columns = A.shape
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
     WA = np.empty((rows, columns))
     for e in range(edges):
-        if not W[e].any():
+        if weight[e] == 0.0 or not W[e].any():
             continue
         WA[:] = 0.0
         for i in range(rows):
             for j in range(rows):
-                w = W[e, i, j]
+                w = weight[e] * W[e, i, j]
                 if w != 0.0:
                     for k in range(columns):
                         WA[i, k] += w * A[e, j, k]
@@ -92,7 +123,22 @@ def _normal_equations(A: Array, W: Array, z: Array, present: Array) -> tuple[Arr
                     eta[k] += a * target
                     for m in range(columns):
                         omega[k, m] += a * A[e, i, m]
-    return omega, eta
+    for k in range(POSE, columns):
+        omega[k, k] += 1.0
+    whole = omega.copy()
+    for k in range(POSE):
+        for m in range(POSE):
+            whole[k, m] += information[k, m]
+            eta[k] -= information[k, m] * delta[m]
+    solution = np.linalg.solve(whole, eta)
+    change = solution.copy()
+    change[POSE:] -= present
+    residual = z.copy()
+    for e in range(edges):
+        for i in range(rows):
+            for k in range(columns):
+                residual[e, i] -= A[e, i, k] * change[k]
+    return solution, omega, residual
 
 
 def distances(system: System, residual: Array) -> Array:

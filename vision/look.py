@@ -5,6 +5,7 @@ line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
@@ -70,8 +71,7 @@ class Scene:
         sigmas = [(m.sigma_m, m.sigma_m, m.height_sigma_m if m.height_m > 0.0 else 0.0, m.outline_sigma_m) for m in landmarks]
         self.map_sigma = np.array(sigmas, dtype=np.float64)  # (L, 4)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
-        covariances = (rig.covariance_bc, rig.covariance_rc, rig.left.covariance, rig.right.covariance)
-        self.rig_roots = [_root(covariance) for covariance in covariances]
+        self.rig_roots = _rig_roots(rig)
 
     def moved_rig(self, bc: Array, rc: Array) -> StereoRig:
         """The rig with errors of its camera poses, in units of their own standard deviations."""
@@ -145,6 +145,12 @@ class Scene:
 
 def _channels(image: Image) -> Image:
     return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
+
+
+@lru_cache(maxsize=8)
+def _rig_roots(rig: StereoRig) -> tuple[Array, Array, Array, Array]:
+    """Roots of the covariances of camera on body, right against left camera, left and right camera's own; once a rig."""
+    return _root(rig.covariance_bc), _root(rig.covariance_rc), _root(rig.left.covariance), _root(rig.right.covariance)
 
 
 def _root(covariance: Array | None) -> Array:

@@ -25,13 +25,12 @@ from models.messages import Array
 from vision.ambiguity import alternatives
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
-from vision.joint import POSE, Solution, System, distances, solve
+from vision.joint import POSE, Solution, System, distances, solve, solve_robustly
 from vision.look import Image, Look, LookConfig, Scene
 
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
-_TUKEY = 5.0  # in units of the median distance of edges
 _NEAR = 0.4  # of the first fit's reach: offsets of that size need no further search
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
@@ -119,9 +118,10 @@ class _Fit:
         rig = self.scene.moved_rig(self.bc, self.rc)
         return self.scene.look(self.p_n, self.R_nb, self.shift_m, rig, config, search_px, farthest_px)
 
-    def solve(self, system: System) -> Solution:
+    def solve(self, system: System, *, robust: bool = False) -> Solution:
         """The step from here."""
-        return solve(system, self.present(system.A.shape[2] - POSE), self.information, self.delta())
+        step = solve_robustly if robust else solve
+        return step(system, self.present(system.A.shape[2] - POSE), self.information, self.delta())
 
     def move(self, step: Solution) -> None:
         """Retract: p + dp, exp(dtheta) R, and the errors of map and camera poses as solved for."""
@@ -215,21 +215,13 @@ def _system(seen: Look, R: Array) -> System:
 
 
 def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
-    """Iteratively reweighted: an edge caught by a shadow or a neighbour is an outlier as a whole, Huber first, then Tukey."""
+    """With a rough covariance, edges reweighted."""
     edges, pictures = seen.found.shape
     R = np.zeros((edges, pictures, 2, pictures, 2))
     for k, line in enumerate(seen.lines):
         R[:, k, :, k, :] = common_px**2 * (0.5 * line.unit + np.diag([1.0, 0.5]))
         R[:, k, 0, k, 0] += seen.opened[k]
-    system = _system(seen, R)
-    step = fit.solve(system)
-    used = seen.found.any(axis=1)
-    for k in range(4):
-        distance = np.sqrt(distances(system, step.residual) / np.maximum(seen.found.sum(axis=1), 1))
-        ratio = distance / max(1.4826 * _median(distance[used]), 0.5)
-        inside = np.minimum(ratio / _TUKEY, 1.0)
-        step = fit.solve(system.weighted(1.0 / np.maximum(ratio, 1.0) if k < 2 else (1.0 - inside**2) ** 2))
-    return step
+    return fit.solve(_system(seen, R), robust=True)
 
 
 def _median(values: Array) -> float:
