@@ -13,7 +13,7 @@ from models import so3
 from models.frames import GRAVITY, Origin
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Pose, Position
-from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
+from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, hover, pose_fix, simulated
@@ -60,6 +60,33 @@ def test_in_motion_neither_tilt_nor_gyro_bias_is_trusted(moving: dict[str, float
     assert at.gyro_bias_sigma == CONFIG.gyro_bias_sigma
 
 
+def test_what_feels_like_rest_is_none_where_something_else_says_that_it_moves() -> None:
+    at = level(EPOCH_NS, _stretch(0.2, 0.0), CONFIG, may_rest=False)
+    assert not at.still
+    assert at.tilt_sigma == pytest.approx(math.radians(CONFIG.level_moving_deg))
+    np.testing.assert_array_equal(at.gyro_bias, 0.0)
+
+
+def test_a_gentle_coordinated_turn_is_not_taken_for_rest() -> None:
+    """15 degrees of bank at 20 m/s: gyro and accelerometer are as steady as on the ground; the positions are not."""
+    bank, speed = math.radians(15.0), 20.0
+    rate = GRAVITY * math.tan(bank) / speed
+    R = so3.matrix(so3.from_euler(bank, 0.0, 0.0))
+    gyro, force = R.T @ [0.0, 0.0, rate], np.array([0.0, 0.0, -GRAVITY / math.cos(bank)])
+    origin, messages = Origin(*HOME), list[Input]()
+    for k in range(600):
+        t = EPOCH_NS + k * SECOND // 100
+        messages.append(ImuSample(t, t, vec3(gyro), vec3(force)))
+        if k % 20 == 10:
+            psi = rate * k / 100
+            place = origin.to_geodetic(speed / rate * np.array([math.sin(psi), 1.0 - math.cos(psi), 0.0]))
+            messages.append(GnssFix(t + 1, t + 1, *place, np.eye(3)))
+    run = Run(Fusion(FusionConfig(origin=HOME))).feed(messages)
+    details = [s.detail for s in run.last_words("/gnss").values()]
+    assert any("at rest" in detail for detail in details[:10])
+    assert not any("at rest" in detail for detail in details[10:])
+
+
 # --- from a pose fix -------------------------------------------------------------------------------------------------------
 
 
@@ -75,7 +102,7 @@ def test_a_pose_fix_starts_the_filter_where_it_says_with_its_covariance_about_th
     np.testing.assert_array_equal(lead.x[X.Q], q)
     np.testing.assert_allclose(r_nb @ lead.cov[E.THETA, E.THETA] @ r_nb.T, noise[3:, 3:], atol=1e-12)
     np.testing.assert_allclose(lead.cov[E.P, E.THETA] @ r_nb.T, noise[:3, 3:], atol=1e-12)
-    np.testing.assert_allclose(lead.cov, lead.cov.T, atol=1e-15)
+    np.testing.assert_array_equal(lead.cov, lead.cov.T)
     np.testing.assert_allclose(np.diag(lead.cov)[E.V], CONFIG.velocity_sigma_m_s**2)
 
 
