@@ -56,6 +56,8 @@ def noise(x: Array, rate_hz: float) -> Noise:
     """The noise of one axis at rest, x (K,) evenly sampled. Raises CalibrationError where the record is too short."""
     if len(x) < _FEWEST:
         raise CalibrationError(f"{len(x)} samples at rest are too few for the Allan deviation")
+    if np.ptp(x) == 0.0:
+        raise CalibrationError("an axis of the IMU always reads the same: dead, or rounded too coarsely")
     tau, adev = allan_deviation(x, rate_hz)
     # Relative error of a point: 1 / sqrt(2 (clusters - 1)) (IEEE 952, eq. C.24); overlapping gains little at long times.
     relative = 1.0 / np.sqrt(2.0 * np.maximum(len(x) / (tau * rate_hz) - 1.0, 1.0))

@@ -23,6 +23,7 @@ _MOST_ACCEL, _MOST_GYRO = 0.6, 0.08  # m/s^2, rad/s: more scatter than this is m
 _SHORTEST_S: Final = 10.0  # of a rest that noise is taken from
 _POSITION_S: Final = 2.0
 _SAME_DIRECTION: Final = np.cos(np.deg2rad(20.0))
+_NOISE_PART: Final = 0.05  # of the variance at the shortest time that must be white
 _AXIS_REACHED: Final = 0.7  # of g, up and down on each axis
 
 
@@ -93,7 +94,9 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array, shortest_s:
     rate = _rate(t_ns[best])
     even = np.arange(t_ns[best][0], t_ns[best][-1], 1e9 / rate)
     axes = [np.interp(even, t_ns[best].astype(np.float64), x[best, k]) for x in (gyro, accel) for k in range(3)]
-    g0, g1, g2, a0, a1, a2 = (noise(x, rate) for x in axes)
+    g0, g1, g2, a0, a1, a2 = noises = [noise(x, rate) for x in axes]
+    if any(n.density**2 < _NOISE_PART * n.tau_s[0] * n.adev[0] ** 2 for n in noises):
+        raise CalibrationError("where the IMU moved least its signal is still motion, not noise: let it lie still")
     return Static(
         max(lengths), rate, (g0, g1, g2), (a0, a1, a2), gyro[best].mean(axis=0), accel[best].mean(axis=0)
     )  # fmt: skip

@@ -118,6 +118,12 @@ def test_recordings_that_cannot_be_used_say_why() -> None:
     ):
         with pytest.raises(CalibrationError, match=expected):
             imu.static_noise(*bad)
+    tilted = np.linspace(0.0, 0.6, len(t))[:, None] * [1.0, 0.0, 0.0]  # slowly, with nothing else
+    drift = tilted + np.random.default_rng(0).normal(0.0, 1e-6, (len(t), 3)) - [0.0, 0.0, GRAVITY]
+    with pytest.raises(CalibrationError, match="motion, not noise"):
+        imu.static_noise(t, gyro, drift)
+    with pytest.raises(CalibrationError, match="always reads the same"):
+        imu.static_noise(t, gyro, accel * [1.0, 1.0, 0.0] - [0.0, 0.0, GRAVITY])
     with pytest.raises(CalibrationError, match="too few"):
         noise(gyro[:100, 0], RATE)
 
