@@ -21,7 +21,7 @@ from vision import epipolar
 from vision import sightings as sight
 from vision.check import pair_flaw, picture_flaw
 from vision.constellation import Constellation, MemoryConfig
-from vision.correspond import Match, correspond
+from vision.correspond import Match, Unmatched, correspond
 from vision.identify import NONE, Identification, IdentifyConfig, Prior, identify
 from vision.likelihood import Catalogue, Sighting, catalogue
 from vision.measure import Measured, measure
@@ -45,7 +45,7 @@ class PipelineConfig(msgspec.Struct, frozen=True):
     least_px: int = 60  # of a region
     most_regions: int = 24
     farthest_m: float = 400.0  # of a landmark from the vehicle
-    most_landmarks: int = 250
+    most_landmarks: int = 400  # near the prior; beyond it nothing is identified
     identify: IdentifyConfig = IdentifyConfig()
     pose: PoseConfig = PoseConfig()
     memory: MemoryConfig = MemoryConfig()
@@ -128,6 +128,8 @@ class LandmarkPipeline:
         near = self._near(prior)
         if not near:
             return _nothing(t_ns, "no_landmark_near", views.remark)
+        if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may look sure
+            return _nothing(t_ns, "prior_too_wide", f"{views.remark}{len(near)} landmarks may be in view")
         known = catalogue(near)
         regions = self._segment(views, near)
         if not regions:
@@ -166,11 +168,14 @@ class LandmarkPipeline:
         c = self._rig.left
         corners = np.array([[0.0, 0.0], [c.width - 1.0, 0.0], [0.0, c.height - 1.0], [c.width - 1.0, c.height - 1.0]])
         rays = c.ray(corners) @ R_nc.T
-        floor = max((m.base_d for m in self._map.near(p_nc[0], p_nc[1], self._config.farthest_m)[:50]), default=0.0)
+        nearest = self._map.rows_near(p_nc[0], p_nc[1], self._config.farthest_m)[:50]
+        floor = float(self._map.columns.base_d[nearest].max(initial=-np.inf))
+        if not np.isfinite(floor):
+            return []
         height = max(floor - p_nc[2], 1.0) + 4.0 * float(np.sqrt(prior.covariance[2, 2]))
         reach = [height * float(np.hypot(r[0], r[1])) / r[2] if r[2] > 0.1 else np.inf for r in rays]
         radius = min(1.2 * max(reach), self._config.farthest_m) + sigma
-        return self._map.near(p_nc[0], p_nc[1], radius)[: self._config.most_landmarks]
+        return self._map.near(p_nc[0], p_nc[1], radius)
 
     def _segment(self, views: _Views, near: list[Landmark]) -> list[Region]:
         colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
@@ -187,11 +192,8 @@ class LandmarkPipeline:
         matches = correspond(grey(views.work), grey(views.other), whole, rig)
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
-        residual = epipolar.region_residual(matches)
-        if 2 * sum(isinstance(m, Match) for m in matches) < len(matches):  # in doubt: looks further, and takes longer
-            residual = epipolar.edge_residual(grey(views.work), grey(views.other), rig) or residual
-        if residual and abs(residual.vertical_px) > max(_ROWS_PX, 4.0 * float(np.hypot(residual.sigma_px, self._rows_sigma_px))):
-            problem = f"rows differ by {residual.vertical_px:+.1f} px: wrong calibration, or pictures not taken together"
+        if rows := self._rows_off(views, matches):
+            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
             return self._one_camera(views, whole, prior, known, refused, f"{views.remark}right camera not used: {problem}; ")
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -206,6 +208,19 @@ class LandmarkPipeline:
             else:
                 refused.append(_not_measured(m.region, _TOO_FLAT))
         return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), views.remark)
+
+    def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
+        """By how much the rows of the pair differ beyond what its calibration allows [px], 0 where they fit."""
+        found = [m for m in matches if isinstance(m, Match)]
+        limit = max(_ROWS_PX, 3.0 * self._rows_sigma_px)
+        off = [m.vertical_px for m in found if abs(m.vertical_px) > limit + 3.0 * m.vertical_sigma_px]
+        if off and 2 * len(off) >= len(found):
+            return float(np.median(off))
+        if views.other is not None and 2 * len(found) < len(matches):  # in doubt: looks further, and takes longer
+            residual = epipolar.edge_residual(grey(views.work), grey(views.other), self._rectified.rig)
+            if residual and abs(residual.vertical_px) > limit + 3.0 * residual.sigma_px:
+                return residual.vertical_px
+        return 0.0
 
     def _one_camera(
         self, views: _Views, whole: list[Region], prior: Prior, known: Catalogue, refused: list[RegionReport], remark: str

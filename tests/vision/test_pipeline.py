@@ -13,7 +13,7 @@ from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from vision.identify import Prior
-from vision.pipeline import LandmarkPipeline, Result
+from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.rectify import Image
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render_pair
@@ -202,6 +202,14 @@ def test_no_landmark_near() -> None:
     assert pipeline().process(v.left, v.right, 0, far).report.outcome == "no_landmark_near"
     empty = LandmarkMap.from_landmarks(scene().map.origin, [])
     assert pipeline(empty).process(v.left, v.right, 0, v.prior).report.outcome == "no_landmark_near"
+
+
+def test_a_prior_that_leaves_too_many_landmarks_open() -> None:
+    """Cut to the nearest ones, the right one might be missing, and a wrong one look sure."""
+    v = view()
+    few = LandmarkPipeline(scene().rig_believed, scene().map, PipelineConfig(most_landmarks=20))
+    result = few.process(v.left, v.right, 0, v.prior)
+    assert (result.fix, result.report.outcome) == (None, "prior_too_wide")
 
 
 def test_the_wrong_street_is_not_taken_for_the_right_one() -> None:
