@@ -31,7 +31,7 @@ from vision.look import Image, Look, LookConfig, Scene
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
 _WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
-_NEAR = 0.4  # of the first fit's reach: offsets of that size need no further search
+_NEAR = 0.5  # of the first fit's reach: if most offsets are below, no further search is needed
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
 
@@ -187,7 +187,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             seen = fit.look(config.look, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
-            near = _median(np.abs(seen.line[:, :, 0][seen.found])) < _NEAR * config.look.farthest_px[0]
+            near = float(np.quantile(np.abs(seen.line[:, :, 0][seen.found]), 0.8)) < _NEAR * config.look.farthest_px[0]
             fit.move(_robust_step(fit, seen, 1.0))
     for number, farthest in enumerate(config.look.farthest_px):
         if number:
@@ -222,10 +222,6 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
         R[:, k, :, k, :] = common_px**2 * (0.5 * line.unit + np.diag([1.0, 0.5]))
         R[:, k, 0, k, 0] += seen.opened[k]
     return fit.solve(_system(seen, R), robust=True)
-
-
-def _median(values: Array) -> float:
-    return float(np.sort(values)[len(values) // 2])
 
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:

@@ -5,6 +5,7 @@
 Shifts of the landmarks on the map are estimated along with the pose, since at low height they are far larger than a fit's window.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +19,7 @@ from vision.identify import Prior
 from vision.sensitivity import Eye
 from vision.visibility import MapError
 
-_ROUNDS = 2
+_MOST_ROUNDS, _CLOSE_RAD = 6, 1e-3  # a step that turns sights by less than this was the last
 
 
 def centroid_and_size(contour_px: Array) -> tuple[Array, float]:
@@ -40,11 +41,12 @@ def start_from_regions(
     shift = np.zeros((len(landmarks), len(MapError)))
     sigma = np.maximum([mark.sigma_m for mark in landmarks], 1e-4)
     total = np.zeros(6)
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         A = np.diag(np.concatenate((np.zeros(6), np.repeat(sigma**-2.0, 2))))
         A[:6, :6] = information
         y = -A @ np.concatenate((total, shift[:, :2].ravel()))
         p_nk, R_nk = eye.pose(p_n, R_nb)
+        nearest = math.inf
         for j, mark in enumerate(landmarks):
             outline = mark.outline_n + shift[j, :2]
             roof = np.column_stack((outline, np.full(len(outline), mark.roof_d)))
@@ -52,6 +54,7 @@ def start_from_regions(
             if seen is None:
                 continue
             centre, size, x_c = seen
+            nearest = min(nearest, float(x_c[2]))
             J = eye.camera.project_jacobian(x_c[None, :])[0] @ R_nk.T
             depth = -R_nk[:, 2] / x_c[2]
             rows_n = np.vstack((J, depth)) / np.array([sigma_px, sigma_px, sigma_px / size])[:, None]
@@ -67,6 +70,8 @@ def start_from_regions(
         p_n, R_nb = p_n + step[:3], so3.matrix(so3.quat_exp(step[3:6])) @ R_nb
         total += step[:6]
         shift[:, :2] += step[6:].reshape(-1, 2)
+        if max(float(np.abs(step[3:6]).max()), float(np.abs(step[:3]).max()) / nearest) < _CLOSE_RAD:
+            break
     return p_n, R_nb, shift
 
 
