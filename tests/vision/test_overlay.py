@@ -46,12 +46,17 @@ NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right 
 ABOVE = np.array([0.0, 0.0, -50.0])
 
 
-def test_a_true_map_from_a_true_pose_leaves_a_tenth_of_a_pixel(scene: View) -> None:
+def test_a_true_map_from_a_true_pose_leaves_hundredths_of_a_pixel(scene: View) -> None:
     found = outline_residuals(scene.picture, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
     assert len(found) >= 5
     assert np.mean([residual.found for residual in found]) > 0.9
     spread = float(np.median([residual.spread_px for residual in found]))
-    assert 0.02 < spread < 0.2
+    assert 0.005 < spread < 0.1
+    for residual in found:
+        mark = next(x for x in scene.landmarks if x.id == residual.id)
+        corners = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
+        px = scene.rig.left.project((corners - scene.p_nc) @ scene.R_nc)
+        assert np.linalg.norm(residual.px[:, None] - px, axis=2).min() > 3.9, "near a corner two edges are seen"
 
 
 @pytest.mark.parametrize("east_m", [-0.15, 0.0, 0.15])
@@ -73,10 +78,13 @@ def test_residuals_are_the_error_of_the_pose(scene: View, east_m: float) -> None
 
 
 def test_nothing_is_found_on_a_blank_picture(scene: View) -> None:
-    blank = np.full_like(scene.picture, 128)
+    noise = np.random.default_rng(0).normal(0.0, 2.0, scene.picture.shape)
+    blank = (128.0 + noise).astype(np.uint8)
     found = outline_residuals(blank, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
     assert found
-    assert all(residual.found == 0.0 and math.isnan(residual.spread_px) for residual in found)
+    assert np.mean([residual.found for residual in found]) < 0.02
+    level = outline_residuals(np.full_like(blank, 128), scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
+    assert all(residual.found == 0.0 and math.isnan(residual.spread_px) for residual in level)
     assert outline_residuals(blank, scene.rig.left, scene.p_nc, scene.R_nc, []) == []
 
 
@@ -109,6 +117,15 @@ def test_what_is_hidden_is_not_drawn() -> None:
     seen = draw_overlay(ground, CAMERA, aside, NADIR, [box(20.0, 0.0)], ["20,0"])
     u, v = CAMERA.project((np.array([[26.0, 0.0, 0.0]]) - aside) @ NADIR)[0].round().astype(int)
     assert not np.all(seen[v - 2 : v + 3, u - 2 : u + 3] == 100), "foot of the north side, seen from the north"
+
+
+def test_what_a_tower_hides_is_not_drawn() -> None:
+    """A tower of 30 m under the camera hides the ground behind it up to 22.5 m: 9 m x 50 / 20."""
+    ground = np.full((480, 640, 3), 100, np.uint8)
+    tower, pad = box(6.5, 0.0, 5.0, 12.0, 30.0), box(15.0, 0.0, 4.0, 4.0, 0.0)
+    alone = draw_overlay(ground, CAMERA, ABOVE, NADIR, [tower])
+    np.testing.assert_array_equal(draw_overlay(ground, CAMERA, ABOVE, NADIR, [tower, pad]), alone)
+    assert np.any(draw_overlay(ground, CAMERA, ABOVE, NADIR, [tower, box(-15.0, 0.0, 4.0, 4.0, 0.0)]) != alone)
 
 
 def test_residual_strokes_names_and_caption_are_drawn(scene: View) -> None:
