@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib import bundle, synthetic
 from calib.bundle import IDENTITY, Pose, Problem, Seen, adjust
@@ -84,7 +85,9 @@ def test_the_covariance_is_that_of_the_whole_problem() -> None:
     whole = np.linalg.inv(N / np.outer(scale, scale)) / np.outer(scale, scale)
     expected = solution.sigma_px**2 * solution.widened * whole[:m, :m]
     np.testing.assert_allclose(solution.covariance, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
-    assert 0.18 < solution.sigma_px < 0.22
+    squares = sum(float(np.sum(r * r)) for view in solution.residuals for r in view if r is not None)
+    measured = 8 * 2 * 2 * 54
+    assert solution.sigma_px == pytest.approx(np.sqrt(squares / (measured - m - 6 * views)))
 
 
 def test_a_camera_that_does_not_see_a_view_takes_no_part_in_it() -> None:
