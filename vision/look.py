@@ -29,6 +29,7 @@ _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
+_COARSE = 1.5  # how much farther apart points are before the last look
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
 
@@ -105,7 +106,8 @@ class Scene:
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         edges = visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == Kind.ROOF if search_px else None
-        samples = sample_edges(edges, shown[0][0], p_n, R_nb, config.spacing_px, config.most_points, wanted)
+        spacing = config.spacing_px * (1.0 if farthest_px == config.farthest_px[-1] else _COARSE)
+        samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
         count, lines, opened, H, N, points = len(edges.kind), [], [], [], [], 0.0
         for eye, image in shown:
             seen = view(edges, samples, eye, p_n, R_nb, self.prisms)

@@ -40,6 +40,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """When a fit is believed, and its parts."""
 
     least_found: Annotated[float, Meta(ge=0, le=1, description="share of the outline in view that must be found")] = 0.4
+    least_fitted: Annotated[float, Meta(ge=0, le=1, description="the same at the end")] = 0.6
     least_edges: Annotated[int, Meta(ge=3, description="lines in all pictures")] = 4
     freedom: Annotated[float, Meta(gt=0, description="weight of the expected residuals in the variance factor, in numbers")] = (
         16.0
@@ -195,6 +196,8 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
         seen = fit.look(config.look, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
+    if seen.share < config.least_fitted:
+        return NoPose("not_found", f"{seen.share:.0%} of the outline in view at the end")
     system, step = _final_step(fit, seen, config)
     return _report(fit, seen, system, step, config)
 

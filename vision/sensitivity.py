@@ -23,7 +23,8 @@ from vision.visibility import ModelEdges, Prisms, hidden
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-_CORNER_PX = 2.5
+_CORNER_PX = 2.5  # ends of edges that stay out: there a profile sees the corner
+_FEW, _CLOSEST_PX = 7, 3.0  # short edges get so many points, unless they came closer than that
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,8 @@ def _sample(
         length = np.sqrt(np.sum((end_px[e] - start_px[e]) ** 2))
         if np.isnan(length):
             length = spacing * most
-        number = min(max(int(length / spacing + 0.5), 2), most)
-        aside = min(_CORNER_PX / max(length, 1.0), 0.2)  # ends stay out: there the profile sees the corner
+        number = min(max(int(length / spacing + 0.5), min(_FEW, int(length / _CLOSEST_PX)), 2), most)
+        aside = min(_CORNER_PX / max(length, 1.0), 0.2)
         for i in range(number):
             t = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
             place[n], edge[n] = t, e
