@@ -72,7 +72,7 @@ def test_residuals_are_the_error_of_the_pose(scene: View, east_m: float) -> None
         expected.append(residual.normal @ shift)
     difference = np.concatenate(offsets) - np.concatenate(expected)
     assert abs(np.nanmedian(difference)) < 0.05
-    assert np.nanmedian(np.abs(difference)) < 0.25
+    assert np.nanmedian(np.abs(difference)) < 0.08
     if east_m:
         assert np.nanmedian(np.abs(np.concatenate(offsets))) > 0.5
 
