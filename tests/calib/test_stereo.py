@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -10,13 +11,14 @@ from calib.errors import CalibrationError
 from calib.mono import Lens
 from calib.stereo import Pair
 from models import so3
+from models.camera import StereoRig
 from models.messages import Array
 from tests.calib.conftest import BOARD, seen_by, true_rig
 
 
-def simulated_pairs(count: int = 12, seed: int = 0, sigma_px: float = 0.2) -> list[Pair]:
+def simulated_pairs(count: int = 12, seed: int = 0, sigma_px: float = 0.2, rig: StereoRig | None = None) -> list[Pair]:
     rng = np.random.default_rng(seed)
-    (left, at_left), (right, at_right) = cameras = synthetic.both(true_rig())
+    (left, at_left), (right, at_right) = cameras = synthetic.both(rig or true_rig())
     pairs = []
     for k, pose in enumerate(synthetic.poses(cameras, BOARD, count, rng)):
         l_view = synthetic.seen(left, seen_by(at_left, pose), BOARD, rng, sigma_px, f"l{k}")
@@ -73,6 +75,9 @@ def test_swapped_and_stacked_cameras_are_refused_with_what_to_do() -> None:
     pairs = simulated_pairs(8)
     with pytest.raises(CalibrationError, match=r"swapped.*exchange --left and --right"):
         stereo.calibrate([Pair(p.right, p.left) for p in pairs], BOARD)
+    stacked = msgspec.structs.replace(true_rig(), t_rc=np.array([0.001, -0.06, 0.0]))
+    with pytest.raises(CalibrationError, match="not beside it"):
+        stereo.calibrate(simulated_pairs(8, rig=stacked), BOARD)
 
 
 def test_a_board_read_from_its_other_end_in_one_picture_is_turned() -> None:
