@@ -52,6 +52,9 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     edge_gate: Annotated[float, Meta(gt=0, description="chi-square (4) above which an edge is left out")] = 22.0
     most_left_out: Annotated[float, Meta(ge=0, lt=1, description="share of the edges that may be left out")] = 0.25
     decided: Annotated[float, Meta(gt=0, description="difference of costs, chi-square, that decides between two poses")] = 13.8
+    surprise: Annotated[
+        float, Meta(gt=0, description="chi-square (6) against the prior from which on the pictures are doubted")
+    ] = 22.5
     look: LookConfig = LookConfig()
     noise: NoiseConfig = NoiseConfig()
 
@@ -94,7 +97,7 @@ class _Fit:
     """What an estimation changes on its way: pose and map errors; and the prior it is held by."""
 
     def __init__(self, scene: Scene, start: Pose, prior: Prior, shift_m: Array | None) -> None:
-        self.scene = scene
+        self.scene, self.prior = scene, prior
         self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
         self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
         self.information = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
@@ -253,12 +256,12 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
         return NoPose("residual", f"variance factor {factor:.1f}")
     fit.move(step)
     image, common = _covariances(system, step.omega, factor)
-    total = image + common
-    joint = np.linalg.inv(fit.information + np.linalg.inv(total))
-    p_n, R_nb = _pictures_alone(fit, total)
+    p_n, R_nb = _pictures_alone(fit, image + common)
     delta = fit.delta()
+    image = image * max(_surprise(fit, image + common) / config.surprise, 1.0)
+    joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common)
     return PoseEstimate(
-        p_n, R_nb, _symmetric(image), _symmetric(common), fit.p_n, fit.R_nb, _symmetric(joint),
+        p_n, R_nb, _symmetric(image), _symmetric(common), joint_p_n, joint_R_nb, joint,
         float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
         chi2 + float(delta @ fit.information @ delta),
     )  # fmt: skip
@@ -288,6 +291,12 @@ def _pictures_alone(fit: _Fit, covariance: Array) -> Pose:
     values = np.where(values < 1.0 / _WORTHLESS, values, 0.0)
     white = vectors @ (values * (vectors.T @ (low.T @ delta)))
     return retract(fit.p0, fit.q0, delta + np.linalg.solve(low.T, white))
+
+
+def _surprise(fit: _Fit, covariance: Array) -> float:
+    """Chi-square (6) of the pictures' pose against the prior: nu^T (P_0 + C)^-1 nu,  nu = z (-) x0 = (P_0 + C) Lambda_0 delta."""
+    pull = fit.information @ fit.delta()
+    return float(fit.delta() @ pull + pull @ covariance @ pull)
 
 
 def _symmetric(matrix: Array) -> Array:
