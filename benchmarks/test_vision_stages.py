@@ -25,7 +25,7 @@ from vision.regions import Limits, find_regions
 from vision.segment import classes, colour_table, segment_colours, segment_seeds
 from vision.survey import Settings, grey, segment_regions
 
-ROUNDS = 80
+ROUNDS = 50
 STAGES = ("check", "rectify", "median", "segment", "regions", "correspond", "measure", "all stages")
 
 
