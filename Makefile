@@ -39,8 +39,8 @@ soak: install  ## the daemon under load for an hour: latency, memory, drops, and
 install: $(VENV)/.installed $(VENV)/.kernels
 
 # Compiled kernels are cached by the file they stand in; one that calls a kernel of a changed file would stay as it was.
-$(VENV)/.kernels: $(wildcard models/*.py estimator/*.py estimator/sources/*.py logs/*.py) | $(VENV)/.installed
-	@find models estimator logs -name '*.nb[ic]' -delete
+$(VENV)/.kernels: $(wildcard models/*.py estimator/*.py estimator/sources/*.py logs/*.py vision/*.py vision/synthetic/*.py calib/*.py) | $(VENV)/.installed
+	@find models estimator logs vision calib -name '*.nb[ic]' -delete
 	@touch $@
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
