@@ -113,6 +113,18 @@ def test_the_picture_shows_every_landmark_in_its_colour(yard: Path, tmp_path: Pa
     assert (row_red - row_green) / (column_green - column_red) == pytest.approx(60 / 50, rel=0.05)
 
 
+def test_small_landmarks_are_drawn_over_large_ones(tmp_path: Path) -> None:
+    path, out = tmp_path / "map.geojson", tmp_path / "map.png"
+    landmarks = [box("yard", 0, 0, 60, 60, (40, 160, 40)), box("hut", 15, 15, 20, 20, (30, 30, 200))]
+    for order in (landmarks, landmarks[::-1]):
+        path.write_bytes(LandmarkMap.from_landmarks(ORIGIN, order).to_geojson())
+        assert run("show", path, "-o", out).exit_code == 0
+        picture = cv2.imread(str(out))
+        assert picture is not None
+        green, red = (np.sum(np.all(np.abs(picture.astype(int) - c) < 12, axis=2)) for c in ((40, 160, 40), (30, 30, 200)))
+        assert red / green == pytest.approx(400 / 3200, rel=0.15)
+
+
 def test_pictures_have_known_endings(yard: Path, tmp_path: Path) -> None:
     result = run("show", yard, "-o", tmp_path / "map.docx")
     assert result.exit_code == 2

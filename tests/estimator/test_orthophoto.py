@@ -19,7 +19,7 @@ from models.messages import Array
 from models.projection import from_lonlat, to_lonlat
 
 UTM = 32632
-TURNED = np.array([[0.4, 0.1, 465_000.0], [0.1, -0.4, 5_250_000.0]])  # 0.41 m a pixel, 14 degrees off north
+TURNED = np.array([[0.4, 0.08, 465_000.0], [0.1, -0.38, 5_250_000.0]])  # 0.4 m a pixel, 13 degrees off north, sheared
 NORTH_UP = np.array([[0.5, 0.0, 465_000.25], [0.0, -0.5, 5_249_999.75]])
 PATCHES = {  # centre u, v and half sides of patches in the picture, and their colours
     "red": (100, 120, 30, 20, (20, 20, 220)),
@@ -29,12 +29,13 @@ PATCHES = {  # centre u, v and half sides of patches in the picture, and their c
 
 
 def picture() -> NDArray[np.uint8]:
-    """Speckled ground with the patches, each with a dark rim a pixel wide."""
+    """Speckled ground with the patches, each with a dark rim a pixel wide, and a red one that the border cuts."""
     rng = np.random.default_rng(0)
     image: NDArray[np.uint8] = rng.integers(60, 120, (400, 400, 3)).astype(np.uint8)
     for u, v, a, b, colour in PATCHES.values():
         image[v - b - 1 : v + b + 2, u - a - 1 : u + a + 2] = 0
         image[v - b : v + b + 1, u - a : u + a + 1] = colour
+    image[340:380, :30] = PATCHES["red"][4]
     return image
 
 
