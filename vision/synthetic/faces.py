@@ -22,6 +22,7 @@ Indices = NDArray[np.int64]
 
 _NEAR = 0.05  # m before the camera
 _CUTS = 5  # planes of the frustum; each adds at most as many corners as a polygon has
+_SKY = 0.7  # share of the sky's light that a wall gets
 _APART = 1e-6  # m; outlines that touch are apart
 
 CONTRAST, RIDGE, RANGE, SHIFT_S, SHIFT_T, FLAT = range(6)  # columns of Faces.parameters
@@ -77,59 +78,37 @@ def _collect(
     wall_bgr: Array, textures: Indices, contrasts: Array, ridge: Array, orientation: Array,
     p_nc: Array, R_nc: Array, limits: Array, piece: float, sun_n: Array, ambient: float,
 ) -> tuple[Array, Indices, Indices, Indices, Array, Array, Indices, Array]:  # fmt: skip
-    n = len(base_d)
-    seen = np.empty(n, dtype=np.int64)
-    count = 0
-    for i in range(n):
-        middle = np.array([centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]])
-        if in_frustum(middle, math.hypot(radius_m[i], 0.5 * height_m[i]), p_nc, R_nc, limits):
-            seen[count] = i
-            count += 1
-    solids = nearest_first(seen[:count], vertices, offsets, height_m, centre_n, radius_m, p_nc)
-    most = count
+    solids = nearest_first(
+        _in_view(base_d, height_m, centre_n, radius_m, p_nc, R_nc, limits), vertices, offsets, height_m, centre_n, radius_m, p_nc
+    )
+    most = len(solids)
     for i in solids:
         most += offsets[i + 1] - offsets[i]
     H, colour = np.empty((most, 3, 3)), np.empty((most, 3))
     texture, parameters = np.empty(most, dtype=np.int64), np.zeros((most, 6))
-    face_offsets, solid_offsets = np.zeros(most + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
-    points = np.empty((4096, 3))
-    level_light = ambient - (1.0 - ambient) * sun_n[2]
-    face = 0
+    face_offsets, solid_offsets = np.zeros(most + 1, dtype=np.int64), np.zeros(len(solids) + 1, dtype=np.int64)
+    points, face = np.empty((4096, 3)), 0
     for place, i in enumerate(solids):
         outline, roof_d = vertices[offsets[i] : offsets[i + 1]], base_d[i] - height_m[i]
-        k = len(outline)
-        shift = np.array([(i * 7919) % 509, (i * 104729) % 503]) * 0.02  # so that no two roofs are laid alike
         for wall in _order_of_walls(outline, p_nc, height_m[i] > 0.0):
-            if wall < 0:  # the roof
-                if p_nc[2] >= roof_d:
-                    continue
-                polygon = np.empty((k, 3))
-                polygon[:, :2], polygon[:, 2] = outline, roof_d
-                along = np.array([math.cos(orientation[i]), math.sin(orientation[i]), 0.0])
-                across, normal = np.array([-along[1], along[0], 0.0]), np.array([0.0, 0.0, 1.0])
-                origin = np.array([centre_n[i, 0], centre_n[i, 1], roof_d])
-                light, which, paint = 1.0, 0, roof_bgr[i]
+            if wall < 0:
+                which, light, paint = 0, 1.0, roof_bgr[i]
+                polygon, axes = _roof(outline, roof_d, centre_n[i], orientation[i])
             else:
-                a, b = outline[wall], outline[(wall + 1) % k]
-                polygon = np.empty((4, 3))
-                polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b, a
-                polygon[0, 2], polygon[1, 2], polygon[2, 2], polygon[3, 2] = roof_d, roof_d, base_d[i], base_d[i]
-                length = math.hypot(b[0] - a[0], b[1] - a[1])
-                along = np.array([(b[0] - a[0]) / length, (b[1] - a[1]) / length, 0.0])
-                across, normal = np.array([0.0, 0.0, 1.0]), np.array([along[1], -along[0], 0.0])  # inwards, away from the camera
-                origin = np.array([a[0], a[1], base_d[i]])
-                lit = max(0.0, -(normal[0] * sun_n[0] + normal[1] * sun_n[1]))
-                light, which, paint = (0.7 * ambient + (1.0 - ambient) * lit) / level_light, 1, wall_bgr[i]
-            start = face_offsets[face]
-            points, end = append(points, start, clip((polygon - p_nc) @ R_nc, limits), piece)
-            if end == start:
+                polygon, axes = _wall(outline[wall], outline[(wall + 1) % len(outline)], roof_d, base_d[i])
+                which, light, paint = 1, _light(axes[3], sun_n, ambient), wall_bgr[i]
+            reach = np.dot(axes[3], axes[0] - p_nc)
+            if reach <= 0.0:  # a roof above the camera
                 continue
-            H[face] = _to_plane(origin, along, across, normal, p_nc) @ R_nc
+            points, end = append(points, face_offsets[face], clip((polygon - p_nc) @ R_nc, limits), piece)
+            if end == face_offsets[face]:
+                continue
+            H[face] = _to_plane(axes, p_nc) @ R_nc
             colour[face], texture[face] = paint * light, textures[i, which]
-            parameters[face, CONTRAST] = contrasts[i, which]
-            parameters[face, RIDGE] = ridge[i] if which == 0 else 0.0
-            parameters[face, RANGE] = np.dot(normal, origin - p_nc)
-            parameters[face, SHIFT_S], parameters[face, SHIFT_T] = shift[0], shift[1] if which == 0 else 0.0
+            parameters[face, CONTRAST], parameters[face, RANGE] = contrasts[i, which], reach
+            if which == 0:
+                parameters[face, RIDGE], parameters[face, SHIFT_T] = ridge[i], 0.02 * ((i * 104729) % 503)
+            parameters[face, SHIFT_S] = 0.02 * ((i * 7919) % 509)  # so that no two roofs are laid alike
             parameters[face, FLAT] = 1.0 if height_m[i] == 0.0 else 0.0
             face += 1
             face_offsets[face] = end
@@ -138,6 +117,54 @@ def _collect(
         points[: face_offsets[face]], face_offsets[: face + 1], solids, solid_offsets, H[:face], colour[:face], texture[:face],
         parameters[:face],
     )  # fmt: skip
+
+
+@njit(cache=True)
+def _in_view(
+    base_d: Array, height_m: Array, centre_n: Array, radius_m: Array, p_nc: Array, R_nc: Array, limits: Array
+) -> Indices:
+    """The solids whose spheres touch what the camera shows."""
+    seen, count = np.empty(len(base_d), dtype=np.int64), 0
+    for i in range(len(base_d)):
+        middle = np.array([centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]])
+        if in_frustum(middle, math.hypot(radius_m[i], 0.5 * height_m[i]), p_nc, R_nc, limits):
+            seen[count] = i
+            count += 1
+    return seen[:count]
+
+
+@njit(cache=True)
+def _roof(outline: Array, roof_d: float, centre_n: Array, orientation: float) -> tuple[Array, Array]:
+    """Corners (K, 3), and rows (4, 3): origin, direction of s (along the roof), of t (across), normal away from the camera."""
+    polygon, axes = np.full((len(outline), 3), roof_d), np.zeros((4, 3))
+    polygon[:, :2] = outline
+    axes[0, 0], axes[0, 1], axes[0, 2] = centre_n[0], centre_n[1], roof_d
+    axes[1, 0], axes[1, 1] = math.cos(orientation), math.sin(orientation)
+    axes[2, 0], axes[2, 1] = -axes[1, 1], axes[1, 0]
+    axes[3, 2] = 1.0
+    return polygon, axes
+
+
+@njit(cache=True)
+def _wall(a: Array, b: Array, roof_d: float, base_d: float) -> tuple[Array, Array]:
+    """The same for the wall below the edge from a to b: s runs along the wall, t down."""
+    polygon, axes = np.empty((4, 3)), np.zeros((4, 3))
+    polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b, a
+    polygon[:2, 2], polygon[2:, 2] = roof_d, base_d
+    length = math.hypot(b[0] - a[0], b[1] - a[1])
+    axes[0, :2], axes[0, 2] = a, base_d
+    axes[1, :2] = (b - a) / length
+    axes[2, 2] = 1.0
+    axes[3, 0], axes[3, 1] = axes[1, 1], -axes[1, 0]  # inwards
+    return polygon, axes
+
+
+@njit(cache=True)
+def _light(inwards: Array, sun_n: Array, ambient: float) -> float:
+    """Light on a wall as a share of that on level ground; a wall sees little more than half of the sky."""
+    sunlit = max(0.0, -(inwards[0] * sun_n[0] + inwards[1] * sun_n[1]))
+    level = ambient - (1.0 - ambient) * sun_n[2]
+    return float((_SKY * ambient + (1.0 - ambient) * sunlit) / level)
 
 
 @njit(cache=True)
@@ -163,8 +190,9 @@ def _outside(a: Array, b: Array, x: Array) -> Scalar:
 
 
 @njit(cache=True)
-def _to_plane(origin: Array, along: Array, across: Array, normal: Array, p: Array) -> Array:
+def _to_plane(axes: Array, p: Array) -> Array:
     """Rows of the map from a ray in n to (s w, t w, w)."""
+    origin, along, across, normal = axes[0], axes[1], axes[2], axes[3]
     H, reach = np.empty((3, 3)), np.dot(normal, origin - p)
     H[0] = np.dot(along, p - origin) * normal + reach * along
     H[1] = np.dot(across, p - origin) * normal + reach * across

@@ -53,7 +53,7 @@ class Ground:
     turn_rad: float = 0.0
     shift_m: tuple[float, float] = (0.0, 0.0)
     tint_bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    detail_contrast: float = 0.26
+    detail_contrast: float = 0.3
 
     @classmethod
     def procedural(cls, rng: np.random.Generator) -> Self:
