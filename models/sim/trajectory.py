@@ -11,7 +11,7 @@ are never exceeded and corners become manoeuvres. Source: Mellinger & Kumar 2011
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
@@ -25,14 +25,19 @@ from models.sim.ranges import Positive, Share, ascending
 
 _DEGREE = 7
 _KNOT_S = 0.8  # s between knots: a reversal of leg at 8 m/s becomes a tilt of about 45 degrees
+_REST_S = 3.0  # on the ground after a landing
 _GRAVITY_N = np.array([0.0, 0.0, GRAVITY])  # what "thrust" is measured against; the sensors use gravity at the place
+
+
+Waypoint: TypeAlias = tuple[float, float, float, float, float]  # t, north, east, down, yaw
 
 
 class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="multirotor"):
     """Take-off, then legs between random places and hovers, yaw independent of course; starts on the origin, at rest.
 
     speed_m_s: fastest leg; climb_m_s: fastest climb; area_m: side of the square flown in; height_m: mean height above the
-    origin; hover_share: share of legs that are hovers; seed: fixes the course, so that runs differ by their noise only.
+    origin; hover_share: share of legs that are hovers; lands: the flight ends on the origin, at rest; seed: fixes the course, so
+    that runs differ by their noise only.
     """
 
     speed_m_s: Positive = 8.0
@@ -40,6 +45,7 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     area_m: Positive = 120.0
     height_m: Positive = 40.0
     hover_share: Share = 0.2
+    lands: bool = False
     seed: int | None = None
 
 
@@ -108,20 +114,33 @@ def _multirotor(vehicle: Multirotor, duration_s: float, rng: np.random.Generator
     rows = [(times[0], 0.0, 0.0, 0.0, rng.uniform(-math.pi, math.pi))]
     rows.append((4.0, *rows[0][1:]))
     place = np.array([0.0, 0.0, -vehicle.height_m])
+    homeward_s = vehicle.area_m / vehicle.speed_m_s + 1.3 * vehicle.height_m / vehicle.climb_m_s + _REST_S
+    until = duration_s - homeward_s if vehicle.lands else math.inf
     while rows[-1][0] < times[-1]:
         t, n, e, d, yaw = rows[-1]
         leg = place - (n, e, d)
         level, climb = math.hypot(leg[0], leg[1]), abs(leg[2])
         speed = vehicle.speed_m_s * rng.uniform(0.5, 1.0)
         takes = max(level / speed, climb / vehicle.climb_m_s, rng.uniform(4.0, 8.0))
+        if t + takes > until:
+            break
         rows.append((t + takes, place[0], place[1], place[2], yaw + rng.uniform(-2.0, 2.0)))
         if rng.random() >= vehicle.hover_share:
             side, height = vehicle.area_m, vehicle.height_m
             place = rng.uniform((-side / 2, -side / 2, -1.3 * height), (side / 2, side / 2, -0.7 * height))
+    if vehicle.lands:
+        rows += _home(vehicle, rows[-1])
     table = np.array(rows)
     points = np.column_stack([np.interp(times, table[:, 0], column) for column in table[:, 1:].T])
     points[:, :3] += 0.05 * rng.standard_normal((len(times), 3))
     return Trajectory(_spline(points[:, :3]), _spline(points[:, 3]), duration_s)
+
+
+def _home(vehicle: Multirotor, last: Waypoint) -> list[Waypoint]:
+    """To above the origin, and down."""
+    t, n, e, d, yaw = last
+    over = t + max(math.hypot(n, e) / vehicle.speed_m_s, 4.0)
+    return [(over, 0.0, 0.0, d, yaw), (over + max(-d / vehicle.climb_m_s, 4.0), 0.0, 0.0, 0.0, yaw)]
 
 
 def _fixed_wing(vehicle: FixedWing, duration_s: float, rng: np.random.Generator) -> Trajectory:

@@ -92,6 +92,20 @@ def test_multirotor_starts_at_rest_on_the_origin_climbs_hovers_and_keeps_its_lim
     assert 25.0 < tilt_deg.max() < 60.0
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_multirotor_that_lands_ends_at_rest_on_the_origin(seed: int) -> None:
+    trajectory = fly(Multirotor(lands=True, speed_m_s=8.0, climb_m_s=3.0), 150.0, seed)
+    motion = trajectory.at(np.linspace(0.0, 150.0, 3001))
+    assert np.abs(motion.p_n[-20:]).max() < 0.3
+    assert np.abs(motion.v_n[-20:]).max() < 0.3
+    assert motion.p_n[:, 2].max() < 0.5  # never below the ground
+    assert -motion.p_n[:, 2].min() > 25.0
+    assert np.hypot(motion.v_n[:, 0], motion.v_n[:, 1]).max() < 8.5
+    assert np.abs(motion.v_n[:, 2]).max() < 3.3
+    flown = motion.p_n[:, 2] < -20.0
+    assert flown.mean() > 0.55
+
+
 def test_fixed_wing_turns_are_coordinated_and_its_nose_follows_the_path() -> None:
     motion = fly(FixedWing(), 600.0).at(np.arange(0.0, 600.0, 0.05))
     speed = np.linalg.norm(motion.v_n, axis=1)
