@@ -115,7 +115,7 @@ def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, leve
     values, of_plane, bends, of_sides = _spread(match.region, plane, own + from_rig, rig)
     if not np.isfinite(of_plane).all():
         return Unmeasured(match.region, "the plane stands on edge")
-    of_all = accuracy.all_edges_px * of_sides.sum(axis=1)
+    of_all = accuracy.all_edges_px * of_sides[:, : len(outline) if match.region.corners is not None else _ARCS].sum(axis=1)
     of_sides = of_sides * _side_sigmas(match.region, accuracy)
     covariance = of_plane @ of_plane.T + 3.0 * bends @ bends.T + of_sides @ of_sides.T + np.outer(of_all, of_all)
     inverse_depth = _inverse_depth(plane, rig)
@@ -203,16 +203,17 @@ def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity:
 
 
 def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
-    """Standard deviation of each side of the outline, px: a fitted side averages its points, an arc of a contour does not."""
+    """Of each side of the outline, px: place, then turn; a fitted side averages its points, an arc of a contour does not."""
     if region.corners is None:
         return np.full(_ARCS, np.hypot(region.edge_sigma_px, accuracy.edge_px))
     length = np.linalg.norm(np.roll(region.corners, -1, axis=0) - region.corners, axis=1)
-    return np.asarray(np.sqrt(region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0) + accuracy.edge_px**2))
+    variance = region.edge_sigma_px**2 / np.maximum(length / _CORRELATED_PX, 1.0)
+    return np.sqrt(np.concatenate((variance, 3.0 * variance)) + accuracy.edge_px**2)
 
 
 def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: StereoRig) -> tuple[Array, Array, Array, Array]:
     """Centre, distance, width, length, size, fill ratio, orientation (9,); how they move with each standard deviation s of
-    the plane, in proportion to it (9, 3) and to its square (9, 3); and per pixel with each side of the outline, outwards (9, S).
+    the plane, in proportion to it (9, 3) and to its square (9, 3); and per pixel with each side of the outline (9, S).
 
     A rectangle's fill ratio feels only the square of a tilt: y(+-s) = y +- a s + q s^2, and q s^2 has second moment 3 q^2.
     """
@@ -234,17 +235,19 @@ def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: Stere
 
 @njit(cache=True)
 def _side_moves(corners: Array) -> Array:
-    """(K, K, 2): how the corners move when side i (from corner i to i + 1) moves outwards by one."""
+    """(2 K, K, 2): how the corners move when side i (corner i to i + 1) moves outwards by one; then, turns by one at its ends."""
     count = corners.shape[0]
-    normals, moves = np.empty((count, 2)), np.zeros((count, count, 2))
+    normals, moves = np.empty((count, 2)), np.zeros((2 * count, count, 2))
     for i in range(count):
         du, dv = corners[(i + 1) % count] - corners[i]
         normals[i, 0], normals[i, 1] = -dv / np.hypot(du, dv), du / np.hypot(du, dv)
     for i in range(count):  # the corner where side i begins: n_before . m = 0 or 1, n_i . m = 1 or 0
-        a, b = normals[i - 1], normals[i]
+        before = (i - 1) % count
+        a, b = normals[before], normals[i]
         det = a[0] * b[1] - a[1] * b[0]
         moves[i, i, 0], moves[i, i, 1] = -a[1] / det, a[0] / det
-        moves[i - 1, i, 0], moves[i - 1, i, 1] = b[1] / det, -b[0] / det
+        moves[before, i, 0], moves[before, i, 1] = b[1] / det, -b[0] / det
+        moves[count + i, i], moves[count + before, i] = -moves[i, i], moves[before, i]
     return moves
 
 
