@@ -1,6 +1,6 @@
-"""The demonstration: a flight is simulated, replayed through the real pipeline, evaluated and drawn.
+"""The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated.
 
-GPS is cut off at one third. From then on rare and late pose fixes carry the estimate, and for half a minute not even these.
+GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from estimator import simulate as simulated
-from estimator.config import parse
+from estimator.config import Config, load
 from estimator.replay import replay
 from estimator.tally import ReplaySummary
 from logs.evaluate import assess, find_outages
@@ -22,7 +22,7 @@ from models.sim.scenario_file import loads
 SCENARIO = "demo.toml"
 _CHECKOUT = Path("examples/scenarios") / SCENARIO  # a wheel has it beside this file instead
 
-_OUTAGE_S = 5.0  # fixes come every 2 s; a longer silence is an outage
+_OUTAGE_S = 5.0  # longer without a fix is an outage
 
 Progress = Callable[[float], None]
 
@@ -35,6 +35,7 @@ class DemoResult(msgspec.Struct, frozen=True):
     config: str
     estimate: str
     picture: str
+    overlay: str  # "": there was no fix to draw
     replay: ReplaySummary
     evaluation: Evaluation
 
@@ -47,31 +48,70 @@ def scenario_text() -> str:
 
 def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scenario: str | None = None) -> DemoResult:
     """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`."""
-    from logs import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
-
     folder.mkdir(parents=True, exist_ok=True)
-    log, config, estimate, picture = (folder / n for n in ("input.mcap", "demo.toml", "estimate.mcap", "demo.png"))
-    simulation = simulate(loads(scenario or scenario_text(), SCENARIO), seed)
-    simulated.write(simulation, log, _part(progress, 0.0, 0.3))
-    config.write_text(simulation.config_toml, encoding="utf-8")
-    summary = replay(log, estimate, parse(simulation.config_toml, str(config)), _part(progress, 0.3, 0.8))
-    evidence = read(estimate, progress=_part(progress, 0.8, 0.95))
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
-    figure = plots.overview(evidence, outages["all"])
-    gps_off_s = (outages["/gnss"][0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
-    figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
-    figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
-    figure.savefig(picture)
-    progress(1.0)
+    log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
+    _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5))
+    summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85))
+    evaluation = _evaluate(folder, _part(progress, 0.85, 1.0))
     return DemoResult(
         folder=str(folder),
         log=str(log),
         config=str(config),
         estimate=str(estimate),
-        picture=str(picture),
+        picture=str(folder / "demo.png"),
+        overlay=overlay,
         replay=summary,
-        evaluation=assess(evidence, str(estimate), outage_s=_OUTAGE_S),
+        evaluation=evaluation,
     )
+
+
+def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> None:
+    """input.mcap and demo.toml; with cameras in the scenario map.geojson and rig.yaml too."""
+    from estimator import flight_pictures  # noqa: PLC0415  (slow to import, and not always needed)
+
+    plan = loads(scenario, SCENARIO)
+    simulation = simulate(plan, seed)
+    text, pictures = simulation.config_toml, None
+    if plan.cameras:
+        pictures = flight_pictures.plan(plan.cameras, simulation, seed)
+        pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
+        text = flight_pictures.configuration(simulation, "map.geojson", "rig.yaml")
+    (folder / "demo.toml").write_text(text, encoding="utf-8")
+    simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
+
+
+def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:
+    """estimate.mcap, from pictures where there are any, and then overlay.png."""
+    log, estimate, sheet = folder / "input.mcap", folder / "estimate.mcap", folder / "overlay.png"
+    rig_file, map_file = config.rig.file, config.map.landmarks
+    if rig_file is None or map_file is None:
+        return replay(log, estimate, config, progress), ""
+    from calib.files import load_rig  # noqa: PLC0415
+    from estimator import map_store  # noqa: PLC0415
+    from estimator.overlay_sheet import write_sheet  # noqa: PLC0415
+    from estimator.sight import Sight  # noqa: PLC0415
+    from estimator.sight_replay import SightReplay  # noqa: PLC0415
+
+    rig, landmarks = load_rig(folder / rig_file), map_store.load(folder / map_file)
+    sight = SightReplay(Sight(rig, landmarks), config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    summary = replay(log, estimate, config, progress, sight)
+    drawn = write_sheet(estimate, sheet, rig, landmarks)
+    return summary, str(sheet) if drawn else ""
+
+
+def _evaluate(folder: Path, progress: Progress) -> Evaluation:
+    """What it was worth, and demo.png."""
+    from logs import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
+
+    estimate = folder / "estimate.mcap"
+    evidence = read(estimate, progress=progress)
+    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
+    figure = plots.overview(evidence, outages["all"])
+    gps_off_s = (outages["/gnss"][0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
+    figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
+    figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
+    figure.savefig(folder / "demo.png")
+    return assess(evidence, str(estimate), outage_s=_OUTAGE_S)
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

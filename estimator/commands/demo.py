@@ -20,8 +20,9 @@ def command(
 ) -> None:
     """Fly a simulation through the real pipeline.
 
-    GPS is cut off, rare and late pose fixes take over, then even these stop for half a minute.
-    Writes input.mcap (sensors and truth), demo.toml (configuration), estimate.mcap and the picture demo.png.
+    A multirotor over a village that a map knows. GPS is cut off, what the stereo camera sees takes over, then the lens is dark
+    for twenty seconds. Writes input.mcap (sensors, pictures, truth), demo.toml with rig.yaml and map.geojson (configuration),
+    estimate.mcap, and the pictures demo.png (flight) and overlay.png (the map drawn into what the camera saw).
 
     \b
     Examples:
@@ -37,7 +38,7 @@ def command(
         return
     print_summary(result.replay, Path(result.estimate))
     _print_verdict(result.evaluation)
-    typer.echo(f"\npicture: {result.picture}\nmore: landfix evaluate {result.estimate} --outage 5")
+    typer.echo(f"\npictures: {result.picture}  {result.overlay}\nmore: landfix evaluate {result.estimate} --outage 5")
 
 
 def _print_verdict(evaluation: "Evaluation") -> None:

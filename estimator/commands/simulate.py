@@ -25,11 +25,11 @@ def command(
 
     \b
     Examples:
-      landfix simulate examples/scenarios/demo.toml -o flight.mcap --seed 3
+      landfix simulate examples/scenarios/rare_fixes.toml -o flight.mcap --seed 3
       landfix replay flight.mcap -o estimate.mcap -c flight.toml
       landfix evaluate estimate.mcap
-      landfix simulate examples/scenarios/village.toml -o village.mcap
-      landfix replay village.mcap -o estimate.mcap -c village.toml --from-images
+      landfix simulate examples/scenarios/demo.toml -o demo.mcap
+      landfix replay demo.mcap -o estimate.mcap -c demo.toml --from-images
     """
     from estimator.simulate import write
     from models.sim.scenario import simulate

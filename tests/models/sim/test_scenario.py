@@ -123,7 +123,7 @@ def test_examples_are_scenarios(path: Path) -> None:
 
 
 def test_all_examples_are_found() -> None:
-    assert {p.stem for p in EXAMPLES} >= {"demo", "fixed_wing", "spoof", "imu_dropout", "late_and_shuffled"}
+    assert {p.stem for p in EXAMPLES} >= {"demo", "rare_fixes", "fixed_wing", "spoof", "imu_dropout", "late_and_shuffled"}
 
 
 def test_file_becomes_the_scenario_it_says() -> None:

@@ -1,0 +1,91 @@
+"""What the cameras saw, with the map drawn in from where the fix says they were: a few of the fixes of a log on one sheet."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from logs.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
+from logs.pictures import Picture, PictureError, decode_picture
+from logs.reader import LogReader
+from logs.stamps import stamp_of
+from models import so3
+from models.camera import StereoRig
+from models.landmarks import LandmarkMap
+from models.messages import LandmarkFix, PictureName
+from vision.overlay import Picture as Canvas
+from vision.overlay import draw_overlay, outline_residuals
+
+_FIX = "/landfix/fix"
+_REACH_M = 200.0
+_COLUMNS = 2
+
+
+class Shown(NamedTuple):
+    """A fix and the left picture that it came from."""
+
+    fix: LandmarkFix
+    picture: PictureName
+
+
+def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, count: int = 4) -> int:
+    """Draws `count` fixes, spread over the flight, into the PNG `out`; returns how many there were to draw."""
+    shown = _spread(_fixes(log), count)
+    if shown:
+        pictures, start_ns = _pictures(log, {s.picture for s in shown})
+        drawn = [_draw(s.fix, pictures[s.picture], rig, landmarks, start_ns) for s in shown if s.picture in pictures]
+        whole = len(drawn) - len(drawn) % _COLUMNS
+        rows: list[Canvas] = [np.hstack(drawn[k : k + _COLUMNS]) for k in range(0, whole, _COLUMNS)]
+        cv2.imwrite(str(out), np.vstack(rows) if rows else drawn[0])
+    return len(shown)
+
+
+def _fixes(log: Path) -> list[Shown]:
+    """The fixes of the log whose left picture is named by their request."""
+    asked: dict[int, PictureName] = {}
+    found: list[Shown] = []
+    with LogReader(log) as reader:
+        for record in reader:
+            if record.topic == VISION_REQUEST_TOPIC:
+                request = decode_vision_request(record.data, record.log_time_ns)
+                if request.left is not None:
+                    asked[request.t_ns] = request.left
+            elif record.topic == _FIX:
+                fix = Decoder().decode(record.topic, record.schema, record.data, record.log_time_ns)
+                if isinstance(fix, LandmarkFix) and fix.t_ns in asked:
+                    found.append(Shown(fix, asked[fix.t_ns]))
+    return found
+
+
+def _spread(fixes: list[Shown], count: int) -> list[Shown]:
+    """As many as are asked for, evenly."""
+    rows = np.unique(np.linspace(0, len(fixes) - 1, min(count, len(fixes))).round().astype(int)) if fixes else []
+    return [fixes[row] for row in rows]
+
+
+def _pictures(log: Path, wanted: set[PictureName]) -> tuple[dict[PictureName, Picture], int]:
+    """The pictures, and when the log begins."""
+    pictures: dict[PictureName, Picture] = {}
+    start_ns = 0
+    with LogReader(log) as reader:
+        for record in reader:
+            start_ns = start_ns or record.log_time_ns
+            name = PictureName(record.topic, stamp_of(record.data) or 0)
+            if name in wanted:
+                with suppress(PictureError):
+                    pictures[name] = decode_picture(record.schema, record.data)
+    return pictures, start_ns
+
+
+def _draw(fix: LandmarkFix, picture: Picture, rig: StereoRig, landmarks: LandmarkMap, start_ns: int) -> Canvas:
+    """The picture with the map drawn in."""
+    canvas = np.asarray(picture, np.uint8)
+    p_nc, R_nc = rig.camera_pose(np.array(fix.p_n), so3.matrix(so3.normalise(np.array(fix.q_nb_wxyz))))
+    near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)
+    used = [mark for mark in near if mark.id in fix.landmarks]
+    residuals = outline_residuals(canvas, rig.left, p_nc, R_nc, used)
+    many = "landmark" if len(fix.landmarks) == 1 else "landmarks"
+    caption = [f"{(fix.t_ns - start_ns) * 1e-9:.1f} s: {len(fix.landmarks)} {many}, fit {fix.residual_px:.2f} px"]
+    return draw_overlay(canvas, rig.left, p_nc, R_nc, near, fix.landmarks, residuals, caption)
