@@ -19,7 +19,7 @@ from models.messages import Array
 from models.projection import from_lonlat, to_lonlat
 
 UTM = 32632
-TURNED = np.array([[0.4, 0.08, 465_000.0], [0.1, -0.38, 5_250_000.0]])  # 0.4 m a pixel, 13 degrees off north, sheared
+TURNED = np.array([[0.4, 0.3, 465_000.0], [0.1, -0.38, 5_250_000.0]])  # turned and strongly sheared
 NORTH_UP = np.array([[0.5, 0.0, 465_000.25], [0.0, -0.5, 5_249_999.75]])
 PATCHES = {  # centre u, v and half sides of patches in the picture, and their colours
     "red": (100, 120, 30, 20, (20, 20, 220)),
