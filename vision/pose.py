@@ -255,8 +255,9 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
     fit.move(step)
+    as_solved = np.add(*_covariances(system, step.omega, 1.0))
+    p_n, R_nb = _pictures_alone(fit, as_solved)
     image, common = _covariances(system, step.omega, factor)
-    p_n, R_nb = _pictures_alone(fit, image + common)
     delta = fit.delta()
     image = image * max(_surprise(fit, image + common) / config.surprise, 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common)
