@@ -70,7 +70,7 @@ def test_everything_survives_writing_and_reading() -> None:
     ("text", "expected"),
     [
         ('[imu]\naxis = "flu"\n', "v.toml: unknown key 'axis' in [imu]; did you mean 'axes'?"),
-        ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: imu, inputs, gnss, pose_fix, map"),
+        ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: imu, inputs, gnss, pose_fix, "),
         ('[imu]\naxes = "ned"\n', 'v.toml: imu.axes = "ned": must be one of '),
         ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float > 0.0"),
         ("[imu]\ngyro_noise = nan\n", "v.toml: imu.gyro_noise = nan: must be a finite number"),
@@ -100,7 +100,7 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
 
 def test_every_key_has_a_meaning_and_every_number_a_default() -> None:
     keys = strict_toml.keys(Config)
-    assert {k.section for k in keys} == set(Config.__struct_fields__)
+    assert {k.section.partition(".")[0] for k in keys} == set(Config.__struct_fields__)
     assert [f"{k.section}.{k.name}" for k in keys if not k.meaning] == []
     assert {f"{k.section}.{k.name}" for k in keys if k.default == "-"} == {"map.origin", "map.landmarks", "rig.file"}
 
