@@ -27,7 +27,7 @@ _SECOND_NS: Final = 1_000_000_000
 class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[autopilot]: what it knows itself, and what it is told."""
 
-    own_gnss: Annotated[bool, Meta(description="true: the GNSS that we fuse is the autopilot's own receiver")] = True
+    own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
     gnss_quiet_s: Annotated[
         float, Meta(ge=0, description="s: its own GNSS must not have been fused for so long before a fix goes out")
     ] = 5.0
@@ -39,10 +39,10 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[px4]: PX4's zenoh module; its ZENOH_DOMAIN_ID is [zenoh] domain."""
 
-    enabled: Annotated[bool, Meta(description="true: tell PX4 where it is")] = False
+    enabled: Annotated[bool, Meta(description="whether PX4 is told where it is")] = False
     odometry: Annotated[bool, Meta(description="vehicle_visual_odometry, for EKF2_EV_CTRL")] = True
     fixes: Annotated[bool, Meta(description="aux_global_position, for EKF2_AGPx")] = True
-    release: Annotated[Literal["1.17", "1.18"], Meta(description="1.17: or 1.16; 1.18: or newer. They differ in the fixes")] = (
+    release: Annotated[Literal["1.17", "1.18"], Meta(description="of PX4; 1.17 stands for 1.16 too, 1.18 for what is newer")] = (
         "1.18"
     )
     slot: Annotated[int, Meta(ge=1, le=255, description="EKF2_AGPx_ID of the slot that the fixes are for")] = 1

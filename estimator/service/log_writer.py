@@ -35,7 +35,7 @@ _OUTPUTS_LIMIT, _INPUTS_LIMIT = 32 * _MB, 256 * _MB  # bytes that wait for the d
 class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[log]: the flight recorder."""
 
-    enabled: Annotated[bool, Meta(description="false: nothing is recorded")] = True
+    enabled: Annotated[bool, Meta(description="whether anything is recorded")] = True
     folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
     rotate_mb: Annotated[float, Meta(gt=0, description="MB: a file that has grown so large is followed by another")] = 4000.0
     rotate_min: Annotated[float, Meta(gt=0, description="min: a file that is so old is followed by another")] = 120.0
@@ -44,7 +44,7 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         200.0
     )
     sync_s: Annotated[float, Meta(ge=0, description="s: between writes that outlive a power cut; 0: left to the system")] = 5.0
-    images: Annotated[bool, Meta(description="true: pictures are recorded")] = True
+    images: Annotated[bool, Meta(description="whether pictures are recorded")] = True
     image_queue_mb: Annotated[float, Meta(gt=0, description="MB: pictures that may wait for the disk")] = 64.0
 
 

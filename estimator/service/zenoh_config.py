@@ -39,13 +39,13 @@ class SecurityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = "users"
     feeders: Annotated[tuple[str, ...], Meta(description="names that may feed the inputs")] = ()
     listeners: Annotated[tuple[str, ...], Meta(description="names that may read what we publish, and ask the queryables")] = ()
-    insecure: Annotated[bool, Meta(description="true: endpoints beyond loopback are opened to everybody")] = False
+    insecure: Annotated[bool, Meta(description="whether endpoints beyond loopback may be open to everybody")] = False
 
 
 class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[zenoh]: the bus."""
 
-    enabled: Annotated[bool, Meta(description="false: no Zenoh")] = True
+    enabled: Annotated[bool, Meta(description="whether there is Zenoh at all")] = True
     mode: Annotated[Literal["peer", "client", "router"], Meta(description="role in the Zenoh network")] = "peer"
     listen: Annotated[tuple[str, ...], Meta(description="endpoints to listen on, such as tcp/127.0.0.1:7447; []: none")] = (
         "tcp/127.0.0.1:7447",
