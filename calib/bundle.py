@@ -27,7 +27,7 @@ from models.messages import Array
 _STEPS: Final = 60
 _CONVERGED: Final = 1e-10  # relative decrease of the cost
 _POSE = 6
-_INDEPENDENT: Final = 2.0  # variance ratio that errors independent from corner to corner hardly reach by chance
+_INDEPENDENT: Final = 1.2  # variance ratio up to which errors count as independent from corner to corner
 
 
 class Seen(NamedTuple):

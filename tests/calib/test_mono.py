@@ -104,7 +104,7 @@ def test_errors_that_a_view_has_in_common_widen_sigma() -> None:
         View(v.name, 640, 480, v.ids, v.px + np.outer(x * x + y * y, rng.normal(0.0, 0.4, 2)), 2.0) for v in views
     ]  # fmt: skip
     plain, widened = mono.calibrate(views, BOARD), mono.calibrate(bent, BOARD)
-    assert plain.solution.widened == 1.0
+    assert plain.solution.widened < 1.5
     assert widened.solution.widened > 3.0
     error = parameters(CAMERA) - parameters(widened.camera)
     assert np.abs(error[:4] / np.sqrt(np.diagonal(covariance(widened))[:4])).max() < 4.0
