@@ -61,8 +61,8 @@ def _fixes(log: Path) -> list[Shown]:
 
 def _spread(fixes: list[Shown], count: int) -> list[Shown]:
     """As many as are asked for, evenly."""
-    rows = np.unique(np.linspace(0, len(fixes) - 1, min(count, len(fixes))).round().astype(int)) if fixes else []
-    return [fixes[row] for row in rows]
+    rows = np.linspace(0, len(fixes) - 1, min(count, len(fixes))).round().astype(int)
+    return [fixes[row] for row in np.unique(rows).tolist()]
 
 
 def _pictures(log: Path, wanted: set[PictureName]) -> tuple[dict[PictureName, Picture], int]:

@@ -270,6 +270,8 @@ class LandmarkPipeline:
             landmarks=tuple(m.id for m in marks),
             similarity=float(np.mean([_similarity(found, i) for i in chosen])),
             residual_px=pose.residual_px,
+            landmark_errors=pose.landmark_errors,
+            covariance_rig=pose.covariance_rig,
         )
         report = _report(t_ns, "fixed", remark + _summary(found, now, len(remembered)), reports, pose.residual_px)
         return Result(fix, report, tuple(reports), pose)

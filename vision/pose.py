@@ -72,16 +72,19 @@ class PoseEstimate:
     """A pose from the pictures alone, and what it comes to with the prior.
 
     p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every picture; covariance_common (6, 6): the part
-    that map and rig repeat; both order x y z rx ry rz in NED axes. joint_*: posterior of prior and pictures. residual_px: RMS of
-    the edges' offsets; factor: measured over expected variance of the residuals; found: share of the outline in view that was
-    found; edges: lines used, over all pictures; shift_m: (L, 4) estimated map errors (MapError); cost: chi-square of all
-    residuals and of the prior's.
+    that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, 4): how the errors of each landmark,
+    of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and pictures.
+    residual_px: RMS of the edges' offsets; factor: measured over expected variance of the residuals; found: share of
+    the outline in view that was found; edges: lines used, over all pictures; shift_m: (L, 4) estimated map errors
+    (MapError); cost: chi-square of all residuals and of the prior's.
     """
 
     p_n: Array
     R_nb: Array
     covariance: Array
     covariance_common: Array
+    landmark_errors: Array
+    covariance_rig: Array
     joint_p_n: Array
     joint_R_nb: Array
     joint_covariance: Array
@@ -255,23 +258,25 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
     fit.move(step)
-    as_solved = np.add(*_covariances(system, step.omega, 1.0))
-    p_n, R_nb = _pictures_alone(fit, as_solved)
-    image, common = _covariances(system, step.omega, factor)
-    delta = fit.delta()
+    image, moved = _covariances(system, step.omega, 1.0)  # as it was solved
+    p_n, R_nb = _pictures_alone(fit, image + moved @ moved.T)
+    image, moved = _covariances(system, step.omega, factor)
+    common, delta = moved @ moved.T, fit.delta()
+    by_landmark, by_rig = _told_apart(moved, fit.scene)
     image = image * max(_surprise(fit, image + common) / config.surprise, 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common)
     return PoseEstimate(
-        p_n, R_nb, _symmetric(image), _symmetric(common), joint_p_n, joint_R_nb, joint,
+        p_n, R_nb, _symmetric(image), _symmetric(common),
+        by_landmark, _symmetric(by_rig @ by_rig.T), joint_p_n, joint_R_nb, joint,
         float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
         chi2 + float(delta @ fit.information @ delta),
     )  # fmt: skip
 
 
 def _covariances(system: System, omega: Array, factor: float) -> tuple[Array, Array]:
-    """What of the pose's error (6, 6) comes from the pictures, factor R, and what from map and rig.
+    """What of the pose's error (6, 6) comes from the pictures, and how the errors of map and rig, of variance 1, move it (6, P).
 
-    G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),  common = G N N^T G^T
+    G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
     """
     size = len(omega)
     limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
@@ -280,8 +285,15 @@ def _covariances(system: System, omega: Array, factor: float) -> tuple[Array, Ar
     inverse = np.linalg.inv(limited)
     gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor  # (E, 6, M)
     image = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain) + (inverse[:POSE, :POSE] * floor) @ inverse[:POSE, :POSE]
-    by_nuisance = np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
-    return image, by_nuisance @ by_nuisance.T
+    return image, np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
+
+
+def _told_apart(moved: Array, scene: Scene) -> tuple[Array, Array]:
+    """What moves the pose (6, P), by landmark (L, 6, 4), MapError in columns, and by the rig (6, the rest)."""
+    used = scene.map_used
+    by_landmark = np.zeros((scene.map_sigma.size, POSE))
+    by_landmark[used] = moved[:, : len(used)].T
+    return by_landmark.reshape(*scene.map_sigma.shape, POSE).transpose(0, 2, 1), moved[:, len(used) :]
 
 
 def _pictures_alone(fit: _Fit, covariance: Array) -> Pose:

@@ -38,7 +38,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None)
     except ConfigError as error:
         pipe.send(str(error))
         return
-    pipe.send(sight.time_offset_ns)
+    pipe.send((sight.time_offset_ns,))
     with suppress(EOFError, BrokenPipeError):
         while True:
             data, left, right = pipe.recv()
@@ -66,6 +66,7 @@ class VisionWorker:
         self._pipe: Connection | None = None
         self._offset_ns = self._run = 0
         self._backoff_s = _FIRST_BACKOFF_S
+        self._is_warm = False  # the first answer takes longer: kernels are compiled
         self._state = "starting"
         self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = 0
         self._latency_s = 0.0
@@ -87,7 +88,9 @@ class VisionWorker:
         """Stop thread and process."""
         self._stopping.set()
         self._wake.set()
-        self._thread.join(timeout=self._config.timeout_s + 1.0)
+        if self._process is not None:
+            self._process.kill()  # it would keep the thread waiting
+        self._thread.join()
         self._stop_process()
 
     def report(self) -> dict[str, Any]:
@@ -130,26 +133,32 @@ class VisionWorker:
             return
         (message,) = encode(request)
         self._tell(message)
-        answers = self._answer(message, pair)
+        patience_s = self._config.timeout_s if self._is_warm else _START_S
+        answers: list[Encoded] | None = self._exchange((message.data, pair.left, pair.right), patience_s)
         if answers is None:
             self._restart("does not answer")
             return
-        self._state, self._backoff_s = "seeing", _FIRST_BACKOFF_S
+        self._state, self._backoff_s, self._is_warm = "seeing", _FIRST_BACKOFF_S, True
         self._answers += 1
         self._fixes += len(answers) > 1
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
         for answer in answers:
             self._tell(answer)
 
-    def _answer(self, message: Encoded, pair: Pair) -> list[Encoded] | None:
-        """What the process says; None where it is dead or too slow."""
+    def _exchange(self, question: Any, patience_s: float) -> Any:
+        """What the process says to that; None where it is dead, or was killed because it took too long, even to listen."""
+        assert self._process is not None
         assert self._pipe is not None
+        late = threading.Timer(patience_s, self._process.kill)
+        late.start()
         try:
-            self._pipe.send((message.data, pair.left, pair.right))
-            answers: list[Encoded] | None = self._pipe.recv() if self._pipe.poll(self._config.timeout_s) else None
+            if question is not None:
+                self._pipe.send(question)
+            return self._pipe.recv()
         except (EOFError, OSError):
             return None
-        return answers
+        finally:
+            late.cancel()
 
     def _start(self) -> bool:
         """Start the process and wait until it can see."""
@@ -158,21 +167,22 @@ class VisionWorker:
         self._process = context.Process(target=serve, args=(theirs, *self._files), name="landfix-vision", daemon=True)
         self._process.start()
         theirs.close()
-        try:
-            ready = self._pipe.recv() if self._pipe.poll(_START_S) else "does not start"
-        except (EOFError, OSError):
-            ready = "died while starting"
+        if self._stopping.is_set():
+            return False
+        ready = self._exchange(None, _START_S) or "does not start"
         if isinstance(ready, str):
             self._restart(ready)
             return False
-        self._offset_ns, self._state = ready, "ready"
+        (self._offset_ns,), self._state, self._is_warm = ready, "ready", False
         self._shots.clear()
         return True
 
     def _restart(self, why: str) -> None:
         """The process goes; the next one starts after a pause that doubles each time."""
-        self._state = why
         self._stop_process()
+        if self._stopping.is_set():
+            return
+        self._state = why
         self._run += 1
         self._stopping.wait(self._backoff_s)
         self._backoff_s = min(2.0 * self._backoff_s, _LONGEST_BACKOFF_S)

@@ -115,10 +115,13 @@ def test_when_it_is_killed_another_takes_over_with_a_new_memory(files: Path) -> 
 
 def test_when_it_hangs_it_is_started_anew(files: Path) -> None:
     with _worker(files, VisionConfig(timeout_s=0.5)) as (worker, heard, take):
+        take()
+        heard.wait("/landfix/vision", 1)
         os.kill(_process_id(worker), signal.SIGSTOP)
         take()
         _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
-        _until(lambda: (take(), time.sleep(0.2), bool(heard.of("/landfix/fix")))[2])
+        take()
+        heard.wait("/landfix/vision", 2)
 
 
 def test_a_map_that_is_not_there_is_said_and_tried_again_ever_more_rarely(files: Path, tmp_path: Path) -> None:

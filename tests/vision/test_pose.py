@@ -175,6 +175,20 @@ def test_rig_errors_are_common() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_common))[3:], 0.01, rtol=0.1)
 
 
+def test_the_common_part_is_told_apart_by_landmark_and_rig() -> None:
+    view = flight(2)
+    marks = [msgspec.structs.replace(mark, sigma_m=0.5, height_sigma_m=0.2) for mark in view.landmarks]
+    rig = msgspec.structs.replace(view.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
+    found = estimate_pose(rig, view.pictures, marks, near(view), view.prior)
+    assert isinstance(found, PoseEstimate)
+    assert found.landmark_errors.shape == (len(marks), 6, 4)
+    whole = np.einsum("mik,mjk->ij", found.landmark_errors, found.landmark_errors) + found.covariance_rig
+    np.testing.assert_allclose(whole, found.covariance_common, atol=1e-9)
+    together = np.abs(found.landmark_errors[:, :2, :2].sum(axis=0))  # a map shifted as a whole shifts the fix by as much
+    np.testing.assert_allclose(together, 0.5 * np.eye(2), atol=0.05)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_rig))[3:], 0.01, rtol=0.1)
+
+
 def test_half_a_turn_is_left_open_without_a_heading() -> None:
     """One rectangle painted on the ground and a prior that knows no heading."""
     view = flight(5, marks=1)
