@@ -223,7 +223,7 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
     carried = [(slow.block, slow.jacobian(eskf.x) if slow.jacobian else None) for slow in aid.slow_errors]
     for slow, block in zip(aid.slow_errors, carried, strict=True):
         if slow.block not in eskf.slow.columns:
-            if oldest := eskf.slow.oldest(slow.block.partition("/")[0], MOST_OF_A_KIND):
+            if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
                 eskf.forget(oldest)
             eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
             if slow.walk is not None:

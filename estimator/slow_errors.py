@@ -54,7 +54,7 @@ class SlowErrors:
 
     def oldest(self, kind: str, most: int) -> str | None:
         """Of the blocks called kind/..., the one that was not used for longest, where there are `most` or more of them."""
-        same = [name for name in self.columns if name.startswith(f"{kind}/")]
+        same = [name for name in self.columns if name.rpartition("/")[0] == kind] if kind else []
         return same[0] if len(same) >= most else None
 
     def moved(self, by: Array) -> "SlowErrors":

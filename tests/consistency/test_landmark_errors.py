@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -75,3 +76,21 @@ def test_as_many_are_kept_as_shall_be() -> None:
     _, eskf = _fly(VISITS["more than are kept"], 0)
     assert len(eskf.slow.columns) == MOST_OF_A_KIND
     assert len(eskf.cov) == E.SIZE + 3 * MOST_OF_A_KIND
+
+
+def test_a_fix_on_as_many_landmarks_as_are_kept_beside_others_and_a_rig_is_fused() -> None:
+    names = [f"{k}" for k in range(2 * MOST_OF_A_KIND)]
+    rng = np.random.default_rng(4)
+    x = np.zeros(X.SIZE)
+    x[X.Q] = Q
+    eskf = Eskf(0, x, np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
+    for k in range(20):
+        seen = tuple(rng.permutation(names)[: rng.integers(1, MOST_OF_A_KIND + 1)].tolist())
+        fix = msgspec.structs.replace(_fix(seen, dict.fromkeys(names, np.zeros(3)), rng, k), covariance_rig=1e-4 * np.eye(6))
+        aid = pose_aid(fix, LANDMARKS)
+        assert isinstance(aid, Aid)
+        z = aid.measurement(None)
+        assert z is not None
+        eskf.update(innovation(eskf, aid, z, np.zeros(3)))
+        assert len(eskf.slow.columns) <= MOST_OF_A_KIND + 1
+    assert "/landfix/fix.rig" in eskf.slow.columns

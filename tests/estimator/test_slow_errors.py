@@ -37,3 +37,4 @@ def test_the_oldest_of_a_kind_is_the_one_not_used_for_longest() -> None:
     assert slow.used("fix/b") is slow
     assert slow.used("gnss").columns == slow.columns  # the same places
     assert slow.oldest("gnss", 1) is None  # a kind has blocks called kind/...
+    assert slow.oldest("", 1) is None
