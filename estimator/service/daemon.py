@@ -16,7 +16,8 @@ from estimator.publish import Publisher
 from estimator.service.clock import SECOND_NS, Clock, Stamps
 from estimator.service.ports import Arrival, Log, Outbox
 from estimator.service.status import Status
-from logs.codec import Decoder, ImuMounting, encode_input
+from estimator.vision_requests import Track
+from logs.codec import Decoder, Encoded, ImuMounting, encode_input
 from logs.stamps import restamped, stamp_of
 from models.messages import Input, Output, Tick
 
@@ -36,10 +37,11 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mailbox:
-    """The Inbox of ports.py: any thread puts, the loop gets. Pictures go straight to the log."""
+    """The Inbox of ports.py: any thread puts, the loop gets. Pictures go straight to the log, and to vision where it is used."""
 
     def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
+        self.see: Callable[[Arrival], None] = _look_away
         self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
 
     def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
@@ -47,12 +49,17 @@ class Mailbox:
         arrival = Arrival(topic, schema, data, self._clock.now_ns())
         if topic in self._images:
             self._log.put_image(arrival)
+            self.see(arrival)
         else:
             self._queue.put(arrival)
 
     def put(self, message: Input) -> None:
         """A measurement of a link that speaks no CDR."""
         self._queue.put(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
+
+    def put_own(self, message: Encoded) -> None:
+        """What our own vision was asked and answers."""
+        self._queue.put(Arrival(*message, self._clock.now_ns(), own=True))
 
     def get(self, timeout_s: float) -> Arrival | None:
         """The next message; None when there is none in time, or after wake()."""
@@ -67,6 +74,10 @@ class Mailbox:
 
     def __len__(self) -> int:
         return self._queue.qsize()
+
+
+def _look_away(_: Arrival) -> None:
+    """There is no vision."""
 
 
 class Daemon:
@@ -84,6 +95,7 @@ class Daemon:
         stamps: Stamps,
         clock: Clock,
         status: Status,
+        track: Track,
         tick_hz: float,
         alive: Callable[[], None],
         remember: Callable[[Output], None],
@@ -91,6 +103,7 @@ class Daemon:
         self._fusion, self._decoder, self._publisher = fusion, decoder, publisher
         self.mailbox, self._outboxes, self._log = mailbox, outboxes, log
         self._stamps, self._clock, self._status, self._alive, self._remember = stamps, clock, status, alive, remember
+        self._track = track
         self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
 
@@ -124,13 +137,18 @@ class Daemon:
 
     def take(self, arrival: Arrival) -> None:
         """One message: to the log, through Fusion, out."""
-        arrival = self._on_our_clock(arrival)
+        if arrival.own:
+            for outbox in self._outboxes:
+                outbox.send((), [Encoded(arrival.topic, arrival.schema, arrival.data)])
+        else:
+            arrival = self._on_our_clock(arrival)
         self._log.put_input(arrival)
-        topic, schema, data, arrived_ns = arrival
+        topic, schema, data, arrived_ns, _ = arrival
         message = self._decoder.decode(topic, schema, data, arrived_ns)
         if message is None:
             return
         outputs = self._fusion.handle(message)
+        self._track.note(outputs)
         encoded = list(self._publisher.encoded(outputs)) if outputs else []
         if outputs:
             for outbox in self._outboxes:
@@ -143,7 +161,7 @@ class Daemon:
 
     def _on_our_clock(self, arrival: Arrival) -> Arrival:
         """The message with its stamp translated; on another topic, that feeds nothing, where its clock is not known."""
-        topic, _, data, arrived_ns = arrival
+        topic, _, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         if stamp_ns is None:
             return arrival

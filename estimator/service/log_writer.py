@@ -100,7 +100,7 @@ class LogWriter:
             self._lost_inputs += 1
             return
         self._put_bytes += len(arrival.data)
-        self._queue.append(_Item(*arrival))
+        self._queue.append(_Item(*arrival[:4]))
 
     def put_output(self, encoded: Encoded, log_time_ns: int) -> None:
         """Keep an output."""
@@ -116,7 +116,7 @@ class LogWriter:
             return
         with self._image_lock:
             self._image_bytes += len(arrival.data)
-            self._images.append(_Item(*arrival))
+            self._images.append(_Item(*arrival[:4]))
             while self._images and self._image_bytes - self._taken_image_bytes > self._config.image_queue_mb * _MB:
                 self._image_bytes -= len(self._images.popleft().data)
                 self._dropped_images += 1

@@ -12,12 +12,13 @@ from models.messages import Input, Output
 
 
 class Arrival(NamedTuple):
-    """A message as it came: ROS 2 CDR bytes, and when, on the daemon's clock (clock.Clock)."""
+    """A message as it came: ROS 2 CDR bytes, and when, on the daemon's clock (clock.Clock). own: from our own vision."""
 
     topic: str
     schema: str
     data: bytes
     arrived_ns: int
+    own: bool = False
 
 
 class Inbox(Protocol):

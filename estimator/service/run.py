@@ -22,12 +22,14 @@ from estimator.service.px4_link import Px4Link
 from estimator.service.recovery import claim, recover_in_background
 from estimator.service.state_file import StateKeeper
 from estimator.service.status import Status
+from estimator.service.vision_worker import VisionWorker
 from estimator.service.warm_up import warm_up
 from estimator.service.watchdog import Notifier
 from estimator.service.zenoh_bus import ZenohBus
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.strict_toml import ConfigError
 from estimator.version import version
+from estimator.vision_requests import Track, VisionConfig
 from logs import schemas
 from logs.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 from logs.reader import Attachment
@@ -51,6 +53,8 @@ class RunConfig(Protocol):
     def autopilot(self) -> AutopilotConfig: ...  # noqa: D102
     @property
     def px4(self) -> Px4Config: ...  # noqa: D102
+    @property
+    def vision(self) -> VisionConfig: ...  # noqa: D102
     @property
     def estimator(self) -> EstimatorConfig: ...  # noqa: D102
     @property
@@ -108,7 +112,10 @@ def assembled(
             parts["px4"] = px4.report
             outboxes.append(px4)
         status = Status(clock.now_ns(), parts)
-        mailbox = Mailbox(clock, log, images, config.mounting())
+        mailbox, track = Mailbox(clock, log, images, config.mounting()), Track()
+        if vision := _vision(stack, config, folder, clock, track, mailbox):
+            parts["vision"] = vision.report
+            mailbox.see = vision.put
         daemon = Daemon(
             fusion=Fusion(config.fusion()),
             decoder=config.decoder(),
@@ -119,6 +126,7 @@ def assembled(
             stamps=stamps,
             clock=clock,
             status=status,
+            track=track,
             tick_hz=config.service.tick_hz,
             alive=alive,
             remember=keeper.note if keeper else _forget,
@@ -129,6 +137,20 @@ def assembled(
             _serve(bus, status, attachments)
             bus.open_inputs(mailbox)
         yield daemon
+
+
+def _vision(
+    stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox
+) -> VisionWorker | None:
+    """Vision, where the configuration names cameras and a map."""
+    files, inputs = config.files(), config.inputs
+    if not {"calibration", "map"} <= files.keys():
+        return None
+    sides = {**dict.fromkeys(inputs.left_image, "left"), **dict.fromkeys(inputs.right_image, "right")}
+    where = folder / files["calibration"], folder / files["map"], config.fusion().origin
+    worker = VisionWorker(where, config.vision, sides, clock, Stamps(clock, config.clock), track, mailbox.put_own)
+    stack.callback(worker.close)
+    return worker
 
 
 def _subscriptions(config: RunConfig) -> dict[str, str]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from estimator.service.clock import SECOND_NS, Clock, Stamps
+from estimator.service.ports import Arrival
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.codec import Encoded, decode_vision_request, encode
@@ -73,8 +74,9 @@ class VisionWorker:
         self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
         self._thread.start()
 
-    def put(self, topic: str, schema: str, data: bytes, arrived_ns: int) -> None:
+    def put(self, arrival: Arrival) -> None:
         """A picture; the oldest that waits is dropped when there are too many."""
+        topic, schema, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
         if stamp_ns is None or t_ns is None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from estimator.service.clock import Clock, ClockConfig, Stamps
+from estimator.service.ports import Arrival
 from estimator.service.vision_worker import VisionWorker
 from estimator.vision_requests import Track, VisionConfig
 from logs.codec import Encoded, decode_vision_request
@@ -67,7 +68,7 @@ def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[V
         sigma[E.P], sigma[E.V], sigma[E.THETA], sigma[E.BG], sigma[E.BA] = 0.2, 0.1, 0.01, 1e-3, 1e-2
         track.note([Estimate(t_ns, t_ns, nav, np.diag(sigma**2), (0.0, 0.0, 0.0), Mode.AIDED, 0, t_ns)])
         for picture in village().pairs[0]:
-            worker.put(picture.topic, picture.schema, restamped(picture.data, t_ns), clock.now_ns())
+            worker.put(Arrival(picture.topic, picture.schema, restamped(picture.data, t_ns), clock.now_ns()))
 
     try:
         _until(lambda: worker.report()["state"] != "starting")
@@ -157,7 +158,7 @@ def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
     try:
         _until(lambda: worker.report()["state"] == "ready")
         for picture in village().pairs[0]:
-            worker.put(picture.topic, picture.schema, restamped(picture.data, clock.now_ns()), clock.now_ns())
+            worker.put(Arrival(picture.topic, picture.schema, restamped(picture.data, clock.now_ns()), clock.now_ns()))
         _until(lambda: worker.report()["state"] == "waiting for an estimate")
         assert heard.messages == []
     finally:
