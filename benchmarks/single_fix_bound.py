@@ -38,7 +38,7 @@ def bound(view: View) -> Array:
     J = np.hstack((np.vstack(A), np.vstack(nuisances))) / CORNER_PX
     omega = J.T @ J + np.eye(J.shape[1])
     omega[:6, :6] += np.linalg.inv(view.prior.covariance) - np.eye(6)
-    result: Array = np.linalg.inv(omega)[:6, :6]
+    result: Array = np.linalg.inv(omega)[:6, :6].astype(np.float64)
     return result
 
 

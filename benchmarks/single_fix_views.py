@@ -103,8 +103,9 @@ def _rigs(rng: np.random.Generator) -> tuple[StereoRig, StereoRig]:
 
 def camera_with(camera: CameraModel, error: Array) -> CameraModel:
     """The camera with errors (8,) of fx fy cx cy and distortion."""
-    values = (np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]) + error).tolist()
-    return CameraModel(camera.width, camera.height, *values[:4], tuple(values[4:]))
+    values = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]) + error
+    fx, fy, cx, cy, *distortion = values.tolist()
+    return CameraModel(camera.width, camera.height, fx, fy, cx, cy, tuple(distortion))
 
 
 def _pose(cell: Cell, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -119,7 +120,10 @@ def _landmarks(
 ) -> tuple[tuple[Landmark, ...], tuple[Landmark, ...], tuple[Look, ...]]:
     """Landmarks as mapped and as they are: in view, apart, 50 to 150 px long whatever the height."""
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
-    mapped, true, looks, taken = [], [], [], []
+    mapped: list[Landmark] = []
+    true: list[Landmark] = []
+    looks: list[Look] = []
+    taken: list[tuple[Array, float]] = []
     metre_px = 600.0 / cell.height_m
     tries = 0
     while len(mapped) < cell.marks:
@@ -142,8 +146,8 @@ def _landmarks(
         mapped.append(mark)
         true.append(_true_landmark(mark, rng))
         texture = "paint" if cell.roof == "painted" else str(rng.choice(["shingles", "gravel", "metal"]))
-        wall = tuple((np.array([150.0, 160.0, 165.0]) * rng.uniform(0.6, 1.15)).tolist())
-        looks.append(Look(tuple(float(c) for c in colour), wall, texture, 0.03 if cell.roof == "painted" else 0.08))
+        blue, green, red = (np.array([150.0, 160.0, 165.0]) * rng.uniform(0.6, 1.15)).tolist()
+        looks.append(Look(colour, (blue, green, red), texture, 0.03 if cell.roof == "painted" else 0.08))
     return tuple(mapped), tuple(true), tuple(looks)
 
 

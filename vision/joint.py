@@ -130,7 +130,7 @@ def _step(
         for m in range(POSE):
             whole[k, m] += information[k, m]
             eta[k] -= information[k, m] * delta[m]
-    solution = np.linalg.solve(whole, eta)
+    solution = np.linalg.solve(whole, eta).astype(np.float64)
     change = solution.copy()
     change[POSE:] -= present
     residual = z.copy()

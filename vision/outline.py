@@ -121,13 +121,13 @@ def off_roof(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable
     rim = np.empty(n)
     for m in range(marks):
         for c in range(channels):
-            count = 0
+            found = 0
             for i in range(n):
                 if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
-                    rim[count] = np.mean(values[i, :inner, c])
-                    count += 1
-            if count > 0:
-                colour[m, c] = np.median(rim[:count])
+                    rim[found] = np.mean(values[i, :inner, c])
+                    found += 1
+            if found > 0:
+                colour[m, c] = np.median(rim[:found])
     distance = np.zeros((n, size))
     inside, outside, count = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros(edges)
     for i in range(n):
