@@ -20,13 +20,13 @@ from estimator.service.log_writer import LogConfig
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
-from estimator.sources.pose import LANDMARKS, PoseConfig
+from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import VisionConfig
 from logs.codec import Decoder, ImuMounting, Topics
 from models.imu import Coast, ImuNoise
 
-__all__ = ["Config", "ConfigError", "load", "parse"]
+__all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
 
 _TOPICS = Topics()
 _Topics: TypeAlias = tuple[str, ...]
@@ -91,7 +91,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     inputs: Inputs = Inputs()
     gnss: GnssConfig = GnssConfig()
     pose_fix: PoseConfig = PoseConfig()
-    landmark_fix: PoseConfig = LANDMARKS
+    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
     map: Map = Map()
     rig: Rig = Rig()
@@ -148,22 +148,32 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def load(path: Path | None) -> Config:
-    """The configuration of a file; None: all defaults. Raises ConfigError, one line that names the file and the key."""
-    if path is None:
-        return Config()
+    """The configuration of a file, its origin that of the landmarks where it gives none; None: all defaults.
+
+    Raises ConfigError, one line that names the file and the key.
+    """
+    return with_origin(read(path), path.parent) if path else Config()
+
+
+def read(path: Path) -> Config:
+    """What stands in the file; none of the files that it names is looked at. Raises ConfigError, as load does."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file") from None
-    config = parse(text, str(path))
-    if config.map.landmarks and config.map.origin is None:
-        from estimator.sight_files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
+    return parse(text, str(path))
 
-        origin = map_origin(path.parent / config.map.landmarks)
-        return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))
-    return config
+
+def with_origin(config: Config, folder: Path) -> Config:
+    """The configuration, whose files count from `folder`, with the origin of its landmarks if it has none. Raises ConfigError."""
+    if config.map.landmarks is None or config.map.origin is not None:
+        return config
+    from estimator.sight_files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
+
+    origin = map_origin(folder / config.map.landmarks)
+    return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))
 
 
 def parse(text: str, name: str = "configuration") -> Config:

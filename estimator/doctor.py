@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from estimator.config import Config, load
+from estimator.config import Config, read, with_origin
 from estimator.strict_toml import ConfigError
 from models import so3
 
@@ -102,7 +102,7 @@ def _clock() -> Check:
 def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
     """Does the file load, and do its numbers make sense?"""
     try:
-        config = load(path)
+        config = read(path) if path else Config()
     except (ConfigError, OSError) as error:
         return [judge("config", str(error), fail=True, advice="landfix doctor --config lists all keys")], None
     checks = [judge("config", str(path) if path else "defaults")]
@@ -112,10 +112,15 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
         advice = "units are rad, m, s and sqrt(Hz); data sheets give degrees/hour or ug"
         checks.append(judge(f"imu.{name}", found, warn=not low <= value <= high, advice=advice))
     folder = path.parent if path else Path()
-    for key, given in (("map.landmarks", config.map.landmarks), ("rig.file", config.rig.file)):
-        if given:
-            file = folder / given
-            checks.append(
-                judge(key, str(file), fail=not file.is_file(), advice="no such file; paths count from the config's folder")
-            )
-    return checks, config
+    named = {"map.landmarks": config.map.landmarks, "rig.file": config.rig.file}
+    files = [_file(key, folder / given) for key, given in named.items() if given]
+    if not failed(files):
+        try:
+            config = with_origin(config, folder)
+        except ConfigError as error:
+            files.append(judge("map.origin", str(error), fail=True, advice="landfix map check tells what is wrong with the file"))
+    return checks + files, config
+
+
+def _file(key: str, file: Path) -> Check:
+    return judge(key, str(file), fail=not file.is_file(), advice="no such file; paths count from the config's folder")

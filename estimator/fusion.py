@@ -14,7 +14,7 @@ from estimator.sources.aids import aid_of
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.imu import sample_refusal
-from estimator.sources.pose import LANDMARKS, PoseConfig
+from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.sources.source import Aid, Refusal
 from estimator.tracker import Tracker, TrackerConfig
 from models import so3, state
@@ -63,7 +63,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     coast: Coast = Coast()
     gnss: GnssConfig = GnssConfig()
     pose_fix: PoseConfig = PoseConfig()
-    landmark_fix: PoseConfig = LANDMARKS
+    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
@@ -82,9 +82,7 @@ class Fusion:
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._astray: tuple[int, int, int] | None = None  # count, arrival of the first, stamp of the last sample off our clock
-        self._lead: tuple[int, int] | None = (
-            None  # stamps of IMU and ticks ahead of their arrivals, and as of when
-        )
+        self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._reset_counter = 0
         self._published: Estimate | None = None
 

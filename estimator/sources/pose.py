@@ -2,7 +2,7 @@
 
 import math
 from functools import cache
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from msgspec import Meta
@@ -31,17 +31,22 @@ _MOST_LANDMARKS, _MOST_ERRORS = 8, 6  # in one fix, and of each
 _ROUNDING = 1e-9
 _ATTITUDES = {(True, True, True): "full", (True, True, False): "tilt", (False, False, True): "yaw", (False, False, False): "none"}
 
+_Tilt: TypeAlias = Annotated[
+    float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
+]
+
 
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
-    """[pose_fix], [landmark_fix]: how pose fixes from outside, and those of our own landmarks, are judged."""
+    """[pose_fix]: how pose fixes from outside are judged."""
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
-    tilt_deg: Annotated[
-        float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
-    ] = 0.2
+    tilt_deg: _Tilt = 0.2
 
 
-LANDMARKS = PoseConfig(tilt_deg=0.0)  # our own: they say which of their errors repeat
+class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
+    """[landmark_fix]: our own fixes say which of their errors repeat."""
+
+    tilt_deg: _Tilt = 0.0
 
 
 def given_components(cov: Array) -> NDArray[np.bool_]:
@@ -109,7 +114,8 @@ def _slow_errors(fix: PoseFix | LandmarkFix, config: PoseConfig) -> tuple[SlowEr
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, _root(rest)),) if rest.any() else ()
     errors = fix.landmark_errors
-    if errors.ndim != 3 or errors.shape[:2] != (len(fix.landmarks), 6) or errors.shape[2] > _MOST_ERRORS or not np.isfinite(errors).all():
+    fits = errors.ndim == 3 and errors.shape[:2] == (len(fix.landmarks), 6) and errors.shape[2] <= _MOST_ERRORS
+    if not fits or not np.isfinite(errors).all():
         return Refusal(Reason.MALFORMED, "errors of the landmarks")
     blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved in zip(fix.landmarks, errors, strict=True) if moved.any()]
     if rest.any():

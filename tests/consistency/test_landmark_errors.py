@@ -1,4 +1,4 @@
-"""Fixes on landmarks whose places are wrong by what their map says: the filter is as sure as it may be, however many fixes come."""
+"""Fixes on landmarks whose places are wrong by what their map says: the filter stays as sure as it may be."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -9,7 +9,7 @@ import pytest
 
 from estimator.eskf import Eskf
 from estimator.hypotheses import MOST_OF_A_KIND, innovation
-from estimator.sources.pose import LANDMARKS, pose_aid
+from estimator.sources.pose import LandmarkFixConfig, pose_aid
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, LandmarkFix, vec3
@@ -38,7 +38,7 @@ def _fly(visits: Visits, seed: int) -> tuple[Array, Eskf]:
     x[X.Q] = Q
     eskf = Eskf(0, x, np.diag([100.0] * 3 + [1.0] * 3 + [0.01] * 3 + [1e-4] * 6), constants(ImuNoise(), Coast(), None))
     for k, names in enumerate(visits):
-        aid = pose_aid(_fix(names, shifts, rng, k), LANDMARKS)
+        aid = pose_aid(_fix(names, shifts, rng, k), LandmarkFixConfig())
         assert isinstance(aid, Aid)
         z = aid.measurement(None)
         assert z is not None
@@ -87,7 +87,7 @@ def test_a_fix_on_as_many_landmarks_as_are_kept_beside_others_and_a_rig_is_fused
     for k in range(20):
         seen = tuple(rng.permutation(names)[: rng.integers(1, MOST_OF_A_KIND + 1)].tolist())
         fix = msgspec.structs.replace(_fix(seen, dict.fromkeys(names, np.zeros(3)), rng, k), covariance_rig=1e-4 * np.eye(6))
-        aid = pose_aid(fix, LANDMARKS)
+        aid = pose_aid(fix, LandmarkFixConfig())
         assert isinstance(aid, Aid)
         z = aid.measurement(None)
         assert z is not None

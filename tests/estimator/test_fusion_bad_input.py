@@ -177,7 +177,7 @@ def test_a_defect_of_ours_is_reported_and_the_flight_goes_on(monkeypatch: pytest
     fusion = Fusion(CONFIG)
     run = Run(fusion).feed(m for m in hover(4.0))
     with monkeypatch.context() as broken:
-        broken.setattr("estimator.fusion.pose_aid", lambda *_: 1 / 0)
+        broken.setattr("estimator.fusion.aid_of", lambda *_: 1 / 0)
         run.feed([pose_fix(NOW - SECOND)])
     assert run.internal_errors() == ["internal error: ZeroDivisionError: division by zero"]
     run.feed(hover(3.0, start_ns=EPOCH_NS + 4 * SECOND + 10_000_000))

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from estimator.config import Config, load
-from estimator.replay import CONFIG_ATTACHMENT, replay
+from estimator.publish import CONFIG_ATTACHMENT
+from estimator.replay import replay
 from logs.codec import encode_input, encode_slow
 from logs.reader import LogError, LogReader, Record
 from logs.recorder import Recorder
