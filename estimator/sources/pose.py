@@ -24,10 +24,11 @@ from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Reason
 from models.state import X
 
-_NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
+_NOT_GIVEN = np.array([9e4] * 3 + [10.0] * 3)  # m^2, rad^2
 _FARTHEST_M = 1e6
 _PERMANENT_S = 1e9  # time constant of an error that does not change
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 6  # in one fix, and of each
+_LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
 _ATTITUDES = {(True, True, True): "full", (True, True, False): "tilt", (False, False, True): "yaw", (False, False, False): "none"}
 
@@ -36,24 +37,31 @@ _Tilt: TypeAlias = Annotated[
 ]
 
 
+_Share: TypeAlias = Annotated[
+    float, Meta(ge=0, lt=1, description="share of the variance that a fix claims for itself that the next one still has")
+]
+
+
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes from outside are judged."""
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: _Tilt = 0.2
+    lasting_share: _Share = 0.0
+    lasting_s: Annotated[float, Meta(gt=0, description="s: for so long it lasts")] = 3.0
 
 
 class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
     """[landmark_fix]: our own fixes say which of their errors repeat."""
 
     tilt_deg: _Tilt = 0.0
+    lasting_share: _Share = 0.6
 
 
 def given_components(cov: Array) -> NDArray[np.bool_]:
     """Which of (x y z rx ry rz) a fix gives: a variance that is NaN, negative, >= 9e4 m^2 or >= 10 rad^2 says "not given"."""
     variance = np.diag(cov)
-    limit = np.array([_NOT_GIVEN_M2] * 3 + [_NOT_GIVEN_RAD2] * 3)
-    given: NDArray[np.bool_] = (variance >= 0) & (variance < limit)
+    given: NDArray[np.bool_] = (variance >= 0) & (variance < _NOT_GIVEN)
     return given
 
 
@@ -79,9 +87,12 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
     p_n, q = np.where(given[:3], p_n, 0.0), (q / norm if attitude != "none" else np.array([1.0, 0.0, 0.0, 0.0]))
-    slow_errors = _slow_errors(fix, config)
+    slow_errors = _slow_errors(fix, given, config)
     if isinstance(slow_errors, Refusal):
         return slow_errors
+    if config.lasting_share > 0 and given.all():
+        slow_errors = (*slow_errors, _lasting(f"{fix.topic}.look", noise * config.lasting_share, config.lasting_s))
+        noise = noise * (1.0 - config.lasting_share)
     z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
     widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]
     return Aid(
@@ -98,7 +109,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     )
 
 
-def _slow_errors(fix: PoseFix | LandmarkFix, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
+def _slow_errors(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
     """What repeats: errors of each landmark and of the rig, where a fix tells them apart; else all of it as one, the topic's own.
 
     Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it tells.
@@ -111,11 +122,15 @@ def _slow_errors(fix: PoseFix | LandmarkFix, config: PoseConfig) -> tuple[SlowEr
     rest = np.zeros((6, 6)) if rest is None else np.asarray(rest, dtype=float)
     if rest.shape != (6, 6) or not np.isfinite(rest).all() or np.linalg.eigvalsh(rest)[0] < -_ROUNDING * max(np.trace(rest), 0.0):
         return Refusal(Reason.NOT_PSD, "common covariance")
+    unknown = np.diag(rest) >= _NOT_GIVEN
+    if (unknown & given).any():
+        return Refusal(Reason.IMPLAUSIBLE, "common covariance as large as that of what is not given")
+    rest = np.where(unknown[:, None] | unknown, 0.0, rest)
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, _root(rest)),) if rest.any() else ()
     errors = fix.landmark_errors
     fits = errors.ndim == 3 and errors.shape[:2] == (len(fix.landmarks), 6) and errors.shape[2] <= _MOST_ERRORS
-    if not fits or not np.isfinite(errors).all():
+    if not fits or not np.abs(errors).max(initial=0.0) < _LARGEST_ERROR:
         return Refusal(Reason.MALFORMED, "errors of the landmarks")
     blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved in zip(fix.landmarks, errors, strict=True) if moved.any()]
     if rest.any():
@@ -132,6 +147,12 @@ def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
 def _steady(block: str, moved: Array) -> SlowError:
     """k errors of variance 1 that move the pose by `moved` (6, k)."""
     return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, lambda _: moved)
+
+
+def _lasting(block: str, covariance: Array, tau_s: float) -> SlowError:
+    """Six errors that the next fix still has: light and texture of the same edges."""
+    root = _root(covariance)
+    return SlowError(block, np.eye(6), tau_s, lambda _: root)
 
 
 def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:

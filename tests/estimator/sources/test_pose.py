@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.sources.pose import PoseConfig, given_components, pose_aid
+from estimator.sources.pose import LandmarkFixConfig, PoseConfig, given_components, pose_aid
 from estimator.sources.source import Aid, Refusal, SlowError
 from models import so3
 from models.measurements import Pose
@@ -122,6 +122,8 @@ def test_a_quaternion_that_is_nearly_of_length_one_is_made_so() -> None:
         ({"covariance_common": np.eye(3)}, Reason.NOT_PSD),
         ({"covariance_common": -np.eye(6)}, Reason.NOT_PSD),
         ({"covariance_common": np.full((6, 6), math.inf)}, Reason.NOT_PSD),
+        ({"covariance_common": np.diag([0.0, 0.0, 1e150, 0.0, 0.0, 0.0])}, Reason.IMPLAUSIBLE),
+        ({"covariance_common": np.diag([0.0, 0.0, 0.0, 0.0, 11.0, 0.0])}, Reason.IMPLAUSIBLE),
     ],
 )
 def test_an_unusable_fix_has_its_reason(changes: dict[str, Any], reason: Reason) -> None:
@@ -137,6 +139,12 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
     np.testing.assert_allclose(_told(slow), common, atol=1e-15)
     assert slow.tau_s > 1e6
     assert _aid(_fix(covariance_common=np.zeros((6, 6)))).slow_errors == ()
+
+
+def test_a_common_part_of_what_is_not_given_is_left_out() -> None:
+    common = np.diag([0.04, 0.04, 1e150, 0.01, 0.01, 0.01])
+    (slow,) = _aid(_fix(covariance=_without([2], 1e9), covariance_common=common)).slow_errors
+    np.testing.assert_allclose(_told(slow), np.diag([0.04, 0.04, 0.0, 0.01, 0.01, 0.01]), atol=1e-15)
 
 
 def _told(slow: SlowError, x: Array | None = None) -> Array:
@@ -189,7 +197,15 @@ def test_of_too_many_landmarks_the_sum_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    "errors", [np.zeros((1, 6, 4)), np.zeros((2, 3, 4)), np.full((2, 6, 4), math.nan), np.zeros((2, 6, 400)), np.zeros(12)]
+    "errors",
+    [
+        np.zeros((1, 6, 4)),
+        np.zeros((2, 3, 4)),
+        np.full((2, 6, 4), math.nan),
+        np.full((2, 6, 4), 1e150),
+        np.zeros((2, 6, 400)),
+        np.zeros(12),
+    ],
 )
 def test_errors_that_do_not_fit_their_landmarks_are_malformed(errors: Array) -> None:
     refusal = pose_aid(_landmark_fix(Q, landmark_errors=errors), PoseConfig())
@@ -202,3 +218,20 @@ def test_a_landmark_fix_is_a_pose_fix_too() -> None:
     z = _aid(fix).measurement(None)
     assert isinstance(z, Pose)
     np.testing.assert_array_equal(z.z_n, [1.0, 2.0, 3.0])
+
+
+def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() -> None:
+    config = PoseConfig(tilt_deg=0.0, lasting_share=0.6, lasting_s=2.0)
+    aid = _aid(_fix(), config)
+    (look,) = aid.slow_errors
+    z = aid.measurement(None)
+    assert z is not None
+    assert look.block == "/pose_fix.look"
+    assert look.tau_s == 2.0
+    np.testing.assert_allclose(z.noise, 0.4 * GIVEN, atol=1e-15)
+    np.testing.assert_allclose(z.noise + _told(look), GIVEN, atol=1e-15)
+
+
+def test_landmark_fixes_last_and_others_do_not_unless_told_so() -> None:
+    assert _aid(_fix(), PoseConfig(tilt_deg=0.0)).slow_errors == ()
+    assert [s.block for s in _aid(_landmark_fix(Q), LandmarkFixConfig()).slow_errors][-1] == "/landfix/fix.look"
