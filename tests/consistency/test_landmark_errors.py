@@ -38,7 +38,7 @@ def _fly(visits: Visits, seed: int) -> tuple[Array, Eskf]:
     x[X.Q] = Q
     eskf = Eskf(0, x, np.diag([100.0] * 3 + [1.0] * 3 + [0.01] * 3 + [1e-4] * 6), constants(ImuNoise(), Coast(), None))
     for k, names in enumerate(visits):
-        aid = pose_aid(_fix(names, shifts, rng, k), LandmarkFixConfig())
+        aid = pose_aid(_fix(names, shifts, rng, k), LandmarkFixConfig(lasting_share=0.0))
         assert isinstance(aid, Aid)
         z = aid.measurement(None)
         assert z is not None
@@ -87,7 +87,7 @@ def test_a_fix_on_as_many_landmarks_as_are_kept_beside_others_and_a_rig_is_fused
     for k in range(20):
         seen = tuple(rng.permutation(names)[: rng.integers(1, MOST_OF_A_KIND + 1)].tolist())
         fix = msgspec.structs.replace(_fix(seen, dict.fromkeys(names, np.zeros(3)), rng, k), covariance_rig=1e-4 * np.eye(6))
-        aid = pose_aid(fix, LandmarkFixConfig())
+        aid = pose_aid(fix, LandmarkFixConfig(lasting_share=0.0))
         assert isinstance(aid, Aid)
         z = aid.measurement(None)
         assert z is not None
