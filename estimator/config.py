@@ -17,6 +17,7 @@ from estimator.service.clock import ClockConfig
 from estimator.service.daemon import ServiceConfig
 from estimator.service.handover import AutopilotConfig, Px4Config
 from estimator.service.log_writer import LogConfig
+from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
@@ -106,6 +107,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     zenoh: ZenohConfig = ZenohConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
     px4: Px4Config = Px4Config()
+    mavlink: MavlinkConfig = MavlinkConfig()
 
     def fusion(self) -> FusionConfig:
         """What the estimator needs."""

@@ -116,14 +116,14 @@ def aux_global_position(
     e: Estimate, lla: tuple[float, float, float], geoid_m: float, sent_us: int, sample_us: int, slot: int
 ) -> bytes:
     """PX4 1.18 and newer. slot: EKF2_AGPx_ID."""
-    eph, epv = _sigmas(e.covariance)
+    eph, epv = position_sigmas(e.covariance)
     lat, lon, alt = lla
     return _AUX.pack(_HEAD, sent_us, sample_us, slot, _VISION, lat, lon, alt - geoid_m, eph, epv, e.reset_counter % _BYTE)
 
 
 def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int, sample_us: int) -> bytes:
     """PX4 1.16 and 1.17, under the key of the auxiliary position."""
-    eph, epv = _sigmas(e.covariance)
+    eph, epv = position_sigmas(e.covariance)
     lat, lon, alt = lla
     counter = e.reset_counter % _BYTE
     heights, nothing = (alt - geoid_m, alt), (0.0, 0.0)
@@ -132,7 +132,7 @@ def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int
     )
 
 
-def _sigmas(covariance: Array) -> tuple[float, float]:
+def position_sigmas(covariance: Array) -> tuple[float, float]:
     """Horizontal (of the longest axis) and vertical standard deviation of the position, m."""
     position = covariance[E.P, E.P]
     return float(np.sqrt(np.linalg.eigvalsh(position[:2, :2])[-1])), float(np.sqrt(position[2, 2]))

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
@@ -17,6 +17,7 @@ from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
 from estimator.service.handover import AutopilotConfig, Handover, Px4Config
 from estimator.service.log_writer import LogConfig, LogWriter
+from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.ports import Arrival, Outbox
 from estimator.service.px4_link import Px4Link
 from estimator.service.recovery import claim, recover_in_background
@@ -34,6 +35,9 @@ from logs import schemas
 from logs.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 from logs.reader import Attachment
 from models.messages import Output
+
+if TYPE_CHECKING:
+    from estimator.service.mavlink_link import MavlinkLink
 
 _SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop must not wait 5 ms for the log
 
@@ -55,6 +59,8 @@ class RunConfig(Protocol):
     def px4(self) -> Px4Config: ...  # noqa: D102
     @property
     def vision(self) -> VisionConfig: ...  # noqa: D102
+    @property
+    def mavlink(self) -> MavlinkConfig: ...  # noqa: D102
     @property
     def estimator(self) -> EstimatorConfig: ...  # noqa: D102
     @property
@@ -111,6 +117,10 @@ def assembled(
             px4 = _px4(config, bus, clock)
             parts["px4"] = px4.report
             outboxes.append(px4)
+        mavlink = _mavlink(stack, config, folder, clock)
+        if mavlink:
+            parts["mavlink"] = mavlink.report
+            outboxes.append(mavlink)
         status = Status(clock.now_ns(), parts)
         mailbox, track = Mailbox(clock, log, images, config.mounting()), Track()
         if vision := _vision(stack, config, folder, clock, track, mailbox):
@@ -136,6 +146,8 @@ def assembled(
         if bus:
             _serve(bus, status, attachments)
             bus.open_inputs(mailbox)
+        if mavlink:
+            mavlink.open_inputs(mailbox)
         yield daemon
 
 
@@ -226,6 +238,17 @@ def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
     handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
     rate_hz = config.autopilot.odometry_hz
     return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, handover, rate_hz, config.geoid_m)
+
+
+def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) -> "MavlinkLink | None":
+    if not config.mavlink.endpoint:
+        return None
+    from estimator.service.mavlink_link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
+
+    handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, config.autopilot.odometry_hz, config.geoid_m)
+    stack.callback(link.close)
+    return link
 
 
 @contextmanager

@@ -1,0 +1,94 @@
+"""pymavlink's codec with a doorkeeper: which messages of whom are decoded at all, signatures, and memory that does not grow."""
+
+import hmac
+from collections.abc import Iterator
+from hashlib import sha256
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import common as mavlink
+
+_EPOCH_2015_NS: Final = 1_420_070_400_000_000_000  # of signatures, in units of 10 us
+_TICK_NS: Final = 10_000
+_SIGNATURE: Final = 6  # bytes at the end of a signed frame
+_KEPT: Final = 4096  # bytes already parsed that are kept at most
+_V1: Final = 0xFE
+_HEADER_V1, _HEADER_V2 = 6, 10
+
+
+class Wire(mavlink.MAVLink):  # type: ignore[misc]
+    """Frames to messages, or messages to frames; not for two threads at once.
+
+    listen_to: component ids of the vehicle; wanted: message ids; key: of signing, then what is unsigned is refused.
+    """
+
+    buf: bytearray
+    buf_index: int
+    seq: int
+
+    def __init__(
+        self, system: int, component: int, listen_to: frozenset[int], wanted: frozenset[int], key: bytes | None, now_ns: int
+    ) -> None:
+        super().__init__(None, srcSystem=system, srcComponent=component)
+        self.robust_parsing = True
+        self._system, self._listen_to, self._wanted = system, listen_to, wanted
+        self.damaged = self.passed_over = self.refused = 0
+        if key is not None:
+            self.signing.secret_key, self.signing.sign_outgoing = key, True
+            self.signing.link_id = component
+            self.signing.timestamp = max(0, now_ns - _EPOCH_2015_NS) // _TICK_NS
+
+    def messages(self, data: bytes, *, whole: bool) -> Iterator[Any]:
+        """The wanted messages in what has come. whole: frames do not go on in the next data."""
+        try:
+            found = self.parse_buffer(data) or []
+        except Exception:  # whatever a damaged frame makes the codec stumble over
+            self.damaged += 1
+            self._forget()
+            return
+        if whole:
+            self.damaged += bool(self.buf_len())
+            self._forget()
+        elif self.buf_index > _KEPT:
+            del self.buf[: self.buf_index]
+            self.buf_index = 0
+        for message in found:
+            if isinstance(message, mavlink.MAVLink_bad_data):
+                if message.reason == "Invalid signature":
+                    self.refused += 1
+                else:
+                    self.damaged += 1
+            elif isinstance(message, mavlink.MAVLink_unknown):
+                self.passed_over += 1
+            else:
+                yield message
+
+    def packed(self, message: Any) -> bytes:
+        """The frame to send."""
+        data = bytes(message.pack(self))
+        self.seq = (self.seq + 1) % 256
+        return data
+
+    def decode(self, frame: bytearray) -> Any:
+        """Of others, or of other messages, nothing is decoded: not even their checksum is worth the time."""
+        if frame[0] == _V1:
+            system, component, number = frame[3], frame[4], frame[5]
+        elif len(frame) >= _HEADER_V2:
+            system, component, number = frame[5], frame[6], int.from_bytes(frame[7:10], "little")
+        else:
+            raise mavlink.MAVError("short frame")
+        if system != self._system or component not in self._listen_to or number not in self._wanted:
+            return mavlink.MAVLink_unknown(number, b"")
+        return super().decode(frame)
+
+    def check_signature(self, frame: bytearray, system: int, component: int) -> bool:
+        """First who signed it, then whether it is new: else anybody could set the time of a stream and silence it."""
+        if not hmac.compare_digest(
+            sha256(self.signing.secret_key + frame[:-_SIGNATURE]).digest()[:_SIGNATURE], frame[-_SIGNATURE:]
+        ):
+            return False
+        return bool(super().check_signature(frame, system, component))
+
+    def _forget(self) -> None:
+        self.buf = bytearray()
+        self.buf_index = 0
+        self.expected_length = _HEADER_V1 + 2
