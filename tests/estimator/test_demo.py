@@ -21,24 +21,52 @@ delay_s = 0.3
 outages_s = [[20.0, 30.0]]
 """
 
+SEEN = """
+duration_s = 54.0
+origin = [47.3977, 8.5456, 488.0]
+[vehicle]
+kind = "multirotor"
+speed_m_s = 8.0
+area_m = 160.0
+climb_m_s = 5.0
+height_m = 75.0
+[gnss]
+outages_s = [[30.0, 54.0]]
+[cameras]
+rate_hz = 1.0
+outages_s = [[0.0, 26.0]]
+dark_s = [[40.0, 46.0]]
+[cameras.world]
+painted = 0.7
+unmapped = 0.15
+"""
+FLOWN = ["demo.png", "demo.toml", "estimate.mcap", "input.mcap"]
+
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> demonstration.DemoResult:
     return demonstration.demo(tmp_path_factory.mktemp("demo") / "out", seed=1, scenario=SHORT)
 
 
-def test_the_scenario_is_found_and_cuts_gps_at_one_third() -> None:
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> demonstration.DemoResult:
+    return demonstration.demo(tmp_path_factory.mktemp("seen") / "out", seed=1, scenario=SEEN)
+
+
+def test_the_scenario_is_found_cuts_gps_at_one_third_and_covers_the_lens_for_a_while() -> None:
     scenario = loads(demonstration.scenario_text())
     assert scenario.gnss is not None
-    assert scenario.pose_fix is not None
     assert scenario.gnss.outages_s == ((scenario.duration_s / 3, scenario.duration_s),)
-    assert scenario.pose_fix.rate_hz == 0.5
-    assert scenario.pose_fix.delay_s == 0.3
-    assert [end - start for start, end in scenario.pose_fix.outages_s] == [30.0]
+    assert scenario.pose_fix is None
+    assert scenario.cameras is not None
+    ((dark, light),) = scenario.cameras.dark_s
+    assert light - dark == 20.0
+    assert scenario.duration_s / 3 < dark < light < scenario.duration_s
 
 
 def test_everything_is_written(result: demonstration.DemoResult) -> None:
-    assert sorted(p.name for p in Path(result.folder).iterdir()) == ["demo.png", "demo.toml", "estimate.mcap", "input.mcap"]
+    assert sorted(p.name for p in Path(result.folder).iterdir()) == FLOWN
+    assert result.overlay == ""
     assert load(Path(result.config)).map.origin is not None
     assert Path(result.picture).read_bytes().startswith(b"\x89PNG")
     assert 20_000 < Path(result.picture).stat().st_size < 300_000
@@ -56,11 +84,31 @@ def test_the_blackout_is_found_and_survived(result: demonstration.DemoResult) ->
     assert sum(result.replay.fixes["/pose_fix"].values()) >= 12
 
 
+def test_of_a_flight_with_cameras_map_rig_and_overlay_are_written_too(seen: demonstration.DemoResult) -> None:
+    assert sorted(p.name for p in Path(seen.folder).iterdir()) == sorted([*FLOWN, "map.geojson", "overlay.png", "rig.yaml"])
+    assert Path(seen.overlay).read_bytes().startswith(b"\x89PNG")
+    config = load(Path(seen.config))
+    assert (config.map.landmarks, config.rig.file) == ("map.geojson", "rig.yaml")
+
+
+def test_what_the_cameras_see_carries_on_without_gps_but_not_in_the_dark(seen: demonstration.DemoResult) -> None:
+    assert seen.replay.internal_errors == 0
+    assert 12 <= seen.replay.fixes["/landfix/fix"]["fused"] <= 22  # of 28 pairs 6 are dark
+    (blackout,) = (o for o in seen.evaluation.outages if o.source == "all")
+    assert 6.0 < blackout.duration_s < 9.0
+    (without_gps,) = (o for o in seen.evaluation.outages if o.source == "/gnss")
+    for outage in (blackout, without_gps):
+        assert outage.drift is not None
+        assert outage.radius95_end_m is not None
+        assert 0.01 < outage.drift.end_m < 2.0 * outage.radius95_end_m < 6.0
+    assert without_gps.duration_s > 20.0
+
+
 def test_the_command_prints_where_everything_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(demonstration, "scenario_text", lambda: SHORT)
     text = CliRunner().invoke(app, ["demo", "-o", str(tmp_path / "out")])
     assert text.exit_code == 0, text.output
-    assert f"picture: {tmp_path / 'out' / 'demo.png'}" in text.stdout
+    assert f"pictures: {tmp_path / 'out' / 'demo.png'}" in text.stdout
     assert "of blackout" in text.stdout
     printed = CliRunner().invoke(app, ["demo", "-o", str(tmp_path / "out"), "--json"])
     assert json.loads(printed.stdout)["replay"]["internal_errors"] == 0
