@@ -21,6 +21,9 @@ def command(
     from_images: Annotated[
         bool, typer.Option("--from-images/--from-fixes", help="Look at the pictures again, or take the fixes in the log.")
     ] = False,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Add /landfix/smoothed: what is known of each moment with the whole flight known.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Run a log through the estimator.
@@ -33,6 +36,7 @@ def command(
     Examples:
       landfix replay flight.mcap -o estimate.mcap
       landfix replay flight.mcap -o estimate.mcap -c vehicle.toml --json
+      landfix replay flight.mcap -o smoothed.mcap -c vehicle.toml --smooth
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
     from estimator.config import load
@@ -42,6 +46,8 @@ def command(
     sight = _sight(loaded, config.parent if config else Path(), source) if from_images else None
     with progress(f"replay {source.name}") as report:
         summary = replay(source, out, loaded, report, sight)
+    if smooth:
+        _add_smoothed(out, loaded)
     if sight:
         note(f"landfix: {sight.tally}")
     if summary.torn:
@@ -63,6 +69,20 @@ def _sight(config: "Config", folder: Path, source: Path) -> "SightReplay":
         raise ConfigError("--from-images needs the cameras and a map: give -c FILE with [rig] file and [map] landmarks")
     sight = load_sight(folder / rig, folder / landmarks, config.map.origin)
     return SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
+
+
+def _add_smoothed(log: Path, config: "Config") -> None:
+    """The log with the smoothed flight in it, in its place once it is whole."""
+    from estimator.smooth_log import write_smoothed
+
+    whole = log.with_name(f".{log.name}.smoothing")
+    try:
+        with progress(f"smooth {log.name}") as report:
+            summary = write_smoothed(log, whole, config, report)
+        whole.replace(log)
+    finally:
+        whole.unlink(missing_ok=True)
+    note(f"landfix: /landfix/smoothed: {summary.nodes} poses, none less certain than {summary.worst_sigma_m:.2f} m (1 sigma)")
 
 
 def print_summary(summary: "ReplaySummary", out: Path) -> None:

@@ -2,7 +2,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from estimator.cli import app
 from estimator.config import Config, load
 from estimator.replay import replay
 from estimator.smooth_log import CONFIG_ATTACHMENT, TOPIC, write_smoothed
@@ -97,3 +99,12 @@ def test_a_file_that_is_no_log_is_refused(tmp_path: Path, config: Config) -> Non
     (tmp_path / "no.mcap").write_text("nothing")
     with pytest.raises(LogError):
         write_smoothed(tmp_path / "no.mcap", tmp_path / "out.mcap", config)
+
+
+def test_the_command_writes_the_same(flight: Path, out: Path, tmp_path: Path) -> None:
+    again = tmp_path / "smoothed.mcap"
+    told = CliRunner().invoke(app, ["replay", str(flight), "-o", str(again), "-c", str(flight.with_suffix(".toml")), "--smooth"])
+    assert told.exit_code == 0, told.output
+    assert "/landfix/smoothed" in told.stderr
+    assert again.read_bytes() == out.read_bytes()
+    assert [p.name for p in tmp_path.iterdir()] == ["smoothed.mcap"]
