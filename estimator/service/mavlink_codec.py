@@ -71,7 +71,7 @@ def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
     """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU (mG, mrad/s); None: not of the first IMU, or without both triads."""
     gyro = message.xgyro, message.ygyro, message.zgyro
     accel = message.xacc, message.yacc, message.zacc
-    if getattr(message, "id", 0) != 0:
+    if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message
         return None
     if message.get_type() in COARSE:
         return ImuSample(t_ns, t_ns, vec3([1e-3 * x for x in gyro]), vec3([_MILLI_G * x for x in accel]), topic)

@@ -51,8 +51,8 @@ class Inputs:
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
         """Id and period in us of each message that is to be asked for now."""
         for number, period_us in self._missing(now_ns, autopilot).items():
-            last_ns = max(self._heard.get(number, _NEVER), self._asked.get(number, _NEVER))
-            if now_ns - last_ns > _MISSING_NS:
+            asked_ns = self._asked.get(number)  # once in any case: it may come by itself, but too seldom
+            if asked_ns is None or now_ns - max(asked_ns, self._heard.get(number, _NEVER)) > _MISSING_NS:
                 self._asked[number] = now_ns
                 yield number, period_us
 

@@ -6,7 +6,7 @@ import socket
 import termios
 import time
 import tty
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any, Final, NamedTuple, Protocol
 
 from estimator.service.mavlink_config import Serial, Udp
@@ -62,15 +62,17 @@ class UdpEndpoint:
     state = "open"
 
     def __init__(self, address: Udp) -> None:
+        self._listens = address.listens
         try:
             ((family, kind, protocol, _, place), *_) = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
-            self._socket = socket.socket(family, kind, protocol)
-            self._socket.setblocking(False)
-            (self._socket.bind if address.listens else self._socket.connect)(place)
+            with ExitStack() as until_it_works:
+                self._socket = until_it_works.enter_context(socket.socket(family, kind, protocol))
+                self._socket.setblocking(False)
+                (self._socket.bind if self._listens else self._socket.connect)(place)
+                until_it_works.pop_all()
         except OSError as error:
             reason = (error.strerror or "cannot be opened").lower()
             raise ConfigError(f"mavlink.endpoint = {address.host}:{address.port}: {reason}") from None
-        self._listens = address.listens
 
     @property
     def port(self) -> int:

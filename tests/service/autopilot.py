@@ -1,0 +1,138 @@
+"""The other end of the MAVLink link: an autopilot made of pymavlink, on a UDP socket or a pseudo terminal."""
+
+import os
+import pty
+import select
+import socket
+import time
+import tty
+from collections.abc import Callable
+from hashlib import sha256
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+PASSPHRASE = "a secret of two"
+PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+
+class Autopilot:
+    """Sends what it is told to, keeps what it hears, counts its time from its boot."""
+
+    def __init__(self, kind: int = PX4, *, passphrase: str = "", component: int = 1) -> None:
+        self.kind, self.booted_ns = kind, time.monotonic_ns() - 500_000_000_000
+        self.heard: list[Any] = []
+        self.codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+        self.codec.robust_parsing = True
+        if passphrase:
+            self.codec.signing.secret_key = sha256(passphrase.encode()).digest()
+            self.codec.signing.sign_outgoing = True
+            self.codec.signing.timestamp = (time.time_ns() - 1_420_070_400_000_000_000) // 10_000
+        self.answers_timesync = True
+
+    def boot_us(self) -> int:
+        return (time.monotonic_ns() - self.booted_ns) // 1000
+
+    def pack(self, message: Any) -> bytes:
+        data = bytes(message.pack(self.codec))
+        self.codec.seq = (self.codec.seq + 1) % 256
+        return data
+
+    def say(self, message: Any) -> bytes:
+        data = self.pack(message)
+        self.write(data)
+        return data
+
+    def heartbeat(self) -> bytes:
+        return self.say(mavlink.MAVLink_heartbeat_message(2, self.kind, 0, 0, 4, 3))
+
+    def imu(self, *, z: float = -9.8, boot_us: int | None = None, fields: int = 63) -> bytes:
+        stamp = self.boot_us() if boot_us is None else boot_us
+        rest = 0, 0, 0, 950.0, 0, 0, 20.0, fields
+        return self.say(mavlink.MAVLink_highres_imu_message(stamp, 0.1, 0.2, z, 0.01, 0.02, 0.03, *rest))
+
+    def listen(self, seconds: float = 0.0) -> list[Any]:
+        """What has come, TIMESYNC answered on the way."""
+        new: list[Any] = []
+        end = time.monotonic() + seconds
+        while (data := self.read(max(0.0, end - time.monotonic()))) or time.monotonic() < end:
+            for message in self.codec.parse_buffer(data) or []:
+                if message.get_type() == "TIMESYNC" and message.tc1 == 0 and self.answers_timesync:
+                    self.say(mavlink.MAVLink_timesync_message(self.boot_us() * 1000, message.ts1))
+                new.append(message)
+        self.heard += new
+        return new
+
+    def until(self, condition: Callable[[], object], what: str, *, beats: bool = True) -> None:
+        """Live on until something is so."""
+        end, next_beat = time.monotonic() + 60.0, 0.0
+        while not condition():
+            assert time.monotonic() < end, f"waited 60 s for: {what}"
+            if beats and time.monotonic() > next_beat:
+                next_beat = time.monotonic() + 0.2
+                self.heartbeat()
+            self.listen(0.02)
+
+    def of(self, name: str) -> list[Any]:
+        return [m for m in self.heard if m.get_type() == name]
+
+    def write(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def read(self, timeout_s: float) -> bytes:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+class UdpAutopilot(Autopilot):
+    """Listens where a link with udpout begins; to: the port of a link with udpin."""
+
+    def __init__(self, kind: int = PX4, *, to: int | None = None, passphrase: str = "", component: int = 1) -> None:
+        super().__init__(kind, passphrase=passphrase, component=component)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._to: Any = None if to is None else ("127.0.0.1", to)
+        self.port = self._socket.getsockname()[1]
+
+    def write(self, data: bytes) -> None:
+        if self._to is not None:
+            self._socket.sendto(data, self._to)
+
+    def read(self, timeout_s: float) -> bytes:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b""
+        data, self._to = self._socket.recvfrom(65536)
+        return data
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class SerialAutopilot(Autopilot):
+    """On the far end of a pseudo terminal; path: what the link opens."""
+
+    def __init__(self, kind: int = PX4) -> None:
+        super().__init__(kind)
+        self._fd, self._near = pty.openpty()
+        tty.setraw(self._near)
+        os.set_blocking(self._fd, False)
+        self.path = os.ttyname(self._near)
+
+    def write(self, data: bytes) -> None:
+        while data:
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                time.sleep(0.001)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            return os.read(self._fd, 65536) if select.select([self._fd], [], [], timeout_s)[0] else b""
+        except OSError:  # nobody has it open
+            return b""
+
+    def close(self) -> None:
+        os.close(self._fd)
+        os.close(self._near)
