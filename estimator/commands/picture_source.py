@@ -2,7 +2,6 @@
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re
-import struct
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -126,6 +125,7 @@ def _decoded(schema: str, data: bytes, where: str) -> tuple[int, Any]:
     """Stamp and picture of a sensor_msgs Image or CompressedImage."""
     from logs import schemas
     from logs.pictures import PictureError, decode_picture
+    from logs.stamps import stamp_of
 
     if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
         raise CalibrationError(f"{where} carries {schema}, not pictures")
@@ -133,5 +133,4 @@ def _decoded(schema: str, data: bytes, where: str) -> tuple[int, Any]:
         image = decode_picture(schema, data)
     except PictureError as error:
         raise CalibrationError(f"{where}: {error}") from None
-    second, nanosecond = struct.unpack_from("<iI", data, 4)  # header.stamp, the first field after the encapsulation
-    return second * 1_000_000_000 + nanosecond, image
+    return stamp_of(data) or 0, image
