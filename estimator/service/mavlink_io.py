@@ -13,6 +13,7 @@ from estimator.service.mavlink_config import Serial, Udp
 from estimator.strict_toml import ConfigError
 
 _MOST: Final = 65536  # bytes read at once
+_BUFFER: Final = 1 << 20  # bytes that wait for us in the kernel, if it lets us have so much
 _REOPEN_S: Final = 0.5
 _BAUDS: Final = {int(name[1:]): getattr(termios, name) for name in dir(termios) if name.startswith("B") and name[1:].isdecimal()}
 
@@ -68,6 +69,7 @@ class UdpEndpoint:
             with ExitStack() as until_it_works:
                 self._socket = until_it_works.enter_context(socket.socket(family, kind, protocol))
                 self._socket.setblocking(False)
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
                 (self._socket.bind if self._listens else self._socket.connect)(place)
                 until_it_works.pop_all()
         except OSError as error:

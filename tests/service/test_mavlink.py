@@ -1,6 +1,5 @@
 """The MAVLink link, with an autopilot of pymavlink at the other end of real sockets and a pseudo terminal."""
 
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,19 +11,19 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from benchmarks.service_vehicle import ORIGIN
+from benchmarks.service_vehicle import ORIGIN, gnss, imu, pose_fix, truth
+from estimator.config import parse
 from estimator.service.clock import Clock
+from estimator.service.daemon import Daemon
 from estimator.service.handover import AutopilotConfig, Handover
-from estimator.service.mavlink_clock import AutopilotClock
 from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.mavlink_link import MavlinkLink
-from estimator.service.mavlink_wire import Wire
-from estimator.strict_toml import ConfigError
 from logs.codec import Topics
 from models import so3
 from models.messages import AidStatus, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Mode, Reason
 from models.state import X
 from tests.service.autopilot import ARDUPILOT, PASSPHRASE, PX4, SerialAutopilot, UdpAutopilot
+from tests.service.flying import assert_replay_says_the_same, in_thread, logs_of, odometry, toml
 
 SECOND = 1_000_000_000
 IMU, GPS, GPS2, SYSTEM_TIME, RAW = 105, 24, 124, 2, 27
@@ -257,7 +256,7 @@ def test_a_flood_of_garbage_costs_no_message() -> None:
     rng = np.random.default_rng(7)
     with _px4() as (link, inbox, _, autopilot):
         good = autopilot.pack(mavlink.MAVLink_heartbeat_message(2, PX4, 0, 0, 4, 3))
-        for k in range(1000):
+        for k in range(1000):  # in one second
             torn = bytearray(good)
             torn[int(rng.integers(len(torn)))] ^= 1 << int(rng.integers(8))
             kinds = (
@@ -268,7 +267,7 @@ def test_a_flood_of_garbage_costs_no_message() -> None:
             autopilot.write(kinds[k % 3])
             if k % 10 == 0:
                 autopilot.imu()
-                autopilot.listen()
+                autopilot.listen(0.01)
         autopilot.until(lambda: len(inbox.of(ImuSample)) == 100, "every sample")
         assert link.report()["damaged"] > 900
         assert link.report()["defects"] == 0
@@ -374,59 +373,64 @@ def test_sending_never_waits_for_a_line_that_is_stuck() -> None:
     autopilot.close()
 
 
-def test_memory_does_not_grow_with_a_stream_that_never_ends_between_frames() -> None:
-    sender = mavlink.MAVLink(None, 1, 1)
-    frame = bytes(mavlink.MAVLink_heartbeat_message(2, PX4, 0, 0, 4, 3).pack(sender))
-    wire = Wire(1, 197, frozenset({1}), frozenset({0}), None, 0)
-    stream, read = frame * 20_000, 0
-    for k in range(0, len(stream), 1000):  # 1000 is no multiple of the 21 bytes of a frame
-        read += len(list(wire.messages(stream[k : k + 1000], whole=False)))
-        assert len(wire.buf) < 10_000
-    assert read == 20_000
+def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_bytes(tmp_path: Path) -> None:
+    """Its receiver falls silent on the way: from then on the fixes from outside are news to it."""
+    rng = np.random.default_rng(2)
+    with closing(UdpAutopilot()) as autopilot:
+        section = f'[mavlink]\nendpoint = "udpout:127.0.0.1:{autopilot.port}"\n[autopilot]\ngnss_quiet_s = 0.5\n'
+        text = toml(tmp_path, 1, more=section, zenoh_keys="enabled = false")
+        with in_thread(parse(text), tmp_path) as daemon:
+            autopilot.until(lambda: len(autopilot.of("TIMESYNC")) > 3, "clocks are in step")
+            _fly(autopilot, daemon, 1.0, rng, has_gnss=True)  # until both are fused
+            autopilot.heard.clear()
+            _fly(autopilot, daemon, 1.0, rng, has_gnss=True)
+            alone = len(autopilot.of("ODOMETRY"))
+            assert [m.quality for m in autopilot.of("ODOMETRY")] == [0] * alone
+            assert autopilot.of("GLOBAL_POSITION_SENSOR") == []
+            _fly(autopilot, daemon, 2.0, rng, has_gnss=False)
+        told, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
+    (log,) = logs_of(tmp_path)
+    estimates = odometry(log)
+    errors = np.linalg.norm([np.subtract(e.p_n, truth(e.t_ns)[0]) for e in estimates[-50:]], axis=1)
+    assert len(estimates) > 200
+    assert 0.005 < errors.mean() < 0.5
+    assert 10 < alone < len(told) < 120
+    assert told[-1].quality == 100
+    for heard in told[alone:]:
+        assert np.linalg.norm(np.subtract([heard.x, heard.y, heard.z], truth(heard.time_usec * 1000)[0])) < 1.0
+    assert 2 <= len(fixes) <= 20
+    for fix in fixes:
+        p_n = ORIGIN.to_ned(fix.lat * 1e-7, fix.lon * 1e-7, fix.alt_ellipsoid)
+        assert np.linalg.norm(np.subtract(p_n, truth(fix.time_usec * 1000)[0])) < 1.0
+    assert_replay_says_the_same(log, text)
 
 
-def test_offset_from_round_trips_is_within_its_bound() -> None:
-    clock, ahead_ns = AutopilotClock(), -1_700_000_000 * SECOND
-    rng = np.random.default_rng(1)
-    now_ns = 1_795_000_000 * SECOND
-    assert clock.t_ns(now_ns + ahead_ns - 5_000_000, now_ns) is not None  # one way: late by what it took
-    for _ in range(100):
-        out_ns, back_ns = (int(x) for x in rng.uniform(200_000, 5_000_000, 2))
-        clock.answer(clock.ask(now_ns), now_ns + out_ns + ahead_ns, now_ns + out_ns + back_ns)
-        now_ns += SECOND // 4
-    assert clock.answers == 100
-    error_ns = abs((clock.offset.ahead_ns or 0) - ahead_ns)
-    assert error_ns <= clock.offset.bound_ns < 1_500_000
+def _fly(autopilot: UdpAutopilot, daemon: Daemon, seconds: float, rng: np.random.Generator, *, has_gnss: bool) -> None:
+    """The benchmark's vehicle in real time: IMU at 100 Hz, GNSS and fixes from elsewhere at 5 Hz, 80 ms late."""
+    end_ns, k = time.time_ns() + round(seconds * SECOND), 0
+    boot_ns = time.time_ns() - autopilot.boot_us() * 1000
+    while (t_ns := time.time_ns()) < end_ns:
+        sample = imu(t_ns, rng)
+        stamp_us = (t_ns - boot_ns) // 1000
+        autopilot.say(
+            mavlink.MAVLink_highres_imu_message(stamp_us, *sample.accel_b, *sample.gyro_b, 0, 0, 0, 0, 0, 0, 0, fields_updated=63)
+        )
+        if k % 20 == 0:
+            autopilot.heartbeat()
+            daemon.mailbox.put(pose_fix(t_ns - 80_000_000, rng))
+            if has_gnss:
+                autopilot.say(_gps_raw_int(t_ns - 80_000_000, boot_ns, rng))
+        k += 1
+        autopilot.listen(max(0.0, 0.01 - (time.time_ns() - t_ns) * 1e-9))
 
 
-@pytest.mark.parametrize(
-    ("endpoint", "says"),
-    [
-        ("tcp:1.2.3.4:5", "is not udpin"),
-        ("udpin:127.0.0.1", "is not udpin"),
-        ("udpin:127.0.0.1:70000", "is not udpin"),
-        ("udpin:0.0.0.0:14540", "anybody in reach"),
-        ("udpout:192.168.1.7:14540", "anybody in reach"),
-        ("udpin:127.0.0.1:PORT", "in use"),
-    ],
-)
-def test_endpoints_that_are_refused_say_why(endpoint: str, says: str) -> None:
-    taken = UdpAutopilot()
-    with (
-        pytest.raises(ConfigError, match=says),
-        _linked(MavlinkConfig(endpoint=endpoint.replace("PORT", str(taken.port)))),
-    ):
-        pass
-    taken.close()
-
-
-def test_a_key_or_speed_that_is_not_there_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no such file"), _linked(MavlinkConfig("/dev/null", signing_key_file="none"), tmp_path):
-        pass
-    (tmp_path / "empty").write_text("\n")
-    with pytest.raises(ConfigError, match="is empty"), _linked(MavlinkConfig("/dev/null", signing_key_file="empty"), tmp_path):
-        pass
-    with pytest.raises(ConfigError, match="is not a speed"), _linked(MavlinkConfig("/dev/null", baud=12345)):
-        pass
-    with _linked(MavlinkConfig(os.devnull)) as (link, _, _):
-        assert link.report()["state"] == "not a serial device"
+def _gps_raw_int(t_ns: int, boot_ns: int, rng: np.random.Generator) -> Any:
+    fix, velocity = gnss(t_ns, rng)
+    assert isinstance(fix, GnssFix)
+    assert isinstance(velocity, GnssVelocity)
+    north, east, _ = velocity.v_n
+    speed, course = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+    return mavlink.MAVLink_gps_raw_int_message(
+        (t_ns - boot_ns) // 1000, 3, round(fix.lat_deg * 1e7), round(fix.lon_deg * 1e7), 0, 80, 120,
+        round(speed * 100), round(course * 100), 12, round(fix.alt_m * 1e3), 700, 700, 100,
+    )  # fmt: skip
