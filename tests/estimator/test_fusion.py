@@ -94,7 +94,7 @@ def test_health_comes_at_its_rate_and_says_how_good_it_is(hovering: Run) -> None
         math.degrees(math.sqrt(np.diag(estimate.covariance)[E.THETA].max())), rel=1e-6
     )
     assert last.sources == {"/pose_fix": "active"}
-    assert last.counts == {Reason.ALIGNING: 2, Reason.FUSED: 13}
+    assert last.counts == {Reason.ALIGNING: 3, Reason.FUSED: 12}
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])

@@ -159,6 +159,7 @@ def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path
         without = list(autopilot.heard)
         autopilot.reboot()
         autopilot.speak()
+        time.sleep(0.1)  # what is on its way now was sent before it spoke
         autopilot.heard.clear()
         fly(vehicle, 0.5, gnss_hz=0.0)
         rebooted = list(autopilot.heard)
