@@ -36,6 +36,13 @@ def test_without_a_file_everything_has_its_default() -> None:
     assert config.fusion().origin is None
 
 
+def test_a_section_given_in_part_keeps_its_own_defaults() -> None:
+    given = parse("[landmark_fix]\nnoise_scale = 2.0\n").landmark_fix
+    assert given.noise_scale == 2.0
+    assert given.tilt_deg == Config().landmark_fix.tilt_deg == 0.0
+    assert Config().pose_fix.tilt_deg > 0.0
+
+
 def test_the_sections_reach_the_parts_they_configure(tmp_path: Path) -> None:
     file = tmp_path / "vehicle.toml"
     file.write_text(TASK)

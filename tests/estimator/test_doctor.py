@@ -14,6 +14,7 @@ from logs.codec import encode_input
 from logs.recorder import Recorder
 from models.messages import ImuSample, Input
 from models.sim.scenario import Simulation
+from vision.synthetic import WorldSpec, make_world
 
 Change = Callable[[Input], Input]
 
@@ -121,6 +122,30 @@ def test_a_configuration_with_units_of_a_data_sheet_is_doubted(tmp_path: Path) -
     assert named(checks, "imu.gyro_noise").state is State.WARN
     assert named(checks, "imu.accel_noise").state is State.OK
     assert named(checks, "map.landmarks").state is State.FAIL
+    assert "map.origin" not in {c.name for c in checks}
+
+
+def test_a_map_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "v.toml"
+    file.write_text("[map]\nlandmarks = 'torn.geojson'\n")
+    (tmp_path / "torn.geojson").write_text('{"type": "Feat')
+    checks, config = doctor.configuration(file)
+    assert config is not None
+    assert named(checks, "map.landmarks").state is State.OK
+    origin = named(checks, "map.origin")
+    assert origin.state is State.FAIL
+    assert "torn.geojson" in origin.found
+    assert "\n" not in origin.found
+
+
+def test_the_origin_of_the_map_is_that_of_its_landmarks(tmp_path: Path) -> None:
+    file = tmp_path / "v.toml"
+    file.write_text("[map]\nlandmarks = 'map.geojson'\n")
+    (tmp_path / "map.geojson").write_bytes(make_world(1, WorldSpec(area_m=60.0, origin=(47.0, 8.0, 500.0))).map.to_geojson())
+    checks, config = doctor.configuration(file)
+    assert [c for c in checks if c.state is State.FAIL] == []
+    assert config is not None
+    assert config.map.origin == pytest.approx((47.0, 8.0, 500.0))
 
 
 def test_the_command_exits_with_1_when_something_fails(flight: Path, tmp_path: Path) -> None:

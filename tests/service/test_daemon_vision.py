@@ -23,7 +23,7 @@ ALIGNED_S, LAST_S = 4.0, 14.0
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A vehicle at rest above the village, in real time: fixes from outside for a while, then pictures alone. Log, configuration."""
+    """At rest above the village, in real time: fixes from outside for a while, then pictures alone. Log, configuration."""
     folder = tmp_path_factory.mktemp("flown")
     _, config_file = write_flight(folder)
     text = config_file.read_text()
