@@ -25,7 +25,7 @@ from estimator.sources.source import Aid
 from models import imu, so3
 from models.measurements import Measurement, mahalanobis
 from models.messages import Array
-from models.state import E, X, local, retract
+from models.state import E, X, carried, local, retract
 
 _PASSES = 8
 _STAYS, _CHANGES = (
@@ -169,7 +169,7 @@ def _moved(t_ns: int, x: Array, to_ns: int, samples: ImuBuffer, constants: Array
 def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array]]:
     """One pass: the filter at the end, and the smoothed trajectory."""
     dx = local(path[0], stretch.x)
-    cov = _carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
+    cov = carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
     run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow)
     means, covs, links = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], []
     for x, taken in zip(path[1:], stretch.taken, strict=True):
@@ -179,7 +179,7 @@ def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) ->
         off = local(x, run.x)
         jacobian = so3.right_jacobian_inverse(off[E.THETA])
         phi[E.THETA] = jacobian @ phi[E.THETA]
-        run.x, run.cov, dx = x.copy(), _carried(run.cov, jacobian), off + phi @ dx
+        run.x, run.cov, dx = x.copy(), carried(run.cov, jacobian), off + phi @ dx
         links.append(Link(phi, dx, run.cov[: E.SIZE, : E.SIZE].copy()))
         dx = _fuse(run, dx, taken)
         means.append(dx)
@@ -209,14 +209,6 @@ def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[
         after = mean + cov @ (link.phi.T @ gained)
         result.append(after)
     return result[::-1]
-
-
-def _carried(cov: Array, jacobian: Array) -> Array:
-    """Covariance about a state whose attitude differs; jacobian (3, 3) of the one attitude error by the other."""
-    out = cov.copy()
-    out[E.THETA, :] = jacobian @ out[E.THETA, :]
-    out[:, E.THETA] = out[:, E.THETA] @ jacobian.T
-    return out
 
 
 def _sigma(found: Eskf) -> Array:

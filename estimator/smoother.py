@@ -34,7 +34,7 @@ from models import imu, so3
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
 from models.messages import Array, ImuSample, Input
-from models.state import E, X, local, retract
+from models.state import E, X, carried, local, retract
 
 _SPACING_NS = 100_000_000  # between nodes where there is no aid
 _FUTURE_NS = 1_000_000_000  # a stamp further ahead of its stream's clock is a broken one
@@ -121,12 +121,12 @@ def backward(nodes: Sequence[Node]) -> tuple[Array, Array]:
         assert link is not None
         gain = covariance[k] @ link.phi.T @ _inverse(link.cov)
         off = local(link.x, nav[k + 1])
-        later = _carried(covariance[k + 1], so3.right_jacobian_inverse(off[E.THETA]))  # about the predicted state
+        later = carried(covariance[k + 1], so3.right_jacobian_inverse(off[E.THETA]))  # about the predicted state
         dx = gain @ off
         cov = covariance[k] + gain @ (later - link.cov) @ gain.T
         nav[k] = retract(nodes[k].x, dx)
         jacobian: Array = np.linalg.inv(so3.right_jacobian_inverse(dx[E.THETA])).astype(np.float64)
-        cov = _carried(cov, jacobian)
+        cov = carried(cov, jacobian)
         covariance[k] = 0.5 * (cov + cov.T)
     return nav, covariance
 
@@ -233,11 +233,3 @@ def _inverse(cov: Array) -> Array:
     scale = np.outer(sigma, sigma)
     inverse: Array = np.linalg.pinv(cov / scale, hermitian=True) / scale
     return inverse
-
-
-def _carried(cov: Array, jacobian: Array) -> Array:
-    """Covariance about a state whose attitude differs; jacobian (3, 3) of the one attitude error by the other."""
-    out = cov.copy()
-    out[E.THETA, :] = jacobian @ out[E.THETA, :]
-    out[:, E.THETA] = out[:, E.THETA] @ jacobian.T
-    return out

@@ -89,6 +89,14 @@ def local(x: Array, y: Array) -> Array:
 _N = E.SIZE
 
 
+def carried(cov: Array, jacobian: Array) -> Array:
+    """Covariance about a state whose attitude differs: J P J^T; jacobian (3, 3): of the one attitude error by the other."""
+    out = cov.copy()
+    out[E.THETA, :] = jacobian @ out[E.THETA, :]
+    out[:, E.THETA] = out[:, E.THETA] @ jacobian.T
+    return out
+
+
 @njit(cache=True)
 def sound(x: Array, cov: Array) -> bool:
     """Whether state and covariance may be published: every number finite, every variance positive (a considered one may be 0).
