@@ -28,10 +28,8 @@ from models.messages import Array
 from models.state import E, X, carried, local, retract
 
 _PASSES = 8
-_STAYS, _CHANGES = (
-    0.01,
-    0.05,
-)  # squared, per state, in units of P: passes that move by less have converged; runs that move by more
+# Squared moves of a pass, per state, in units of P: by less it has converged, by more it says something new.
+_STAYS, _CHANGES = 0.01, 0.05
 _LEARNT = 0.7  # an uncertainty that has fallen by this factor is worth another run
 _CONFIRMED = 1.25  # times the stretch at the last change
 _GROWN, _FEW = 1 / 16, 16  # but not before the stretch has grown by this share, where it is longer than a few measurements

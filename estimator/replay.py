@@ -16,7 +16,7 @@ from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
 from estimator.tally import ReplaySummary, Tally
 from estimator.version import version
 from logs import schemas
-from logs.codec import Decoder
+from logs.codec import Decoder, is_own_transform
 from logs.reader import LogError, LogReader, Record
 from logs.recorder import Recorder
 from models.messages import Output
@@ -106,9 +106,5 @@ def replay(
 def _is_own_output(topic: str, schema: str, data: bytes) -> bool:
     """Whether a message of the input is what an earlier run of ours published. /tf is shared: only map -> base_link is ours."""
     if topic == TF_TOPIC and schema == schemas.TF:
-        try:
-            transforms = schemas.STORE.deserialize_cdr(data, schema).transforms  # type: ignore[attr-defined]
-        except Exception:  # bytes from outside that are no transform: not ours, so they are kept
-            return False
-        return [(t.header.frame_id, t.child_frame_id) for t in transforms] == [("map", "base_link")]
+        return is_own_transform(data)
     return topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS

@@ -5,7 +5,6 @@ from typing import Any, Final, Self, TypeAlias
 
 import msgspec
 import numpy as np
-from rosbags.serde import SerdeError
 
 from logs import axes, cdr_fast, schemas
 from logs.axes import ImuMounting
@@ -189,7 +188,7 @@ def is_own_transform(data: bytes) -> bool:
 def _deserialize(data: bytes, schema: str) -> Any:
     try:
         return STORE.deserialize_cdr(data, schema)
-    except SerdeError as error:
+    except Exception as error:  # whatever bytes from outside trip over, they are not of this type
         raise ValueError(str(error)) from error
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from rosbags.serde import SerdeError
 
 from logs import schemas
 from logs.codec import decode_aid_status
@@ -89,7 +88,7 @@ class _Sheaf:
         for arrived_ns, data in zip(self.arrived_ns, self.data, strict=True):
             try:
                 yield arrived_ns, parse(data)
-            except (ValueError, KeyError, SerdeError):
+            except Exception:  # whatever bytes from outside trip over
                 self.unreadable += 1
 
     def messages(self) -> Iterator[tuple[int, Any]]:

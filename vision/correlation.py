@@ -68,39 +68,29 @@ def scan(left: Image, right: Image, pixels: Pixels, low: int, high: int, dv: int
 
     -1 where more than a quarter of the pixels fall outside a picture, or nothing varies.
     """
-    height, width = left.shape
     scores = np.full(high - low + 1, -1.0)
     for k in range(high - low + 1):
-        d = low + k
-        n, sx, sy, sxx, syy, sxy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(pixels.shape[0]):
-            u, v = pixels[i, 0], pixels[i, 1]
-            ur, vr = u - d, v + dv
-            if u < 0 or v < 0 or u >= width or v >= height or ur < 0 or ur >= width or vr < 0 or vr >= height:
-                continue
-            x, y = float(left[v, u]), float(right[vr, ur])
-            n += 1
-            sx += x
-            sy += y
-            sxx += x * x
-            syy += y * y
-            sxy += x * y
-        if 4 * n < 3 * pixels.shape[0] or n < 2:
-            continue
-        vx, vy = sxx - sx * sx / n, syy - sy * sy / n
-        if vx > 1e-6 * n and vy > 1e-6 * n:
-            scores[k] = (sxy - sx * sy / n) / np.sqrt(vx * vy)
+        n, vx, vy, vxy = _moments(left, right, pixels, low + k, dv)
+        if 4 * n >= 3 * pixels.shape[0] and vx > 1e-6 * n and vy > 1e-6 * n:
+            scores[k] = vxy / np.sqrt(vx * vy)
     return scores
 
 
 @njit(cache=True)
 def gain(left: Image, right: Image, pixels: Pixels, disparity: int, dv: int) -> float:
     """g of right = g left + o: the ratio of the standard deviations. Regression would make it too small, as both are noisy."""
+    _, vx, vy, _ = _moments(left, right, pixels, disparity, dv)
+    return float(np.sqrt(vy / vx)) if vx > 0.0 and vy > 0.0 else 1.0
+
+
+@njit(cache=True)
+def _moments(left: Image, right: Image, pixels: Pixels, d: int, dv: int) -> tuple[int, float, float, float]:
+    """n, sum (x - mx)^2, sum (y - my)^2, sum (x - mx)(y - my) of x = left(u, v), y = right(u - d, v + dv), both inside."""
     height, width = left.shape
-    n, sx, sy, sxx, syy = 0, 0.0, 0.0, 0.0, 0.0
+    n, sx, sy, sxx, syy, sxy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(pixels.shape[0]):
         u, v = pixels[i, 0], pixels[i, 1]
-        ur, vr = u - disparity, v + dv
+        ur, vr = u - d, v + dv
         if u < 0 or v < 0 or u >= width or v >= height or ur < 0 or ur >= width or vr < 0 or vr >= height:
             continue
         x, y = float(left[v, u]), float(right[vr, ur])
@@ -109,8 +99,10 @@ def gain(left: Image, right: Image, pixels: Pixels, disparity: int, dv: int) -> 
         sy += y
         sxx += x * x
         syy += y * y
-    vx, vy = sxx - sx * sx / max(n, 1), syy - sy * sy / max(n, 1)
-    return float(np.sqrt(vy / vx)) if vx > 0.0 and vy > 0.0 else 1.0
+        sxy += x * y
+    if n == 0:
+        return 0, 0.0, 0.0, 0.0
+    return n, sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
 
 
 @njit(cache=True)

@@ -27,7 +27,7 @@ def command(
     \b
     Examples:
       landfix demo
-      landfix demo -o /tmp/demo --seed 7 --json
+      landfix demo -o out/another --seed 7 --json
     """
     from estimator.demo import demo
 

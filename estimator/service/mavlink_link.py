@@ -73,6 +73,7 @@ class MavlinkLink:
         self._next_heartbeat_ns = self._next_timesync_ns = 0
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
+        self._defect = ""  # the last one
         self._endpoint = opened(address_of(config))
         self._thread: threading.Thread | None = None
 
@@ -134,6 +135,7 @@ class MavlinkLink:
             "strangers": self.strangers,
             "commands_refused": self.commands_refused,
             "defects": self.defects,
+            **({"defect": self._defect} if self._defect else {}),
         }
 
     def _tell_fix(self, estimate: Estimate, time_usec: int) -> None:
@@ -164,8 +166,8 @@ class MavlinkLink:
         while not self._stopping:
             try:
                 self._turn(inbox)
-            except Exception:  # a defect of ours costs what was just read, not the link
-                self.defects += 1
+            except Exception as error:  # a defect of ours costs what was just read, not the link
+                self.defects, self._defect = self.defects + 1, f"{type(error).__name__}: {error}"
 
     def _turn(self, inbox: Inbox) -> None:
         heard = self._endpoint.receive(_TURN_S)

@@ -41,7 +41,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         """The wanted messages in what has come. whole: frames do not go on in the next data."""
         try:
             found = self.parse_buffer(data) or []
-        except Exception:  # whatever a damaged frame makes the codec stumble over
+        except Exception:  # struct.error, IndexError, MAVError ...: a damaged frame is counted, not told
             self.damaged += 1
             self._forget()
             return

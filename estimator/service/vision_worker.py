@@ -113,18 +113,24 @@ class VisionWorker:
     def _work(self) -> None:
         pairing = Pairing(self._config)
         while not self._stopping.is_set():
-            if self._process is None and not self._start():
-                continue
-            self._wake.wait(_IDLE_S)
-            self._wake.clear()
-            pairs = pairing.overdue(self._clock.now_ns())
-            while self._shots:
-                shot = self._shots.popleft()
-                pairs += pairing.put(self._sides[shot.topic], shot._replace(t_ns=shot.t_ns + self._offset_ns))
-            if pairs:
-                self._pairs += len(pairs)
-                self._dropped += 2 * (len(pairs) - 1)
-                self._ask(pairs[-1])
+            try:
+                if self._process is not None or self._start():
+                    self._turn(pairing)
+            except Exception as error:  # a defect of ours costs a picture and a restart, not the sight for the rest of the flight
+                self._restart(f"{type(error).__name__}: {error}")
+
+    def _turn(self, pairing: Pairing) -> None:
+        """Wait for pictures; ask about the newest pair."""
+        self._wake.wait(_IDLE_S)
+        self._wake.clear()
+        pairs = pairing.overdue(self._clock.now_ns())
+        while self._shots:
+            shot = self._shots.popleft()
+            pairs += pairing.put(self._sides[shot.topic], shot._replace(t_ns=shot.t_ns + self._offset_ns))
+        if pairs:
+            self._pairs += len(pairs)
+            self._dropped += 2 * (len(pairs) - 1)
+            self._ask(pairs[-1])
 
     def _ask(self, pair: Pair) -> None:
         """One request and its answer."""

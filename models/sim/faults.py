@@ -48,7 +48,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     def _become(self, message: Input, at: "_Moment") -> list[Input]:
         """What one message becomes: none, one or several."""
-        raise NotImplementedError
+        raise NotImplementedError  # each kind says it; a msgspec Struct cannot be an ABC as well
 
 
 @dataclass(frozen=True, slots=True)

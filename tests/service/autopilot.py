@@ -6,6 +6,7 @@ import select
 import socket
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from hashlib import sha256
 from typing import Any
@@ -16,7 +17,7 @@ PASSPHRASE = "a secret of two"
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
-class Autopilot:
+class Autopilot(ABC):
     """Sends what it is told to, keeps what it hears, counts its time from its boot."""
 
     def __init__(self, kind: int = PX4, *, passphrase: str = "", component: int = 1) -> None:
@@ -76,14 +77,17 @@ class Autopilot:
     def of(self, name: str) -> list[Any]:
         return [m for m in self.heard if m.get_type() == name]
 
+    @abstractmethod
     def write(self, data: bytes) -> None:
-        raise NotImplementedError
+        """To the link."""
 
+    @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        raise NotImplementedError
+        """What the link has sent, nothing after that time."""
 
+    @abstractmethod
     def close(self) -> None:
-        raise NotImplementedError
+        """Give up the socket or terminal."""
 
 
 class UdpAutopilot(Autopilot):

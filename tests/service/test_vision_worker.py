@@ -163,3 +163,17 @@ def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
         assert heard.messages == []
     finally:
         worker.close()
+
+
+def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:
+    with _worker(files) as (worker, heard, take):
+        take()
+        heard.wait("/landfix/fix", 1)
+        tell, worker._tell = worker._tell, lambda _: 1 / 0  # type: ignore[assignment]
+        take()
+        _until(lambda: worker.report()["restarts"] == 1)
+        assert worker.report()["state"] in {"ZeroDivisionError: division by zero", "ready"}
+        worker._tell = tell
+        _until(lambda: worker.report()["state"] == "ready")
+        take()
+        heard.wait("/landfix/fix", 2)
