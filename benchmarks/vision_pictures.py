@@ -41,8 +41,8 @@ def main() -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
     for draw in (check, rectified, enhanced, segmented, regions, corresponded, measured, epipolar):
         figure = draw()
-        path = FOLDER / f"vision_{draw.__name__}.png"
-        figure.savefig(path, dpi=80, facecolor="white")
+        path = FOLDER / f"vision_{draw.__name__}.jpg"
+        figure.savefig(path, dpi=80, facecolor="white", pil_kwargs={"quality": 85, "optimize": True})
         plt.close(figure)
         print(path)
 

@@ -19,6 +19,7 @@ from logs.codec import (
     Topics,
     decode_aid_status,
     decode_odometry,
+    decode_vision_request,
     encode,
     encode_input,
     encode_slow,
@@ -42,6 +43,7 @@ from models.messages import (
     LandmarkFix,
     LastGnss,
     Mode,
+    PictureName,
     PoseFix,
     Quat,
     Reason,
@@ -50,6 +52,7 @@ from models.messages import (
     Unusable,
     Vec3,
     VisionReport,
+    VisionRequest,
     vec3,
 )
 from models.state import E, X, retract
@@ -138,6 +141,19 @@ def xyz(v: Any) -> Array:
 
 def rotation(q: Any) -> Rotation:
     return Rotation.from_quat([q.x, q.y, q.z, q.w])
+
+
+@pytest.mark.parametrize("one_eyed", [False, True])
+def test_a_request_to_vision_comes_back_as_it_was(one_eyed: bool) -> None:
+    left = None if one_eyed else PictureName("/left/image", T_NS - 3)
+    request = VisionRequest(
+        T_NS, ARRIVED_NS, (1.0, -2.0, 3.0), (0.5, -0.5, 0.5, 0.5), covariance(6), left, PictureName("/r", 7), 4
+    )
+    (message,) = encode(request)
+    assert (message.topic, message.schema) == ("/landfix/vision_request", schemas.VISION_REQUEST)
+    same(decode_vision_request(message.data, ARRIVED_NS), request)
+    with pytest.raises(ValueError, match=r"."):
+        decode_vision_request(message.data[:50], ARRIVED_NS)
 
 
 # --- values on the wire -------------------------------------------------------------------------------------------------
