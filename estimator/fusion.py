@@ -292,11 +292,13 @@ class Fusion:
     def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
         hypotheses = tracker.hypotheses
         radius = attitude = math.inf
+        biases: dict[str, float] = {}
         if hypotheses is not None and tracker.is_aligned:
             cov = hypotheses.lead.cov
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
+            biases = _biases(hypotheses.lead)
         never = tracker.last_absolute_ns < 0
         return Health(
             t_ns,
@@ -311,4 +313,15 @@ class Fusion:
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,
             self._detail or (tracker.plausibility.detail if not tracker.is_aligned else ""),
+            biases,
         )
+
+
+def _biases(eskf: Eskf) -> dict[str, float]:
+    """What Health tells of the IMU's biases."""
+    told: dict[str, float] = {}
+    for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
+        sigma = np.sqrt(np.diag(eskf.cov)[error])
+        for axis, bias, spread in zip("xyz", eskf.x[value].tolist(), sigma.tolist(), strict=True):
+            told |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
+    return told

@@ -282,7 +282,10 @@ class LastGnss(msgspec.Struct, frozen=True, eq=False):
 
 
 class Health(msgspec.Struct, frozen=True, eq=False):
-    """The estimator about itself, 1-10 Hz."""
+    """The estimator about itself, 1-10 Hz.
+
+    biases: of the IMU in body axes (FRD), gyro_x ... accel_z in rad/s and m/s^2, each with its standard deviation (gyro_x_sigma).
+    """
 
     t_ns: int
     arrived_ns: int
@@ -296,6 +299,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     hypotheses: int
     last_gnss: LastGnss | None = None
     detail: str = ""
+    biases: dict[str, float] = {}
 
 
 Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport | VisionRequest

@@ -271,6 +271,18 @@ def test_the_last_known_gnss_is_told_with_its_age_and_a_radius_that_grows() -> N
     assert max(age_before) < 0.5
 
 
+def test_health_tells_the_biases_of_the_imu_as_the_estimate_has_them() -> None:
+    run = fly(_beside())
+    by_stamp = {e.t_ns: e for e in run.estimates}
+    told = [(h, by_stamp[h.t_ns]) for h in run.health if h.biases and h.t_ns in by_stamp]
+    assert len(told) > 10
+    for health, estimate in told[-3:]:
+        sigma = np.sqrt(np.diag(estimate.covariance))
+        for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
+            assert [health.biases[f"{name}_{a}"] for a in "xyz"] == pytest.approx(estimate.nav[value].tolist(), abs=1e-4)
+            assert [health.biases[f"{name}_{a}_sigma"] for a in "xyz"] == pytest.approx(sigma[error].tolist(), rel=0.05)
+
+
 def test_a_gnss_that_jumps_does_not_win_beside_landmarks() -> None:
     simulation = _beside(rest='[[faults]]\nkind = "spoof_jump"\nstart_s = 15.0\noffset_n_m = [60.0, -40.0, 5.0]')
     run = fly(simulation)
