@@ -10,7 +10,7 @@ import numpy as np
 from logs import schemas
 from logs.codec import decode_aid_status
 from logs.metrics import Mask, Times
-from logs.reader import LogError, LogReader
+from logs.reader import Attachment, LogError, LogReader, Record
 from logs.trajectory import POSE_TYPES, Trajectory, decode, decode_geodetic, from_rows
 from models.frames import Origin
 from models.messages import AidStatus, Array, Reason, Vec3
@@ -58,7 +58,9 @@ class Fixes:
 class Evidence:
     """A log, as far as it concerns evaluation.
 
-    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense.
+    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense;
+    origin: where map lies on Earth, as far as the log tells; every: of so many estimates one was kept;
+    attachments, metadata, skipped_chunks: as the reader tells them.
     """
 
     estimate: Trajectory
@@ -69,18 +71,34 @@ class Evidence:
     fixes: dict[str, Fixes]
     torn: bool
     unreadable: int
+    origin: Origin | None
+    every: int
+    attachments: tuple[Attachment, ...]
+    metadata: dict[str, dict[str, str]]
+    skipped_chunks: int
 
 
 class _Sheaf:
-    """Messages of one topic, as bytes, with their arrivals."""
+    """Messages of one topic, as bytes, with their arrivals: all, or of the first, every 2nd, 4th, ... so that `most` suffice."""
 
-    __slots__ = ("arrived_ns", "data", "schema", "unreadable")
+    __slots__ = ("_most", "_seen", "arrived_ns", "data", "every", "schema", "unreadable")
 
-    def __init__(self, schema: str) -> None:
+    def __init__(self, schema: str, most: int | None = None) -> None:
         self.schema = schema
         self.data: list[bytes] = []
         self.arrived_ns: list[int] = []
         self.unreadable = 0
+        self.every, self._seen, self._most = 1, 0, most
+
+    def add(self, data: bytes, arrived_ns: int) -> None:
+        """The next message."""
+        if self._seen % self.every == 0:
+            self.data.append(data)
+            self.arrived_ns.append(arrived_ns)
+        self._seen += 1
+        if self._most is not None and len(self.data) > self._most:
+            self.every *= 2
+            del self.data[1::2], self.arrived_ns[1::2]
 
     def parsed(self, parse: Callable[[bytes], T]) -> Iterator[tuple[int, T]]:
         """Arrival and content of each message; one that cannot be parsed is counted and left out."""
@@ -96,22 +114,34 @@ class _Sheaf:
         return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
 
 
-def read(path: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float], None] | None = None) -> Evidence:
+def read(
+    path: Path,
+    truth_topic: str = TRUTH_TOPIC,
+    progress: Callable[[float], None] | None = None,
+    *,
+    most: int | None = None,
+    see: Callable[[Record], None] | None = None,
+) -> Evidence:
     """The Evidence of a log. progress is told the fraction done.
 
+    most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
     Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
     """
     own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, truth_topic}
+    poses = {ODOMETRY_TOPIC, truth_topic}
     sheaves: dict[str, _Sheaf] = {}
     with LogReader(path) as reader:
         for count, record in enumerate(reader):
             if record.topic in own or record.schema in _FIX_TYPES:
-                sheaf = sheaves.setdefault(record.topic, _Sheaf(record.schema))
-                sheaf.data.append(record.data)
-                sheaf.arrived_ns.append(record.log_time_ns)
+                if record.topic not in sheaves:
+                    sheaves[record.topic] = _Sheaf(record.schema, most if record.topic in poses else None)
+                sheaves[record.topic].add(record.data, record.log_time_ns)
+            if see:
+                see(record)
             if progress and count % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
-        torn = reader.torn
+        torn, skipped_chunks = reader.torn, reader.skipped_chunks
+        attachments, metadata = tuple(reader.attachments), reader.metadata
     if ODOMETRY_TOPIC not in sheaves:
         raise LogError(f"{path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {path} -o estimate.mcap")
     estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
@@ -128,6 +158,11 @@ def read(path: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float],
         fixes=_fixes({t: s for t, s in sheaves.items() if t not in own and s.schema in _FIX_TYPES}, aids, origin),
         torn=torn,
         unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
+        origin=origin,
+        every=sheaves[ODOMETRY_TOPIC].every,
+        attachments=attachments,
+        metadata=metadata,
+        skipped_chunks=skipped_chunks,
     )
 
 
