@@ -105,11 +105,13 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     rejected = judge(
         "rejected", f"{left_out} features", warn=left_out > 0, advice="they are not in the map; the reasons are below"
     )
+    doubt = the_map.report.doubt
+    order = judge("coordinates", doubt or "in their order", warn=bool(doubt), advice="exchange latitude and longitude")
     lacks = [
         judge(f"without {name}", str(missing.get(name, 0)), warn=missing.get(name, 0) > 0, advice=advice)
         for name, advice in _MISSING.items()
     ]
-    return [few, rejected, *lacks]
+    return [few, rejected, order, *lacks]
 
 
 def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], nested: int, radius_m: float, alike: float) -> list[Check]:

@@ -24,7 +24,7 @@ def load_sight(rig_file: Path, map_file: Path, origin: Vec3 | None) -> Sight:
 def map_origin(map_file: Path) -> Vec3:
     """Where the frame of a map lies. Raises ConfigError."""
     try:
-        return map_store.load(map_file).origin
+        return map_store.origin(map_file)
     except MapError as error:
         raise ConfigError(str(error)) from None
     except OSError as error:

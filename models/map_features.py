@@ -178,6 +178,14 @@ class Parts:
             self.rejected.append(Finding(self.features[i], self.ids[i], text if isinstance(text, str) else text[k]))
 
 
+def head_of(data: bytes) -> File:
+    """A file's head; an empty one where the bytes are none."""
+    try:
+        return _decode_file(data)
+    except _UNDECODABLE:
+        return File()
+
+
 def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
     try:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from models import colours, projection
 from models import outline as polygon
-from models.map_features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features
+from models.map_features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features, head_of
 from models.map_table import Columns, Defaults, MapError, MapReport
 from models.messages import Array, Vec3
 
@@ -26,6 +26,10 @@ MAX_CORNERS = 1000
 MAX_LENGTH_M = 2000.0
 MAX_DISTANCE_M = 100_000.0  # further out, "down" is 1 degree off the origin's
 
+_ENOUGH = 2000  # outlines, to see what angles they have
+_EXCHANGED = (
+    "corners are right angles only with latitude and longitude exchanged: is it [latitude, longitude]? (GeoJSON: longitude first)"
+)
 _VERDICTS = {
     polygon.FEW: FEW,
     polygon.SMALL: f"smaller than {MIN_M2:g} m2",
@@ -42,11 +46,12 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
         parts.add(number, raw)
     with np.errstate(over="ignore", invalid="ignore"):  # what is no place is rejected next
         lonlat = _lonlat(head.crs, np.array(parts.coordinates).reshape(-1, 2))
-    offsets = np.concatenate(([0], np.cumsum(np.array(parts.counts, dtype=np.int64))))
+    counts = np.array(parts.counts, dtype=np.int64)
+    offsets = np.concatenate(([0], np.cumsum(counts)))
     good = _in_range(parts, lonlat, offsets)
     table = np.array(parts.numbers).reshape(-1, 5)  # as in Attributes.numbers
     origin = defaults.origin or (head.landfix and head.landfix.origin) or _middle(lonlat, offsets, good, table[:, 4])
-    if not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0 and math.isfinite(origin[2])):
+    if not _on_earth(origin):
         raise MapError(f"the origin {origin} is not a latitude, longitude and height")
     table[np.isnan(table[:, 4]), 4] = origin[2]
     vertices, base_d = _to_ned(origin, lonlat, offsets, ground=table[:, 4], roof=table[:, 4] + table[:, 0])
@@ -70,7 +75,50 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport]:
         names={row: parts.names[i] for row, i in enumerate(kept.tolist()) if i in parts.names},
     )
     rejected = tuple(sorted(parts.rejected, key=lambda finding: finding.feature))
-    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept))
+    doubt = _EXCHANGED if exchanged(lonlat[np.repeat(good, counts)], np.concatenate(([0], np.cumsum(counts[good])))) else ""
+    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept), doubt)
+
+
+def origin_of(data: bytes) -> Vec3 | None:
+    """The origin in the head of a file of ours, of which `data` are the first bytes; None: only reading all of it will tell."""
+    head, features, _ = data.partition(b'"features"')
+    if not features:
+        return None
+    own = head_of(head.rstrip().removesuffix(b",") + b"}").landfix
+    return own.origin if own and own.origin and _on_earth(own.origin) else None
+
+
+def _on_earth(origin: Vec3) -> bool:
+    return abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0 and math.isfinite(origin[2])
+
+
+def exchanged(lonlat: Array, offsets: NDArray[np.int64]) -> bool:
+    """Whether the outlines' corners are right angles rather with latitude and longitude exchanged.
+
+    Buildings have right angles on the ground, where a degree of longitude is cos(latitude) of one of latitude. Outlines that run
+    north and east, and places where both cosines are alike, tell nothing.
+    """
+    lonlat, offsets = lonlat[: offsets[_ENOUGH]] if len(offsets) > _ENOUGH else lonlat, offsets[: _ENOUGH + 1]
+    if len(lonlat) < 40 or np.abs(lonlat).max() > 90.0:
+        return False
+    after = np.arange(1, len(lonlat) + 1)
+    after[offsets[1:] - 1] = offsets[:-1]
+    sides = lonlat[after] - lonlat
+    right = [_right_angles(sides * scale, after) for scale in (_metres(lonlat), _metres(lonlat[:, ::-1])[:, ::-1])]
+    return right[1] > 0.5 and right[1] > right[0] + 0.25
+
+
+def _metres(lonlat: Array) -> Array:
+    """Length of a degree of longitude and latitude, in degrees of latitude."""
+    return np.column_stack((np.cos(np.radians(lonlat[:, 1])), np.ones(len(lonlat))))
+
+
+def _right_angles(sides: Array, after: NDArray[np.int64]) -> float:
+    """Share of the corners within 3 degrees of a right angle."""
+    a, b = sides, sides[after]
+    length = np.hypot(*a.T) * np.hypot(*b.T)
+    dot = np.abs(np.sum(a * b, axis=1))
+    return float(np.mean(dot[length > 0.0] < 0.05 * length[length > 0.0])) if np.any(length > 0.0) else 0.0
 
 
 def _lonlat(crs: Any, xy: Array) -> Array:

@@ -1,7 +1,7 @@
 r"""Properties of a GeoJSON feature -> a landmark's attributes: our own names, and those of public building data.
 
-Own names carry the unit (`height_m`) and win. Read as well: OpenStreetMap's (`height`, `building:levels`, `roof:colour`,
-`building:colour`; "7.5", "7.5 m", "25 ft", "25'6\""), and the plain ones of other open building sets (`num_floors`, ...).
+Own names carry the unit (`height_m`) and win. Read as well: OpenStreetMap's (`height`, `building:levels`, `roof:levels`,
+`roof:colour`, `building:colour`; "7.5", "7.5 m", "25 ft", "25'6\""), and the plain ones of other open building sets.
 """
 
 import math
@@ -24,7 +24,8 @@ _FOOT = 0.3048  # m
 class Properties(
     msgspec.Struct,
     rename={
-        "osm_id_at": "@id", "roof_colour": "roof:colour", "roof_color": "roof:color", "building_colour": "building:colour",
+        "osm_id_at": "@id", "building_height": "building:height", "roof_levels": "roof:levels",
+        "roof_colour": "roof:colour", "roof_color": "roof:color", "building_colour": "building:colour",
         "building_color": "building:color", "levels": "building:levels", "roof_color_plain": "roof_color",
     },
 ):  # fmt: skip
@@ -33,6 +34,8 @@ class Properties(
     id: Any = None
     osm_id_at: Any = None
     osm_id: Any = None
+    osm_way_id: Any = None
+    osm_type: Any = None
     name: Any = None
     height_m: Any = None
     height_sigma_m: Any = None
@@ -42,7 +45,9 @@ class Properties(
     colour: Any = None
     weights: Any = None
     height: Any = None
+    building_height: Any = None
     levels: Any = None
+    roof_levels: Any = None
     num_floors: Any = None
     color: Any = None
     roof_colour: Any = None
@@ -91,12 +96,21 @@ def read(p: Properties, defaults: Defaults) -> Attributes:
 
 def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
     """Identifier of a feature: its own `id` property, the feature's id, the source's; else #number."""
-    for candidate in (p.id, feature_id, p.osm_id_at, p.osm_id):
-        if isinstance(candidate, str) and candidate.strip():
-            return candidate.strip()
-        if isinstance(candidate, (int, float)) and not isinstance(candidate, bool):
-            return f"{candidate:.0f}" if float(candidate).is_integer() else str(candidate)
-    return f"#{number}"
+    for candidate in (p.id, feature_id, p.osm_id_at):
+        if text := _text(candidate):
+            return text
+    kinds = ((p.osm_type, p.osm_id), ("way", p.osm_way_id))  # ways and relations are numbered each by themselves
+    names = (f"{kind}/{text}" if isinstance(kind, str) and kind else text for kind, value in kinds if (text := _text(value)))
+    return next(names, f"#{number}")
+
+
+def _text(identifier: Any) -> str:
+    """An identifier as text, "" for none."""
+    if isinstance(identifier, str):
+        return identifier.strip()
+    if isinstance(identifier, (int, float)) and not isinstance(identifier, bool):
+        return f"{identifier:.0f}" if float(identifier).is_integer() else str(identifier)
+    return ""
 
 
 def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list[str]) -> tuple[float, float]:
@@ -104,13 +118,15 @@ def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list
     height = _number("height_m", p.height_m, 0.0, 1e3, remarks)
     if height is not None:
         return height, 0.0 if height == 0.0 else 0.5
-    if p.height is not None and p.height != -1:  # -1: "not known" in machine-made sets
-        height = _number("height", p.height, 0.1, 1e3, remarks)
-        if height is not None:
-            return height, 1.0
+    for name, value in (("height", p.height), ("building:height", p.building_height)):
+        if value is not None and value != -1:  # -1: "not known" in machine-made sets
+            height = _number(name, value, 0.1, 1e3, remarks)
+            if height is not None:
+                return height, 1.0
     for name, value in (("building:levels", p.levels), ("num_floors", p.num_floors)):
         levels = _number(name, value, 0.5, 200.0, remarks)
         if levels is not None:
+            levels += _number("roof:levels", p.roof_levels, 0.0, 20.0, remarks) or 0.0  # storeys under the roof
             return LEVEL_M * levels, 1.0 + 0.5 * levels
     missing.append("height_m")
     return defaults.height_m, 0.5 * defaults.height_m

@@ -1,5 +1,9 @@
 """What a map holds, as columns, and what was found while reading it."""
 
+import re
+from collections import Counter
+from collections.abc import Iterable
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +45,21 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class MapReport(msgspec.Struct, frozen=True, eq=False):
-    """What reading a file found: rejected features, remarks, how many landmarks lacked a property and got its default."""
+    """What reading a file found: rejected features, remarks, how many landmarks lacked a property and got its default.
+
+    doubt: what is suspicious about the file as a whole, "" for nothing.
+    """
 
     features: int = 0
     rejected: tuple[Finding, ...] = ()
     remarks: tuple[Finding, ...] = ()
     missing: dict[str, int] = {}
+    doubt: str = ""
+
+
+def reasons(findings: Iterable[Finding]) -> list[tuple[str, int]]:
+    """What was found, and of how many features each; numbers in a text do not tell it from another."""
+    return Counter(re.sub(r"#?\d[\d.]*", "...", finding.text) for finding in findings).most_common()
 
 
 class MapError(ValueError):

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from estimator.map_check import MapCheck
     from models.colours import Colour
     from models.landmarks import LandmarkMap
-    from models.map_table import Finding
+    from models.map_table import Finding, MapReport
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
@@ -200,7 +200,18 @@ def _say_built(the_map: "LandmarkMap", out: Path) -> None:
     assumed = [f"{name} {count}" for name, count in found.missing.items() if count]
     if assumed:
         note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
+    if found.doubt:
+        note(f"landfix: {found.doubt}")
+    _left_out(found)
+
+
+def _left_out(found: "MapReport | MapCheck") -> None:
+    """The rejected features one by one, the reasons counted, and the remarks."""
+    from models.map_table import reasons
+
     _findings("rejected", found.rejected)
+    for text, count in reasons(found.rejected) if len(found.rejected) > 1 else ():
+        note(f"rejected in all: {count} x {text}")
     _findings("remark", found.remarks)
 
 
@@ -229,5 +240,4 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
         print_table(f"look-alikes{more}", pairs, ("landmark", "and", "apart", "similarity"))
     for pair in result.nested[:_MOST_LINES]:
         note(f"one in another: {pair.inner} lies in {pair.outer}")
-    _findings("rejected", result.rejected)
-    _findings("remark", result.remarks)
+    _left_out(result)

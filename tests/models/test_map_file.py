@@ -11,7 +11,8 @@ import pymap3d
 import pytest
 
 from models.landmarks import WEIGHTS, LandmarkMap
-from models.map_table import Defaults, MapError
+from models.map_file import origin_of
+from models.map_table import Defaults, MapError, reasons
 from models.messages import Array
 
 ORIGIN = (47.0, 8.0, 400.0)
@@ -61,6 +62,9 @@ def test_a_plain_polygon_becomes_a_landmark_with_defaults() -> None:
         ({"height": "25 ft"}, 7.62, 1.0),
         ({"height": "25'6\""}, 25.5 * 0.3048, 1.0),
         ({"building:levels": "2"}, 6.0, 2.0),
+        ({"building:levels": 2, "roof:levels": "1"}, 9.0, 2.5),
+        ({"building:height": "12 m", "building:levels": 9}, 12.0, 1.0),
+        ({"height": "40 ft"}, 12.192, 1.0),
         ({"num_floors": 4, "height": -1}, 12.0, 3.0),
         ({"height": None, "building:levels": 1}, 3.0, 1.5),
         ({}, 6.0, 3.0),
@@ -112,6 +116,8 @@ def test_what_cannot_be_understood_is_remarked_and_taken_as_missing(properties: 
         (feature(id="way/7"), "way/7"),
         (feature(id=12), "12"),
         ({**feature(osm_id=102932)}, "102932"),
+        (feature(osm_id=None, osm_way_id="77"), "way/77"),
+        (feature(osm_type="relation", osm_id=77), "relation/77"),
         (feature(**{"@id": "relation/9"}), "relation/9"),
         ({**feature(id="outer"), "properties": {"id": "pad"}}, "pad"),
         (feature(id=""), "#1"),
@@ -351,3 +357,44 @@ def test_reading_does_not_depend_on_who_wrote(landfix_data: Path) -> None:
         it["properties"]["size_m2"] = "nonsense"  # sends it the other way
     ours, theirs = LandmarkMap.from_geojson(data), LandmarkMap.from_geojson(msgspec.json.encode(foreign))
     assert ours.to_geojson() == theirs.to_geojson()
+
+
+def street(count: int, turn_deg: float, *, swap: bool) -> bytes:
+    """Rectangles turned against north, as longitude and latitude or the other way round."""
+    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    outlines = []
+    for k in range(count):
+        corners = [(c * n - s * e + 40.0 * k, s * n + c * e) for n, e in ((-6, -4), (-6, 4), (6, 4), (6, -4))]
+        places = [pymap3d.ned2geodetic(n, e, 0.0, *ORIGIN) for n, e in corners]
+        outlines.append(feature([[[lat, lon] if swap else [lon, lat] for lat, lon, _ in places]], id=f"h{k}"))
+    return collection(*outlines)
+
+
+@pytest.mark.parametrize(
+    ("count", "turn_deg", "swap", "said"),
+    [(12, 30.0, True, True), (12, 30.0, False, False), (12, 0.0, True, False), (3, 30.0, True, False), (3000, 45.0, True, True)],
+)
+def test_right_angles_tell_that_latitude_and_longitude_are_exchanged(count: int, turn_deg: float, swap: bool, said: bool) -> None:
+    """A whole file the wrong way round lies somewhere else on Earth, and nothing but its angles is wrong there."""
+    the_map = LandmarkMap.from_geojson(street(count, turn_deg, swap=swap))
+    assert len(the_map) == count
+    assert ("exchanged" in the_map.report.doubt) == said
+
+
+def test_the_origin_is_read_from_the_head_of_our_own_files() -> None:
+    ours = read(feature(id="a"), feature([ring(50.0)], id="b")).to_geojson()
+    head = ours[: ours.index(b"\n")]
+    assert len(head) < 200
+    assert origin_of(head) == ORIGIN
+    assert origin_of(collection(feature())) is None
+    assert origin_of(head.replace(b"47.0", b"97.0")) is None, "no latitude"
+    assert origin_of(head[:40]) is None
+    assert origin_of(b"\x00\xff") is None
+
+
+def test_reasons_are_counted() -> None:
+    far, farther = ([[[lon + d, lat] for lon, lat in ring()]] for d in (5.0, 60.0))
+    the_map = read(feature(far), feature([BOW_TIE]), feature(farther))
+    far_away, crossed = reasons(the_map.report.rejected)
+    assert far_away == ("it lies ... km or more from the map's origin", 2)
+    assert crossed == ("the outline crosses itself", 1)
