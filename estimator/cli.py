@@ -8,7 +8,20 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import calibrate, demo, doctor, evaluate, locate, measure, monitor, recover, replay, run, simulate
+from estimator.commands import (
+    calibrate,
+    demo,
+    doctor,
+    evaluate,
+    locate,
+    measure,
+    monitor,
+    overlay,
+    recover,
+    replay,
+    run,
+    simulate,
+)
 from estimator.commands import import_ as import_command
 from estimator.commands import map_ as map_command
 from estimator.version import version
@@ -79,6 +92,7 @@ app.command("replay")(replay.command)
 app.command("run")(run.command)
 app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
+app.command("overlay")(overlay.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
 app.add_typer(map_command.app, name="map")

@@ -28,8 +28,8 @@ _DARK: Bgr = (25, 25, 25)
 _WHITE: Bgr = (255, 255, 255)
 _SHIFT = 4  # binary digits of a pixel that OpenCV's lines know
 _PIECES = 32  # of an edge, so that it bends with the lens
-_HALF_PX, _STEP_PX = 6.0, 0.5  # how far edges are looked for, and how finely
-_NEARER_PX = 4.0  # 1 sigma: of two edges the nearer one counts more
+_REACH_PX, _STEP_PX = 6.0, 0.5  # how far edges are looked for, and how finely
+_NEARER = 2.0 / 3.0  # of the reach, 1 sigma: of two edges the nearer one counts more
 _LEAST_SLOPE = 6.0  # grey values a pixel, that make an edge
 _SPACING_PX = 4.0  # of the points on an edge, at least
 _CORNER_PX = 4.0  # from a corner two edges are seen at once
@@ -40,7 +40,7 @@ _MAGNIFIED = 10.0  # residuals are drawn so much longer
 class Residuals:
     """Points (N, 2) on the outlines of one landmark in view, unit normals (N, 2), and where the seen edge lies along them.
 
-    offset_px: (N,), NaN where no edge is found within 6 px.
+    offset_px: (N,), NaN where no edge is found within reach.
     """
 
     id: str
@@ -61,9 +61,12 @@ class Residuals:
 
 
 def outline_residuals(
-    picture: Picture, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]
+    picture: Picture, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark], reach_px: float = _REACH_PX
 ) -> list[Residuals]:
-    """Residuals of the roof outlines of those landmarks that are in view, in a picture (H, W) or (H, W, 3)."""
+    """Residuals of the roof outlines of those landmarks that are in view, in a picture (H, W) or (H, W, 3).
+
+    Edges are looked for as far as reach_px from the outline: further than the pose may be wrong, and no further.
+    """
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
     edges = _edges(camera, p_nc, R_nc, landmarks)
     along = np.gradient(edges.px, axis=1) if len(edges.px) else edges.px
@@ -71,22 +74,22 @@ def outline_residuals(
     normal = along[:, :, ::-1] * np.array([-1.0, 1.0])
     ends = np.stack([np.linalg.norm(edges.px - edges.px[:, [k]], axis=2) for k in (0, -1)]).min(axis=0)
     usable = edges.shown & (ends > _CORNER_PX) & (edges.kind == Kind.ROOF)[:, None]
-    usable &= camera.contains(edges.px.reshape(-1, 2), _HALF_PX + 2.0).reshape(usable.shape)
+    usable &= camera.contains(edges.px.reshape(-1, 2), reach_px + 2.0).reshape(usable.shape)
     length = np.nan_to_num(np.linalg.norm(edges.px[:, -1] - edges.px[:, 0], axis=1), nan=1.0)
     stride = np.ceil(_SPACING_PX * _PIECES / np.maximum(length, 1.0)).astype(np.int64)
     usable &= np.arange(edges.px.shape[1]) % stride[:, None] == 0
     owner = np.repeat(edges.landmark[:, None], edges.px.shape[1], axis=1)[usable]
     px, normal = edges.px[usable], normal[usable]
-    offset = _edge_offsets(picture, px, normal)
+    offset = _edge_offsets(picture, px, normal, reach_px)
     return [Residuals(landmarks[i].id, px[owner == i], normal[owner == i], offset[owner == i]) for i in np.unique(owner).tolist()]
 
 
-def _edge_offsets(picture: Picture, px: Array, normal: Array) -> Array:
+def _edge_offsets(picture: Picture, px: Array, normal: Array, reach_px: float) -> Array:
     """Where along the normals (N, 2) the picture changes most, px from the points (N, 2); NaN where it hardly changes.
 
     The slope is that of all channels together, averaged over three neighbours along the edge; a parabola gives its summit.
     """
-    s = np.arange(-_HALF_PX, _HALF_PX + _STEP_PX, _STEP_PX)
+    s = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
     beside = normal[:, ::-1] * np.array([1.0, -1.0])
     places = px[:, None, None] + np.arange(-1.0, 2.0)[:, None, None] * beside[:, None, None] + s[:, None] * normal[:, None, None]
     if len(px) == 0:
@@ -96,7 +99,7 @@ def _edge_offsets(picture: Picture, px: Array, normal: Array) -> Array:
     profile = values.reshape(len(px), 3, len(s), -1).mean(axis=1)
     slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2.0 * _STEP_PX)
     at = s[1:-1]
-    best = np.argmax(slope * np.exp(-0.5 * (at / _NEARER_PX) ** 2), axis=1)
+    best = np.argmax(slope * np.exp(-0.5 * (at / (_NEARER * reach_px)) ** 2), axis=1)
     inside = np.clip(best, 1, len(at) - 2)
     rows = np.arange(len(px))
     left, top, right = slope[rows, inside - 1], slope[rows, inside], slope[rows, inside + 1]
@@ -104,6 +107,21 @@ def _edge_offsets(picture: Picture, px: Array, normal: Array) -> Array:
     summit = at[inside] + _STEP_PX * 0.5 * (left - right) / np.where(bend < 0.0, bend, 1.0)
     offsets: Array = np.where((best == inside) & (bend < 0.0) & (top >= _LEAST_SLOPE), summit, np.nan)
     return offsets
+
+
+def expected_px(camera: CameraModel, p_n: Array, p_nc: Array, R_nc: Array, covariance: Array, landmark: Landmark) -> float:
+    """sigma of a residual along any normal, from what is not known of pose and landmark; NaN where its roof is out of sight.
+
+        du = J R_nc^T (-dp + [X - p_n]x dtheta + dX),   sigma^2 = tr(cov(du)) / 2
+
+    covariance: (6, 6) of p_n and of the body's rotation about the axes of n; X: middle of the roof; J: of the projection.
+    """
+    lever = np.array([*landmark.centre_n, landmark.roof_d]) - p_n
+    jacobian = camera.project_jacobian(((p_n + lever - p_nc) @ R_nc)[None])[0] @ R_nc.T
+    cross = np.cross(lever, np.eye(3)).T
+    rows = np.hstack((-jacobian, jacobian @ cross))
+    own = np.array([landmark.sigma_m, landmark.sigma_m, landmark.height_sigma_m]) ** 2
+    return float(np.sqrt(0.5 * np.trace(rows @ covariance @ rows.T + (jacobian * own) @ jacobian.T)))
 
 
 def draw_overlay(
@@ -138,6 +156,21 @@ def draw_overlay(
         text = landmarks[i].label + (f"  {spread[landmarks[i].id]:.2f} px" if landmarks[i].id in spread else "")
         _draw_name(canvas, text, lines[i], IDENTIFIED if used[i] else MAPPED, scale, taken)
     return canvas
+
+
+def add_strip(canvas: Picture, parts: Sequence[str]) -> Picture:
+    """The picture (H, W, 3) with a dark strip of text below, its parts spread evenly; height and width become even for videos."""
+    height, width = canvas.shape[:2]
+    size = max(11, round(14 * max(1.0, min(height, width) / 480.0)))
+    while size > 8 and sum(_text_size(part, size)[0] for part in parts) > 0.95 * width:
+        size -= 1
+    framed = cv2.copyMakeBorder(canvas, 0, 2 * size + height % 2, 0, width % 2, cv2.BORDER_CONSTANT, value=_DARK)
+    widths = [_text_size(part, size)[0] for part in parts]
+    gap, left = max(0.0, width - sum(widths)) / max(1, len(parts)), 0.0
+    for part, taken in zip(parts, widths, strict=True):
+        cv2.putText(framed, part, (round(left + gap / 2), height + round(1.4 * size)), _WHITE, _font(), size, 500)
+        left += gap + taken
+    return np.asarray(framed, np.uint8)
 
 
 def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[Landmark]:
