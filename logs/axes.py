@@ -54,6 +54,12 @@ def world_rows(j: Array) -> Array:
     return permuted
 
 
+def world_columns(d: Array) -> Array:
+    """ENU <-> NED of columns x y z rx ry rz of (k, 6)."""
+    permuted: Array = d[:, _ORDER6] * _SIGN6
+    return permuted
+
+
 def body_covariance(p: Array) -> Array:
     """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes."""
     turned: Array = p * np.outer(_BODY_SIGN6, _BODY_SIGN6)

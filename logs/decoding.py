@@ -231,7 +231,7 @@ def _pose_fix(topic: str, message: Any, arrived_ns: int) -> PoseFix:
 def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
     p_n, q_nb_wxyz, covariance = _pose(message.pose)
     common, rig = message.covariance_common.reshape(6, 6), message.covariance_rig.reshape(6, 6)
-    errors, names = message.landmark_errors, tuple(message.landmarks)
+    errors, names, directions = message.landmark_errors, tuple(message.landmarks), message.directions
     return LandmarkFix(
         t_ns=_t_ns(message.header.stamp),
         arrived_ns=arrived_ns,
@@ -244,6 +244,7 @@ def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
         residual_px=message.residual_px,
         landmark_errors=axes.world_rows(errors.reshape(len(names), 6, -1)) if len(errors) and names else None,
         covariance_rig=axes.world_covariance(rig) if rig.any() else None,
+        directions=axes.world_columns(directions.reshape(-1, 6)) if len(directions) else None,
         topic=topic,
     )
 

@@ -8,6 +8,7 @@ import msgspec
 from mcap.records import Schema
 
 from logs.records import LogError, RecordFile
+from logs.schemas import missing_end
 
 __all__ = ["Attachment", "LogError", "LogReader", "Record"]
 
@@ -48,12 +49,12 @@ class LogReader:
         self._file.close()
 
     def __iter__(self) -> Iterator[Record]:
-        names: dict[int, tuple[str, str] | None] = {}
+        names: dict[int, tuple[str, str, bytes] | None] = {}
         for channel, _, log_time_ns, _, data in self._file:
             if channel not in names:
                 names[channel] = self._names(channel)
             if (name := names[channel]) is not None:
-                yield Record(name[0], name[1], log_time_ns, data)
+                yield Record(name[0], name[1], log_time_ns, data + name[2])
 
     @property
     def torn(self) -> bool:
@@ -85,12 +86,12 @@ class LogReader:
         """Definitions of the types read so far, by name; a Recorder that copies messages of foreign types needs them."""
         return self._schemas
 
-    def _names(self, channel_id: int) -> tuple[str, str] | None:
-        """Topic and type of a channel, None if its messages are not CDR of a known type."""
+    def _names(self, channel_id: int) -> tuple[str, str, bytes] | None:
+        """Topic and type of a channel, and what completes messages of an older version of the type; None if it is not CDR."""
         channel = self._file.channels[channel_id]
         schema = self._file.schemas.get(channel.schema_id)
         if channel.message_encoding != "cdr" or schema is None:
             self.foreign[channel.topic] = channel.message_encoding if schema else f"{channel.message_encoding} without a schema"
             return None
         self._schemas[schema.name] = schema
-        return channel.topic, schema.name
+        return channel.topic, schema.name, missing_end(schema.name, schema.data)

@@ -50,6 +50,9 @@ float64 residual_px
 float64[] landmark_errors
 # The rest, which is the rig's.
 float64[36] covariance_rig
+# The combinations of pose error (x y z rx ry rz, in map) that were measured: rows of six, orthonormal where a radian counts as
+# 50 m. The covariances count for what these let through; otherwise the pose is what was believed before. Empty: all six.
+float64[] directions
 """,
     AID_STATUS: """\
 # What became of one measurement; sent again with a higher revision when the decision changes.
@@ -62,7 +65,7 @@ string kind
 # fused, gated, too_old, not_finite, not_psd, stopped, ...
 string reason
 uint32 revision
-# Of the given components, in the measurement's own units and axes (NED, FRD).
+# Of the given components, in the measurement's own units and axes (NED, FRD); of a fix in part, metres along its directions.
 float64[] innovation
 float64[] innovation_sigma
 # Squared Mahalanobis distance / gate: <= 1 passes.
@@ -138,6 +141,14 @@ float64[] last_gnss
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 for _name, _text in LANDFIX_MSGS.items():
     STORE.register(get_types_from_msg(_text, _name))
+
+
+_LATER: Final = {LANDMARK_FIX: b"directions"}  # last field of a type, a sequence, that its first version did not have
+
+
+def missing_end(name: str, text: bytes) -> bytes:
+    """What a message whose type was once defined by `text` lacks to be one of today's: an empty sequence at the end, or nothing."""
+    return bytes(4) if name in _LATER and _LATER[name] not in text else b""
 
 
 def is_known(name: str) -> bool:

@@ -6,7 +6,7 @@ sources of one kind differ by topic only. Conversion from and to the wire (ENU, 
 
 import math
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 Vec3: TypeAlias = tuple[float, float, float]
 Quat: TypeAlias = tuple[float, float, float, float]
 Array: TypeAlias = NDArray[np.float64]
+
+RADIAN_M: Final = 50.0  # metres that count as much as a radian where position and attitude are mixed: a landmark's distance
 
 
 class ImuSample(msgspec.Struct, frozen=True, eq=False):
@@ -81,6 +83,13 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     the m landmarks, of variance 1 and its own; covariance_rig (6, 6), the rest, which is the rig's.
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
+
+    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured; None: all six. In the others the
+    pose is what was believed before, and the covariances count for nothing:
+
+        D (x_true (-) x_fix) = v,   v ~ N(0, D (covariance + covariance_common) D^T)
+
+    The rows are orthonormal where a radian counts as RADIAN_M metres; v is in metres.
     """
 
     t_ns: int
@@ -94,6 +103,7 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     residual_px: float
     landmark_errors: Array | None = None
     covariance_rig: Array | None = None
+    directions: Array | None = None
     topic: str = "/landfix/fix"
 
 
@@ -204,8 +214,9 @@ class Reason(StrEnum):
 class AidStatus(msgspec.Struct, frozen=True, eq=False):
     """What became of one measurement. Sent once, and again with a higher revision when the decision changes.
 
-    innovation, innovation_sigma: of the given components, in the measurement's own units; test_ratio: squared Mahalanobis
-    distance / gate (<= 1 passes); delay_s: arrival - validity; replayed: IMU samples processed again for it.
+    innovation, innovation_sigma: of the given components, in the measurement's own units (of a fix in part: metres along its
+    directions), as many as degrees of freedom; test_ratio: squared Mahalanobis distance / gate (<= 1 passes); delay_s: arrival -
+    validity; replayed: IMU samples processed again for it.
     """
 
     t_ns: int

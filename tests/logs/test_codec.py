@@ -106,6 +106,7 @@ def inputs() -> list[Input]:
             covariance(6, 5),
         ),
         LandmarkFix(T_NS, ARRIVED_NS, p, q, covariance(6), None, (), 0.75, 0.0),
+        LandmarkFix(T_NS, ARRIVED_NS, p, q, covariance(6), None, ("a",), 0.75, 0.0, directions=covariance(6, 3)[:4]),
         Baro(T_NS, ARRIVED_NS, 95_321.5, 4.0),
         Tick(T_NS, ARRIVED_NS),
     ]
@@ -219,6 +220,27 @@ def test_what_is_not_given_stays_in_its_place() -> None:
     expected[1, 4] = np.nan
     np.testing.assert_array_equal(got.covariance, expected)
     assert np.isnan(got.p_n).tolist() == [True, False, False]
+
+
+def test_directions_are_told_in_map_axes() -> None:
+    # GIVEN a fix that measured north with the turn about east, down, and the turn about down
+    rows = np.zeros((3, 6))
+    rows[0, [0, 4]], rows[1, 2], rows[2, 5] = (0.6, 40.0), 1.0, 50.0
+    fix = LandmarkFix(T_NS, ARRIVED_NS, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.eye(6), None, (), 0.8, 0.3, directions=rows)
+    message = ros(encode_input(fix))
+    # THEN on the wire it is y with the turn about x, and z and the turn about z the other way round
+    expected = np.zeros((3, 6))
+    expected[0, [1, 3]], expected[1, 2], expected[2, 5] = (0.6, 40.0), -1.0, -50.0
+    np.testing.assert_array_equal(message.directions.reshape(3, 6), expected)
+
+
+def test_directions_of_no_whole_number_of_rows_are_no_fix() -> None:
+    fix = LandmarkFix(T_NS, ARRIVED_NS, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.eye(6), None, (), 0.8, 0.3)
+    message = ros(encode_input(fix))
+    assert len(message.directions) == 0
+    message.directions = np.ones(7)
+    data = bytes(STORE.serialize_cdr(message, schemas.LANDMARK_FIX))
+    assert isinstance(Decoder(ALL).decode("/landfix/fix", schemas.LANDMARK_FIX, data, ARRIVED_NS), Unusable)
 
 
 def test_unknown_velocity_covariances() -> None:

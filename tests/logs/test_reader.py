@@ -15,11 +15,11 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from logs import schemas
-from logs.codec import encode_input, encode_truth
+from logs.codec import Decoder, encode_input, encode_truth
 from logs.reader import Attachment, LogError, LogReader, Record
 from logs.recorder import Recorder
 from logs.schemas import schema_text
-from models.messages import ImuSample
+from models.messages import ImuSample, LandmarkFix
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -115,6 +115,31 @@ def test_any_compression_and_none(tmp_path: Path, compression: CompressionType, 
     got, reader = read(path)
     assert got == written
     assert not reader.torn
+
+
+def test_a_fix_of_the_first_version_is_read_as_one_of_today(tmp_path: Path) -> None:
+    """A log whose LandmarkFix knows no directions: there the definition ends, and the message four bytes earlier."""
+    path = tmp_path / "old.mcap"
+    fix = LandmarkFix(START_NS, START_NS, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), np.eye(6), 2.0 * np.eye(6), ("a",), 0.9, 0.3)
+    now = encode_input(fix)
+    text = schema_text(now.schema)
+    first = text[: text.index("# The combinations of pose error")] + text[text.index("=" * 80) :]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channels = [
+            writer.register_channel(topic, "cdr", writer.register_schema(now.schema, "ros2msg", definition.encode()))
+            for topic, definition in (("/old", first), (now.topic, text))
+        ]
+        for channel, data in zip(channels, (now.data[:-4], now.data), strict=True):
+            writer.add_message(channel, START_NS, data, START_NS)
+        writer.finish()  # type: ignore[no-untyped-call]
+    got, _ = read(path)
+    assert [data for _, _, data, _ in got] == [now.data, now.data]
+    back = Decoder().decode(now.topic, now.schema, got[0][2], START_NS)
+    assert isinstance(back, LandmarkFix)
+    assert back.directions is None
+    np.testing.assert_array_equal(back.covariance, fix.covariance)
 
 
 def test_a_file_that_ros_wrote(landfix_data: Path) -> None:
