@@ -1,4 +1,4 @@
-"""Colours of roofs, and landmarks themselves, from a georeferenced picture.
+"""Georeferenced pictures, and the colours of roofs in them.
 
 A GeoTIFF, or any picture with a world file (.pgw, .jgw, .tfw, .wld) beside it:
 
@@ -16,20 +16,15 @@ import pymap3d
 from numpy.typing import NDArray
 
 from models import projection
-from models.colours import Colour, to_hex
 from models.landmarks import LandmarkMap
 from models.map_table import MapError
 from models.messages import Array
-from vision.regions import Limits
-from vision.survey import Settings, segment_regions
 
 _SCALE, _TIEPOINT, _TRANSFORM, _KEYS = 33550, 33922, 34264, 34735  # GeoTIFF tags
 _RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; a pixel's place is its centre
 _FORMATS = {2: "s", 3: "H", 4: "I", 12: "d"}  # TIFF's types that these tags have
 _LEAST_PX = 4  # that make a colour
 _MARGIN = 0.15  # of the width, along the edge: eaves, shadow, mixed pixels
-_WOBBLE_PX = 1.5  # of a region's outline that is no corner
-_MOST_REGIONS = 100_000
 _STRETCH = (1.0, 99.0)  # percentiles of a 16-bit picture that become 0 and 255
 
 
@@ -88,28 +83,6 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
     return LandmarkMap(
         the_map.origin, msgspec.structs.replace(columns, colour_bgr=colours), msgspec.structs.replace(report, missing=lacking)
     )
-
-
-def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: float) -> bytes:
-    """GeoJSON of the regions of these colours in the picture, found as in flight; those that its border cuts are left out."""
-    corner = ortho.affine[:, :2] @ (0.5 * np.array(ortho.picture.shape[1::-1])) + ortho.affine[:, 2]
-    square = projection.to_lonlat(ortho.epsg, (corner + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) @ ortho.affine[:, :2].T))
-    assert square is not None
-    north, east, _ = pymap3d.geodetic2ned(square[:, 1], square[:, 0], 0.0, square[0, 1], square[0, 0], 0.0)
-    pixel_m2 = abs(float(north[1] * east[2] - north[2] * east[1]))
-    limits = Limits(least_px=max(_LEAST_PX, round(least_m2 / pixel_m2)), least_side_px=3, most=_MOST_REGIONS)
-    features: list[dict[str, object]] = []
-    for region in segment_regions(ortho.picture, None, Settings(colours_bgr, limits=limits)):
-        if not region.touches_border:
-            outline = region.outline.astype(np.float32)[:, None]
-            corners = cv2.approxPolyDP(outline, _WOBBLE_PX, True)[:, 0].astype(np.float64)
-            lonlat = projection.to_lonlat(ortho.epsg, corners @ ortho.affine[:, :2].T + ortho.affine[:, 2])
-            assert lonlat is not None
-            blue, green, red = (round(value) for value in region.colour_bgr)
-            geometry = {"type": "Polygon", "coordinates": [lonlat.tolist()]}
-            properties = {"colour": to_hex((blue, green, red))}
-            features.append({"type": "Feature", "id": f"{len(features) + 1}", "properties": properties, "geometry": geometry})
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features})
 
 
 def _median(picture: NDArray[np.uint8], px: Array) -> Array | None:

@@ -31,8 +31,9 @@ def build(
     out: Out,
     height_m: Annotated[float, typer.Option(min=0, max=1000, help="Height of what does not tell its own; 0 = painted.")] = 6.0,
     sigma_m: Annotated[
-        float, typer.Option(min=0, max=1000, help="Horizontal standard deviation of what does not tell its own.")
-    ] = 0.5,
+        float | None,
+        typer.Option(min=0, max=1000, help="Horizontal standard deviation of what tells none; else 0.5, or a picture's pixel."),
+    ] = None,
     origin: Annotated[
         str, typer.Option(metavar="LAT,LON,ALT", help="Origin of the local frame, ALT above the ellipsoid; else the middle.")
     ] = "",
@@ -44,33 +45,35 @@ def build(
         int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
     ] = 0,
     pick: Annotated[
-        str, typer.Option(metavar="COLOURS", help="IN is an orthophoto: its regions of these colours, as in red,#30a050.")
+        str, typer.Option(metavar="COLOURS", help="Of an orthophoto only regions of these colours, as in red,#30a050.")
     ] = "",
-    least_m2: Annotated[float, typer.Option(min=0, help="Regions picked from an orthophoto are at least this large.")] = 4.0,
+    least_m2: Annotated[float, typer.Option(min=0, help="Regions of an orthophoto are at least this large.")] = 4.0,
     json: Json = False,
 ) -> None:
-    """Make a map from polygons.
+    """Make a map from polygons, or from an orthophoto.
 
     Reads GeoJSON in WGS 84 or UTM, with OpenStreetMap's properties or our own (docs/map.md), and writes a GeoJSON that any map
-    program opens, with size, width, length and fill ratio of every landmark.
+    program opens, with size, width, length and fill ratio of every landmark. Of a georeferenced picture (GeoTIFF, or PNG, JPEG,
+    TIFF with a world file) it takes the regions that segmentation finds.
 
     \b
     Examples:
       landfix map build buildings.geojson -o map.geojson
       landfix map build buildings.geojson -o map.geojson --colour-from orthophoto.tif
       landfix map build pads.geojson -o map.geojson --height-m 0 --sigma-m 0.05 --origin 47.3977,8.5456,488
+      landfix map build orthophoto.tif -o map.geojson --least-m2 40
       landfix map build orthophoto.tif -o map.geojson --pick red,white --height-m 0
     """
-    from estimator import orthophoto
+    from estimator import map_from_picture, orthophoto
     from estimator.map_store import load
     from models.landmarks import LandmarkMap
     from models.map_table import Defaults
 
     colours = _colours(pick, source)
-    defaults = Defaults(height_m=height_m, sigma_m=sigma_m, origin=_origin(origin))
+    defaults = Defaults(height_m=height_m, sigma_m=0.5 if sigma_m is None else sigma_m, origin=_origin(origin))
     with progress(f"build {source.name}") as report:
-        if colours:
-            regions = orthophoto.landmarks(orthophoto.load(source, picture_epsg), colours, least_m2)
+        if source.suffix.lower() in _PICTURES:
+            regions = map_from_picture.landmarks(orthophoto.load(source, picture_epsg), colours, least_m2, sigma_m)
             the_map = LandmarkMap.from_geojson(regions, defaults)
         else:
             the_map = load(source, defaults)
@@ -162,16 +165,11 @@ def check(
 
 
 def _colours(pick: str, source: Path) -> "tuple[Colour, ...]":
-    """The colours to pick from a picture; none for polygons. Raises a usage error."""
+    """The colours to pick from a picture; none: all. Raises a usage error."""
     from models.colours import parse
 
-    is_picture = source.suffix.lower() in _PICTURES
-    if is_picture != bool(pick):
-        raise typer.BadParameter(
-            f"{source} is a picture: say with --pick which colours are landmarks"
-            if is_picture
-            else "--pick wants a picture as IN"
-        )
+    if pick and source.suffix.lower() not in _PICTURES:
+        raise typer.BadParameter("--pick wants a picture as IN")
     found = [(word, parse(word)) for word in pick.split(",") if word.strip()]
     for word, colour in found:
         if colour is None:

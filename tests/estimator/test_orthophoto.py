@@ -114,9 +114,33 @@ def test_landmarks_are_picked_from_a_picture(tmp_path: Path) -> None:
         assert (found.height_m, len(found.outline_n)) == (0.0, 4)
 
 
-@pytest.mark.parametrize(
-    ("source", "pick", "words"), [("a.tif", "", "--pick"), ("a.geojson", "red", "picture"), ("a.png", "reddish", "'reddish'")]
-)
+def test_without_colours_to_look_for_the_picture_s_own_divide_it(tmp_path: Path) -> None:
+    path, out = geotiff(tmp_path / "ortho.tif", picture(), ">"), tmp_path / "map.geojson"
+    result = CliRunner().invoke(app, ["map", "build", str(path), "-o", str(out), "--least-m2", "200"])
+    assert result.exit_code == 0, result.stderr
+    found = LandmarkMap.from_geojson(out.read_bytes())
+    expected = build(footprints(tmp_path / "in.geojson", NORTH_UP), path, "--origin", ",".join(map(repr, found.origin)))
+    assert len(found) == len(PATCHES)
+    for there in expected:
+        (one,) = found.near(*there.centre_n, 1.0)
+        assert (one.length_m, one.width_m) == pytest.approx((there.length_m + 0.5, there.width_m + 0.5), abs=0.4)
+        assert (one.sigma_m, one.outline_sigma_m) == (0.5, 0.25), "a pixel, and half of one"
+
+
+def test_a_panchromatic_picture_of_16_bits_gives_outlines_and_no_colours(tmp_path: Path) -> None:
+    grey = cv2.cvtColor(picture(), cv2.COLOR_BGR2GRAY).astype(np.uint16) * 20 + 300
+    path, out = tmp_path / "pan.png", tmp_path / "map.geojson"
+    cv2.imwrite(str(path), grey)
+    path.with_suffix(".pgw").write_text("\n".join(f"{x:.10f}" for x in NORTH_UP.T.ravel()))
+    arguments = ["map", "build", str(path), "-o", str(out), "--picture-epsg", str(UTM), "--least-m2", "200", "--sigma-m", "2"]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    found = LandmarkMap.from_geojson(out.read_bytes())
+    (white,) = (x for x in found if x.length_m == pytest.approx(40.5, abs=0.5))
+    assert white.width_m == pytest.approx(15.5, abs=0.5)
+    assert (white.colour_bgr, white.sigma_m) == (None, 2.0)
+
+
+@pytest.mark.parametrize(("source", "pick", "words"), [("a.geojson", "red", "picture"), ("a.png", "reddish", "'reddish'")])
 def test_wrong_use_of_pick(tmp_path: Path, source: str, pick: str, words: str) -> None:
     arguments = ["map", "build", str(tmp_path / source), "-o", str(tmp_path / "out.geojson"), *(["--pick", pick] if pick else [])]
     result = CliRunner().invoke(app, arguments)
