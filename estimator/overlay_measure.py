@@ -88,7 +88,7 @@ class Summary(NamedTuple):
 
 
 class OverlayResult(msgspec.Struct, frozen=True):
-    """All pictures, and apart those of which vision made a fix; ratio: median of residual / expected (1: an honest covariance)."""
+    """All pictures, and apart those of which vision made a fix; ratio: median of residual / expected; 1: an honest covariance."""
 
     log: str
     video: str

@@ -10,8 +10,18 @@ import pytest
 from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from models.so3 import from_euler, matrix
-from vision.overlay import IDENTIFIED, MAPPED, RESIDUAL, Picture, draw_overlay, in_view, outline_residuals
+from models.so3 import from_euler, matrix, quat_exp
+from vision.overlay import (
+    IDENTIFIED,
+    MAPPED,
+    RESIDUAL,
+    Picture,
+    add_strip,
+    draw_overlay,
+    expected_px,
+    in_view,
+    outline_residuals,
+)
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render
 from vision.synthetic.rigs import make_rig
@@ -172,3 +182,52 @@ def test_in_view_keeps_everything_that_projects_into_the_picture(scene: View) ->
             if scene.rig.left.contains(px).any():
                 assert mark.id in kept
     assert len(kept) < len(scene.landmarks) / 2
+
+
+@pytest.mark.parametrize("reach_px", [6.0, 20.0])
+def test_edges_are_found_as_far_as_the_reach(scene: View, reach_px: float) -> None:
+    """1 m at 60 m moves outlines by 10 px and more: too far for the short reach."""
+    wrong = scene.p_nc + np.array([0.9, 0.9, 0.0])
+    found = outline_residuals(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks, reach_px)
+    assert all(np.abs(np.nan_to_num(r.offset_px)).max() <= reach_px for r in found)
+    shift = scene.rig.left.fx / 60.0 * 0.9
+    spread = float(np.median([r.spread_px for r in found]))
+    if reach_px < shift:
+        assert spread < 0.8 * reach_px
+    else:
+        assert 0.8 * shift < spread < 2.0 * shift
+
+
+def test_expected_residual_is_what_random_poses_and_maps_give() -> None:
+    """sigma^2 = E |du|^2 / 2, by drawing poses and landmarks."""
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * np.array([[0.1], [0.1], [0.1], [0.002], [0.002], [0.002]])
+    R_nb, R_bc, p_bc, p_n = matrix(from_euler(0.1, -0.2, 0.7)), NADIR, np.array([0.4, -0.1, 0.2]), np.array([3.0, -2.0, -60.0])
+    mark = Landmark.of("m", [(0.0, 0.0), (12.0, 0.0), (12.0, 8.0), (0.0, 8.0)], 0.0, 5.0, sigma_m=0.3, height_sigma_m=0.8)
+    roof = np.array([*mark.centre_n, mark.roof_d])
+
+    def seen(p: Array, R: Array, point: Array) -> Array:
+        px: Array = CAMERA.project(((point - (p + R @ p_bc)) @ (R @ R_bc))[None])[0]
+        return px
+
+    moved = []
+    for _ in range(4000):
+        d, own = root @ rng.normal(size=6), rng.normal(size=3) * [0.3, 0.3, 0.8]
+        moved.append(seen(p_n + d[:3], matrix(quat_exp(d[3:])) @ R_nb, roof + own) - seen(p_n, R_nb, roof))
+    drawn = math.sqrt(0.5 * float(np.mean(np.sum(np.square(moved), axis=1))))
+    sigma = expected_px(CAMERA, p_n, p_n + R_nb @ p_bc, R_nb @ R_bc, root @ root.T, mark)
+    assert sigma == pytest.approx(drawn, rel=0.05)
+    upwards = NADIR @ np.diag([1.0, -1.0, -1.0])
+    assert math.isnan(expected_px(CAMERA, p_n, p_n, upwards, root @ root.T, mark))
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (101, 75), (900, 1201)])
+def test_the_strip_leaves_the_picture_and_makes_its_sides_even(shape: tuple[int, int]) -> None:
+    canvas = np.random.default_rng(0).integers(0, 256, (*shape, 3), np.uint8)
+    framed = add_strip(canvas, ["12.3 s", "dead reckoning", "95 %: 0.42 m"])
+    np.testing.assert_array_equal(framed[: shape[0], : shape[1]], canvas)
+    assert framed.shape[0] % 2 == framed.shape[1] % 2 == 0
+    assert 1.0 < framed.shape[0] / shape[0] < 1.3
+    written = np.flatnonzero((framed[shape[0] :, : shape[1]].max(axis=2) > 128).any(axis=0))
+    assert written.min() < shape[1] / 4
+    assert written.max() > 0.75 * shape[1]
