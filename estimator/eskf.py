@@ -22,7 +22,7 @@ from estimator.kalman import ErrorStateKalman
 from estimator.samples import ImuBuffer
 from estimator.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import imu, so3
-from models.measurements import Measurement, innovation_covariance, mahalanobis
+from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.state import E, X, sound
 
@@ -124,9 +124,13 @@ class Eskf:
                 columns = self.slow.columns[block]
                 h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
             nu = nu - h[:, E.SIZE :] @ self.slow.mean
-        s = innovation_covariance(self.cov, h, z.noise)
+        noise = z.noise
+        s = innovation_covariance(self.cov, h, noise)
+        if isinstance(z, PartialPose):
+            bend = np.diag(z.bend(self.x, self.cov, nu, h, s))
+            noise, s = noise + bend, s + bend
         distance2, logdet = mahalanobis(nu, s)
-        return Innovation(nu, h, z.noise, s, distance2, logdet)
+        return Innovation(nu, h, noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:
         """Fuse a measurement that has passed its gate."""

@@ -21,7 +21,7 @@ from estimator.sources.source import Aid, Phase, SourceState
 from models import imu
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
-from models.measurements import Measurement, Pose, Position
+from models.measurements import Measurement, PartialPose, Pose, Position
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
@@ -186,12 +186,12 @@ class Tracker:
             reason = Reason.GATED
         else:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
-        alone = self._alone(aid)
+        alone = self._alone(aid) or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
         state = state.judge(
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )
         ratio = verdict.seen.distance2 / verdict.gate
-        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio), state
+        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, aid.detail), state
 
     def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Start the filter, or go on finding the heading."""

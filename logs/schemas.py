@@ -147,7 +147,7 @@ _LATER: Final = {LANDMARK_FIX: b"directions"}  # last field of a type, a sequenc
 
 
 def missing_end(name: str, text: bytes) -> bytes:
-    """What a message whose type was once defined by `text` lacks to be one of today's: an empty sequence at the end, or nothing."""
+    """What a message whose type was once defined by `text` lacks to be one of today's: an empty sequence or nothing."""
     return bytes(4) if name in _LATER and _LATER[name] not in text else b""
 
 

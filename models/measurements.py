@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
-from models.messages import Array
+from models.messages import RADIAN_M, Array
 from models.state import E, X
 
 # Compiled code reads plain integers.
@@ -23,6 +23,8 @@ _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
 _XA = X.BA.start
 
 _XYZ, _FIRST = np.arange(3), np.arange(1)
+_MOVED, _TURNED = slice(0, 3), slice(3, 6)  # of a pose's error
+DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D / this has orthonormal rows
 
 
 class Measurement(Protocol):
@@ -105,6 +107,50 @@ class Pose:
         else:
             nu, h = _pose(x, self.z_n, self.q_nb_wxyz)
         return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartialPose:
+    """r combinations of the position and attitude of the body, nu = D (z (-) x), metres; D (r, 6), noise (r, r).
+
+    In the other directions z_n, q_nb_wxyz are only where the pictures were linearised; the truth may be as far from there as the
+    filter believes afterwards.
+    """
+
+    z_n: Array
+    q_nb_wxyz: Array
+    directions: Array
+    noise: Array
+    kind: str = "pose"
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return np.arange(len(self.directions))
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """See Measurement."""
+        nu, h = _pose(x, self.z_n, self.q_nb_wxyz)
+        return self.directions @ nu, self.directions @ h
+
+    def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
+        """Variance (r,) of what the linear model leaves out, from the state x with P (n, n); nu, H and S (r, n) of this reading.
+
+        Turning by theta about a landmark while moving by d leaves it where it is in the picture, but for theta x d / 2. With
+        what this reading leaves open of both, e = z (-) x - K nu where it was not measured and the covariance of that,
+
+            b_i = (|D_p,i| |d| + |D_theta,i| |theta|) |theta| / 2,   E b^2 <= 3 (b of the mean squares)^2  (Gaussian moments)
+        """
+        off, to_pose = _pose(x, self.z_n, self.q_nb_wxyz)
+        cross = to_pose @ cov[:_N] @ h.T
+        gain = np.linalg.solve(s, cross.T).T
+        e = off - gain @ nu
+        e = e - self.directions.T @ (self.directions @ e) / DIRECTION_SCALE**2
+        left = np.diag(to_pose @ cov[:_N, :_N] @ to_pose.T - gain @ cross.T)
+        d, theta = (np.sqrt(e[part] @ e[part] + max(left[part].sum(), 0.0)) for part in (_MOVED, _TURNED))
+        size_p, size_theta = (np.linalg.norm(self.directions[:, part], axis=1) for part in (_MOVED, _TURNED))
+        b = 0.5 * theta * (size_p * d + size_theta * theta)
+        return np.asarray(3.0 * b**2, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

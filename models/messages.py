@@ -84,8 +84,8 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
-    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured; None: all six. In the others the
-    pose is what was believed before, and the covariances count for nothing:
+    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured, None for all six. In the others
+    the pose is what was believed before, and the covariances count for nothing:
 
         D (x_true (-) x_fix) = v,   v ~ N(0, D (covariance + covariance_common) D^T)
 

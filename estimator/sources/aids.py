@@ -4,6 +4,7 @@ from typing import Protocol
 
 from estimator.sources.baro import BaroConfig, baro_aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid, Refusal
 from models.messages import Baro, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix
@@ -28,7 +29,7 @@ def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
         case PoseFix():
             return pose_aid(message, config.pose_fix)
         case LandmarkFix():
-            return pose_aid(message, config.landmark_fix)
+            return landmark_aid(message, config.landmark_fix)
         case GnssFix():
             return position_aid(message, config.gnss)
         case GnssVelocity():

@@ -78,20 +78,15 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     noise = (covariance if given.all() else covariance[np.ix_(rows, rows)]) * config.noise_scale**2
     if refusal := covariance_refusal(noise):
         return refusal
-    p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz)
-    if not np.isfinite(p_n[given[:3]]).all() or (attitude != "none" and not np.isfinite(q).all()):
-        return Refusal(Reason.NOT_FINITE, "pose")
-    if np.abs(p_n[given[:3]]).max(initial=0.0) > _FARTHEST_M:
-        return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
-    norm = math.hypot(*q.tolist()) if attitude != "none" else 1.0
-    if not math.isclose(norm, 1.0, abs_tol=1e-2):
-        return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    p_n, q = np.where(given[:3], p_n, 0.0), (q / norm if attitude != "none" else np.array([1.0, 0.0, 0.0, 0.0]))
-    slow_errors = _slow_errors(fix, given, config)
+    pose = pose_of(fix, given, with_attitude=attitude != "none")
+    if isinstance(pose, Refusal):
+        return pose
+    p_n, q = pose
+    slow_errors = slow_errors_of(fix, given, config)
     if isinstance(slow_errors, Refusal):
         return slow_errors
     if config.lasting_share > 0 and given.all():
-        slow_errors = (*slow_errors, _lasting(f"{fix.topic}.look", noise * config.lasting_share, config.lasting_s))
+        slow_errors = (*slow_errors, lasting(fix.topic, noise, config))
         noise = noise * (1.0 - config.lasting_share)
     z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
     widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]
@@ -109,7 +104,20 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     )
 
 
-def _slow_errors(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
+def pose_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], *, with_attitude: bool) -> tuple[Array, Array] | Refusal:
+    """Position and unit quaternion of a fix, zero and identity where they are not given."""
+    p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz)
+    if not np.isfinite(p_n[given[:3]]).all() or (with_attitude and not np.isfinite(q).all()):
+        return Refusal(Reason.NOT_FINITE, "pose")
+    if np.abs(p_n[given[:3]]).max(initial=0.0) > _FARTHEST_M:
+        return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
+    norm = math.hypot(*q.tolist()) if with_attitude else 1.0
+    if not math.isclose(norm, 1.0, abs_tol=1e-2):
+        return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
+    return np.where(given[:3], p_n, 0.0), (q / norm if with_attitude else np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+def slow_errors_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
     """What repeats: errors of each landmark and of the rig, where a fix tells them apart; else all of it as one, the topic's own.
 
     Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it tells.
@@ -149,10 +157,10 @@ def _steady(block: str, moved: Array) -> SlowError:
     return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, lambda _: moved)
 
 
-def _lasting(block: str, covariance: Array, tau_s: float) -> SlowError:
-    """Six errors that the next fix still has: light and texture of the same edges."""
-    root = _root(covariance)
-    return SlowError(block, np.eye(6), tau_s, lambda _: root)
+def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
+    """Six errors that the next fix still has: light and texture of the same edges; covariance (6, 6): the fix's own."""
+    root = _root(covariance * config.lasting_share)
+    return SlowError(f"{topic}.look", np.eye(6), config.lasting_s, lambda _: root)
 
 
 def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:

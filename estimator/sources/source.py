@@ -53,7 +53,8 @@ class Aid:
     """A message that passed its checks, as a measurement.
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
-    on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries.
+    on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
+    there is to say of it once it is judged.
     """
 
     t_ns: int
@@ -68,6 +69,7 @@ class Aid:
     slow_errors: "tuple[SlowError, ...]" = ()
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
+    detail: str = ""
 
     @property
     def witness(self) -> str:

@@ -7,7 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from models import so3
-from models.measurements import Height, Measurement, Pose, Position, Velocity, innovation_covariance, mahalanobis
+from models.measurements import (
+    DIRECTION_SCALE,
+    Height,
+    Measurement,
+    PartialPose,
+    Pose,
+    Position,
+    Velocity,
+    innovation_covariance,
+    mahalanobis,
+)
 from models.messages import Array
 from models.state import E, X, retract
 
@@ -61,7 +71,15 @@ def _models(x: Array) -> dict[str, Measurement]:
         models[f"height and attitude {attitude}"] = _pose(x, attitude, [2])
     for attitude in ("full", "tilt", "yaw"):
         models[f"attitude {attitude} alone"] = _pose(x, attitude, [])
+    for r in (1, 3, 5):
+        models[f"{r} directions"] = PartialPose(x[X.P].copy(), x[X.Q].copy(), _directions(r), _noise(r))
     return models
+
+
+def _directions(r: int) -> Array:
+    """(r, 6), orthonormal where a radian counts as RADIAN_M metres."""
+    q, _ = np.linalg.qr(np.random.default_rng(r).normal(size=(6, r)))
+    return np.asarray(q.T * DIRECTION_SCALE)
 
 
 MODELS = list(_models(_identity()))
@@ -155,6 +173,65 @@ def test_only_given_components_have_a_row(rows: list[int]) -> None:
     nu, h = Pose(np.ones(3), q, np.eye(len(rows)), given).evaluate(x, GYRO)
     np.testing.assert_array_equal(nu, whole_nu[given])
     np.testing.assert_array_equal(h, whole_h[given])
+
+
+def test_directions_are_combinations_of_the_whole_pose() -> None:
+    x = STATES["random 3"]
+    q = so3.multiply(so3.quat_exp(np.array([0.1, 0.2, 0.3])), x[X.Q])
+    whole_nu, whole_h = Pose(np.ones(3), q, np.eye(6), ALL).evaluate(x, GYRO)
+    d = _directions(4)
+    nu, h = PartialPose(np.ones(3), q, d, np.eye(4)).evaluate(x, GYRO)
+    np.testing.assert_allclose(nu, d @ whole_nu, atol=1e-12)
+    np.testing.assert_allclose(h, d @ whole_h, atol=1e-12)
+
+
+def _sees_point(x: Array, away: Array) -> PartialPose:
+    """Where a point `away` from the vehicle is in body axes: -R^T (dp - [away]x dtheta)."""
+    rows = np.hstack((np.eye(3), -so3.skew(away)))
+    _, _, v = np.linalg.svd(rows / DIRECTION_SCALE, full_matrices=False)
+    return PartialPose(x[X.P].copy(), x[X.Q].copy(), v * DIRECTION_SCALE, 1e-4 * np.eye(3))
+
+
+@pytest.mark.parametrize("turn_rad", [0.05, 0.3, 0.6])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_bend_covers_what_the_linear_model_leaves_out_and_not_much_more(turn_rad: float, axis: int) -> None:
+    """A vehicle turned about a point 40 m away sees it where it was."""
+    x, away = _identity(), np.array([12.0, -5.0, 38.0])
+    z = _sees_point(x, away)
+    turn = turn_rad * np.eye(3)[axis]
+    there = x.copy()
+    there[X.Q] = so3.quat_exp(turn)
+    there[X.P] = x[X.P] + away - so3.matrix(there[X.Q]) @ away
+    nu, h = z.evaluate(there, GYRO)
+    known = 1e-8 * np.eye(E.SIZE)
+    b = z.bend(there, known, nu, h, h @ known @ h.T + z.noise)
+    left_out = float(nu @ nu)
+    assert left_out > 0.1 * (0.5 * turn_rad**2 * np.linalg.norm(np.cross(np.eye(3)[axis], away))) ** 2
+    assert left_out < b.sum() < 20.0 * (0.5 * turn_rad**2 * np.linalg.norm(away)) ** 2
+
+
+def test_bend_knows_what_is_not_known() -> None:
+    """Not the error but its uncertainty: attitude unknown to 0.2 rad, 40 m away."""
+    x = _identity()
+    z = _sees_point(x, np.array([0.0, 0.0, 40.0]))
+    cov = np.diag([25.0] * 3 + [1.0] * 3 + [0.04] * 3 + [1e-4] * 6)
+    nu, h = z.evaluate(x, GYRO)
+    b = z.bend(x, cov, nu, h, h @ cov @ h.T + z.noise)
+    assert 0.5 * 0.2**2 * 40.0 < np.sqrt(b.sum()) < 8.0 * 0.5 * 0.2**2 * 40.0
+    cov[E.THETA, E.THETA] *= 1e-4
+    small = z.bend(x, cov, nu, h, h @ cov @ h.T + z.noise)
+    assert np.sqrt(small.sum()) < 0.02 * np.sqrt(b.sum())
+
+
+def test_what_contradicts_the_reading_is_no_bend() -> None:
+    """100 m off where it was measured, and sure of it: the gate must see that."""
+    x = _identity()
+    z = _sees_point(x, np.array([0.0, 0.0, 40.0]))
+    there = x.copy()
+    there[X.P] = (0.0, 0.0, 100.0)
+    nu, h = z.evaluate(there, GYRO)
+    known = 1e-6 * np.eye(E.SIZE)
+    assert z.bend(there, known, nu, h, h @ known @ h.T + z.noise).sum() < 1e-3
 
 
 def _random(m: int, n: int, seed: int) -> tuple[Array, Array, Array]:

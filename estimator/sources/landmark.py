@@ -1,0 +1,95 @@
+"""Fixes on our own landmarks: of the whole pose, or of those combinations of position and attitude that the pictures show.
+
+nu = D (z (-) x),   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how the errors that repeat move its pose)
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from estimator.sources.pose import PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
+from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
+from models import so3
+from models.measurements import DIRECTION_SCALE, PartialPose
+from models.messages import Array, LandmarkFix, Reason
+
+_ALL = np.ones(6, dtype=np.bool_)
+_ROUNDING = 1e-6  # of the directions' products
+_LARGEST = 1e12  # m^2 or rad^2: no variance is larger
+_FIXES_PLACE = 0.05  # smallest gain from position to reading with which, the attitude known, the position is known
+
+
+def landmark_aid(fix: LandmarkFix, config: PoseConfig) -> Aid | Refusal:
+    """A fix as a measurement of what it measured."""
+    if fix.directions is None:
+        return pose_aid(fix, config)
+    directions = np.asarray(fix.directions, dtype=float)
+    if refusal := _directions_refusal(directions):
+        return refusal
+    if len(directions) == len(_ALL):
+        return pose_aid(msgspec.structs.replace(fix, directions=None), config)
+    return _partial_aid(fix, directions, config)
+
+
+def _partial_aid(fix: LandmarkFix, directions: Array, config: PoseConfig) -> Aid | Refusal:
+    covariance = np.asarray(fix.covariance, dtype=float)
+    if covariance.shape != (6, 6):
+        return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
+    if not (np.abs(covariance) < _LARGEST).all():
+        return Refusal(Reason.NOT_FINITE, "covariance")
+    covariance = covariance * config.noise_scale**2
+    noise = directions @ covariance @ directions.T
+    if refusal := covariance_refusal(noise):
+        return refusal
+    pose, slow_errors = pose_of(fix, _ALL, with_attitude=True), slow_errors_of(fix, _ALL, config)
+    if isinstance(pose, Refusal):
+        return pose
+    if isinstance(slow_errors, Refusal):
+        return slow_errors
+    if config.lasting_share > 0:
+        slow_errors = (*slow_errors, lasting(fix.topic, covariance, config))
+        noise = noise * (1.0 - config.lasting_share)
+    p_n, q = pose
+    z = PartialPose(p_n, so3.normalise(q), directions, noise)
+    content = (p_n.tobytes(), q.tobytes(), covariance.tobytes(), directions.tobytes())
+    return Aid(
+        t_ns=fix.t_ns,
+        arrived_ns=fix.arrived_ns,
+        topic=fix.topic,
+        kind="pose",
+        order=order(fix.t_ns, "pose", fix.topic, *content),
+        rules=config,
+        absolute=_fixes_place(directions),
+        log_false=log_false(config, [FALSE_POSITION_M] * len(directions)),
+        measurement=lambda _: z,
+        slow_errors=tuple(_seen_along(directions, slow) for slow in slow_errors),
+        detail=f"{len(directions)} of 6 directions",
+    )
+
+
+def _directions_refusal(directions: Array) -> Refusal | None:
+    """Why these are no directions."""
+    if directions.ndim != 2 or directions.shape[1] != 6 or len(directions) > 6:
+        return Refusal(Reason.MALFORMED, f"directions of shape {directions.shape}, not (r, 6)")
+    if not len(directions):
+        return Refusal(Reason.UNSUPPORTED, "no direction was measured")
+    if not np.isfinite(directions).all():
+        return Refusal(Reason.NOT_FINITE, "directions")
+    rows = directions / DIRECTION_SCALE
+    if np.abs(rows).max() > 1.0 + _ROUNDING or np.abs(rows @ rows.T - np.eye(len(rows))).max() > _ROUNDING:
+        return Refusal(Reason.MALFORMED, "directions are not orthonormal")
+    return None
+
+
+def _fixes_place(directions: Array) -> bool:
+    """Whether the position is known where the attitude is."""
+    return len(directions) >= 3 and bool(np.linalg.svd(directions[:, :3], compute_uv=False)[-1] > _FIXES_PLACE)
+
+
+def _seen_along(directions: Array, slow: SlowError) -> SlowError:
+    """An error of the pose as the reading has it."""
+    moved: Callable[[Array], Array] | None = slow.jacobian
+    assert moved is not None
+    return replace(slow, jacobian=lambda x: directions @ moved(x))
