@@ -104,7 +104,8 @@ def _edge_offsets(picture: Picture, px: Array, normal: Array, reach_px: float) -
     rows = np.arange(len(px))
     left, top, right = slope[rows, inside - 1], slope[rows, inside], slope[rows, inside + 1]
     bend = left - 2.0 * top + right
-    summit = at[inside] + _STEP_PX * 0.5 * (left - right) / np.where(bend < 0.0, bend, 1.0)
+    beside_top = np.clip(0.5 * (left - right) / np.where(bend < 0.0, bend, 1.0), -0.5, 0.5)  # on a flank it would be far out
+    summit = at[inside] + _STEP_PX * beside_top
     offsets: Array = np.where((best == inside) & (bend < 0.0) & (top >= _LEAST_SLOPE), summit, np.nan)
     return offsets
 
