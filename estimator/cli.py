@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from estimator.commands import (
+    bench,
     calibrate,
     demo,
     doctor,
@@ -101,6 +102,7 @@ app.command("doctor")(doctor.command)
 app.add_typer(calibrate.app, name="calibrate")
 app.command("measure")(measure.command)
 app.command("locate")(locate.command)
+app.add_typer(bench.app, name="bench")
 
 
 def main() -> None:

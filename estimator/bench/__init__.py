@@ -1,0 +1,1 @@
+"""Benchmarks that a user runs himself: what the vehicle's eyes recognise, beside what others would."""

@@ -1,0 +1,46 @@
+"""The result of a recognition run as a picture: shares recognised and wrong, and what a frame costs."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimator.bench.recognisers import METHODS
+from estimator.bench.recognition import TITLES, Recognition, Row
+from logs.plots import BLUE, ORANGE, SKY, VERMILLION
+from models.messages import Array
+
+_COLOURS: Final = dict(zip(METHODS, (BLUE, "#8A8A8A", SKY, ORANGE), strict=True))
+_WIDTH: Final = 0.2  # of a bar
+
+
+def draw(result: Recognition) -> Figure:
+    """Groups of bars, one a method, for every experiment and kind of roof; below them the processor's time for a frame."""
+    figure = Figure(figsize=(10.0, 6.2), layout="constrained", dpi=110)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
+    groups = list(dict.fromkeys((r.experiment, r.roof) for r in result.rows))
+    for k, method in enumerate(METHODS):
+        rows = [next(r for r in result.rows if (r.experiment, r.roof, r.method) == (*g, method)) for g in groups]
+        x = np.arange(len(groups)) + (k - 1.5) * _WIDTH
+        _shares(upper, np.asarray(x, np.float64), rows, method)
+        lower.bar(x, [r.cpu_ms_p50 or 0.0 for r in rows], 0.9 * _WIDTH, color=_COLOURS[method])
+    upper.bar([0.0], [0.0], color="white", edgecolor=VERMILLION, hatch="////", label="wrong")
+    upper.set_ylabel("recognised [%]")
+    upper.set_ylim(0.0, 104.0)
+    upper.axhline(95.0, color="black", linewidth=0.7, linestyle=":")
+    lower.set_ylabel("time a frame [ms]")
+    lower.set_xticks(np.arange(len(groups)), [f"{TITLES[e]}\n{roof} roofs" for e, roof in groups], fontsize=7)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    return figure
+
+
+def _shares(axes: Axes, x: Array, rows: Sequence[Row], method: str) -> None:
+    """Recognised in the method's colour with 95 % below its tip, wrong hatched on top of it."""
+    n = np.maximum([r.samples for r in rows], 1)
+    good, bad = (100.0 * np.array([getattr(r, name) for r in rows]) / n for name in ("recognised", "wrong"))
+    least = 100.0 * np.array([r.recognised_above for r in rows])
+    axes.bar(x, good, 0.9 * _WIDTH, color=_COLOURS[method], label=method)
+    axes.bar(x, bad, 0.9 * _WIDTH, bottom=good, color="white", edgecolor=VERMILLION, hatch="////", linewidth=0.8)
+    axes.vlines(x, least, good, color="black", linewidth=0.8)

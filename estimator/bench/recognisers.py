@@ -1,0 +1,185 @@
+"""Three who are asked for a landmark in a pair of pictures: landfix, the thesis' method alone, SIFT + FLANN.
+
+Each answers recognised, wrong or silent. Recognised: the landmark asked for is named and the position that follows agrees with
+the truth. Wrong: something is named that is another thing or not there, or the position contradicts the truth.
+"""
+
+import time
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.bench.views import Reference, Sample
+from models import so3
+from models.landmarks import Landmark
+from models.messages import Array, LandmarkFix
+from vision import sightings as sight
+from vision.correspond import Match, correspond
+from vision.identify import Prior
+from vision.likelihood import Sighting, catalogue, similarities
+from vision.measure import Measured, measure
+from vision.pipeline import LandmarkPipeline, PipelineConfig
+from vision.rectify import Image, rectification, rectify
+from vision.survey import Settings, grey, segment_regions
+
+Verdict: TypeAlias = Literal["recognised", "wrong", "silent"]
+Points: TypeAlias = NDArray[np.float32]
+
+OFF_M: Final = 3.0  # a position this far off is wrong, unless its own 99.99 % ellipsoid holds the truth
+_INSIDE_9999: Final = 21.108  # chi-square of 3
+_NEAR_M: Final = 120.0  # landmarks that the thesis' database holds
+_RATIO, _RANSAC_PX, _INLIERS = 0.75, 3.0, 10
+METHODS: Final = ("landfix", "thesis", "SIFT+FLANN", "SIFT+FLANN, ground too")
+_ROOF_PX: Final = 3  # around a roof within which its key points lie
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What came out: cpu_ms of the processor; error_m of the position, None where there is none; note: why, in a few words."""
+
+    verdict: Verdict
+    cpu_ms: float | None
+    error_m: float | None = None
+    note: str = ""
+
+
+def landfix(sample: Sample, config: PipelineConfig | None = None) -> Answer:
+    """Our pipeline on the pair, from nothing but rig, map and prior. What is built once a flight is not timed."""
+    pipelines = [LandmarkPipeline(sample.scene.rig_believed, sample.scene.map, config) for _ in range(2)]
+    pipelines[0].process(sample.left, sample.right, 0, sample.prior)  # tables of colours, as in a flight's first picture
+    begin = time.process_time()
+    result = pipelines[1].process(sample.left, sample.right, 0, sample.prior)
+    cpu_ms = 1e3 * (time.process_time() - begin)
+    if result.fix is None:
+        return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}")
+    p_n, covariance = fused(sample.prior, result.fix)
+    error = sample.p_n - p_n
+    off_m, squared = float(np.linalg.norm(error)), float(error @ np.linalg.solve(covariance, error))
+    there = {m.id for m in sample.scene.world.landmarks}
+    if not there.issuperset(result.fix.landmarks):
+        return Answer("wrong", cpu_ms, off_m, "named a landmark that is gone")
+    if off_m > OFF_M and squared > _INSIDE_9999:
+        return Answer("wrong", cpu_ms, off_m, f"{off_m:.1f} m off, squared distance {squared:.0f}")
+    if sample.target not in result.fix.landmarks:
+        return Answer("silent", cpu_ms, off_m, "named others only")
+    return Answer("recognised", cpu_ms, off_m, f"squared distance {squared:.1f}")
+
+
+def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
+    """p_n = p_0 + (K d)_p, K = P (P + R)^-1, d = fix (-) prior; and its covariance (3, 3), of the prior's share too."""
+    R = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
+    turn = so3.quat_log(so3.multiply(np.array(fix.q_nb_wxyz), so3.conjugate(np.ascontiguousarray(prior.q_nb_wxyz))))
+    K = np.linalg.solve(prior.covariance + R, prior.covariance).T
+    joint = (np.eye(6) - K) @ prior.covariance
+    return prior.p_n + (K @ np.concatenate((np.array(fix.p_n) - prior.p_n, turn)))[:3], joint[:3, :3]
+
+
+def thesis(sample: Sample) -> Answer:
+    """Chapter 5 as it stands: colours of the map, regions, stereo, similarity (eq. 5.5) >= 75 %, and the best one wins."""
+    near = sample.scene.map.near(float(sample.prior.p_n[0]), float(sample.prior.p_n[1]), _NEAR_M)
+    _measured(sample, near)  # tables of colours, made once a flight
+    begin = time.process_time()
+    known = catalogue(near)
+    seen = _measured(sample, near)
+    like = similarities(seen, known, np.ones((len(seen), len(near))))
+    asked = known.ids.index(sample.target)
+    best = int(like[:, asked].argmax()) if len(seen) else -1
+    cpu_ms = 1e3 * (time.process_time() - begin)
+    if best < 0 or like[best, asked] < 0.75 or like[best].argmax() != asked:
+        return Answer("silent", cpu_ms, None, f"{len(seen)} regions, none of them like it")
+    off_m = float(np.linalg.norm(known.place_n[asked] - seen[best].arm_n - sample.p_n))
+    return Answer("recognised" if off_m <= OFF_M else "wrong", cpu_ms, off_m, f"{like[best, asked]:.0%} similar")
+
+
+def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
+    """What the pair shows, in metres."""
+    made = rectification(sample.scene.rig_believed)
+    left, right = rectify(sample.left, made.left), rectify(grey(sample.right), made.right)
+    colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
+    regions = segment_regions(left, made.left.valid if made.left else None, Settings(colours))
+    matches = correspond(grey(left), right, regions, made.rig)
+    found = [measure(m, made.rig, level=sight.level(sample.prior, made.rig)) for m in matches if isinstance(m, Match)]
+    several = [sight.from_stereo(m, sample.prior, made.rig) for m in found if isinstance(m, Measured)]
+    return [s for s in several if s is not None]
+
+
+class Looked(NamedTuple):
+    """SIFT's key points of a picture (N, 2) px with descriptors (N, 128), and what finding them took."""
+
+    points: Points
+    descriptors: Points
+    cpu_ms: float
+
+
+def look(picture: Image) -> Looked:
+    """All key points of a picture."""
+    begin = time.process_time()
+    points, descriptors = _sift().detectAndCompute(grey(picture), np.array([]))
+    cpu_ms = 1e3 * (time.process_time() - begin)
+    places = np.array([p.pt for p in points], np.float32).reshape(-1, 2)
+    return Looked(places, np.asarray(descriptors if points else (), np.float32).reshape(-1, 128), cpu_ms)
+
+
+def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
+    """The left picture against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
+
+    From the key points on the roof alone or with those around it, which find the place rather than the landmark. The reference's
+    own are found beforehand. Without a reference there is nothing to look for.
+    """
+    if sample.reference is None:
+        return Answer("silent", None, None, "no picture of the landmark")
+    reference = _key_points(sample.reference, surroundings)
+    begin = time.process_time()
+    H = homography(reference, looked)
+    cpu_ms = looked.cpu_ms + 1e3 * (time.process_time() - begin)
+    if H is None:
+        return Answer("silent", cpu_ms, None, f"{len(reference.points)} key points in the reference, too few agree")
+    off_m = _off_m(sample, H)
+    return Answer("recognised" if off_m <= OFF_M else "wrong", cpu_ms, off_m)
+
+
+def homography(reference: Looked, looked: Looked) -> Array | None:
+    """From the reference to the picture (3, 3); None where fewer than ten key points agree on one."""
+    if len(reference.points) < 2 or len(looked.points) < 2:
+        return None
+    matcher = cv2.FlannBasedMatcher({"algorithm": 1, "trees": 5}, {"checks": 50})
+    pairs = matcher.knnMatch(reference.descriptors, looked.descriptors, k=2)
+    good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _RATIO * p[1].distance]
+    if len(good) < _INLIERS:
+        return None
+    source, target = reference.points[[m.queryIdx for m in good]], looked.points[[m.trainIdx for m in good]]
+    H, inliers = cv2.findHomography(source, target, cv2.RANSAC, _RANSAC_PX)
+    return None if not np.size(H) or int(inliers.sum()) < _INLIERS else np.asarray(H, np.float64)
+
+
+def _sift() -> cv2.SIFT:
+    return cv2.SIFT.create()
+
+
+def _key_points(reference: Reference, surroundings: bool) -> Looked:
+    """Of a reference: all, or those on the roof and its edge."""
+    looked = look(reference.picture)
+    if surroundings:
+        return looked
+    roof = cv2.dilate(reference.mask, np.ones((2 * _ROOF_PX + 1, 2 * _ROOF_PX + 1), np.uint8)) > 0
+    u, v = looked.points.round().astype(int).T
+    return Looked(looked.points[roof[v, u]], looked.descriptors[roof[v, u]], looked.cpu_ms)
+
+
+def _off_m(sample: Sample, H: Array) -> float:
+    """By how much the landmark's middle is misplaced [m], on its roof or on the ground below, which is what most points show."""
+    assert sample.reference is not None
+    x = H @ np.append(sample.reference.centre_px, 1.0)
+    mark = next(m for m in sample.scene.world.landmarks if m.id == sample.target)
+    camera, (p_nc, R_nc) = sample.scene.rig.left, sample.scene.rig.camera_pose(sample.p_n, sample.R_nb)
+    x_c = (np.array([(*mark.centre_n, d) for d in (mark.roof_d, mark.base_d)]) - p_nc) @ R_nc
+    off_px = np.hypot(*(camera.project(x_c) - x[:2] / x[2]).T)
+    return float((off_px * x_c[:, 2]).min()) / camera.fx
+
+
+def ask(sample: Sample, looked: Looked) -> dict[str, Answer]:
+    """All answers, by METHODS' names; looked: the key points of the left picture."""
+    feature = [sift_and_flann(sample, looked, surroundings) for surroundings in (False, True)]
+    return dict(zip(METHODS, (landfix(sample), thesis(sample), *feature), strict=True))

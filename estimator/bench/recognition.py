@@ -1,0 +1,129 @@
+"""The thesis' four experiments (its chapter 6), on hundreds of samples instead of five, and what each method made of them.
+
+share wrong < p95:  sum_{i <= k} C(n, i) p95^i (1 - p95)^(n - i) = 0.05        (Clopper & Pearson 1934; 0 of 200: 1.5 %)
+"""
+
+import itertools
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Final
+
+import cv2
+import msgspec
+import numpy as np
+from scipy.stats import beta
+
+from estimator.bench.recognisers import METHODS, Answer, ask, look
+from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
+
+TITLES: Final[dict[str, str]] = {
+    "accuracy": "accuracy and speed",
+    "size": "same texture, other size",
+    "partial": "30 to 70 % in view",
+    "description": "known by description only",
+}
+LEAST_KEY_POINTS: Final = 500  # in a picture; with fewer the comparison would be unfair to feature matching
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """One sample: how much of the roof was in view, key points, pictures drawn before that had too few, answers by method."""
+
+    experiment: Experiment
+    roof: Roof
+    number: int
+    seen: float
+    key_points: int
+    redrawn: int
+    answers: dict[str, Answer]
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One method in one experiment. wrong_below: its true share of wrong answers is below that, 95 % sure; cpu: one core's."""
+
+    experiment: Experiment
+    roof: Roof
+    method: str
+    samples: int
+    recognised: int
+    wrong: int
+    recognised_above: float
+    wrong_below: float
+    cpu_ms_p50: float | None
+    cpu_ms_p99: float | None
+    error_m_p50: float | None
+
+
+class Recognition(msgspec.Struct, frozen=True):
+    """A run. redrawn: pictures that had too few key points for a fair comparison."""
+
+    samples: int
+    seed: int
+    redrawn: int
+    key_points_least: int
+    key_points_p50: float
+    rows: list[Row]
+    trials: list[Trial]
+
+
+def run(
+    samples: int,
+    seed: int,
+    experiments: Sequence[Experiment] = EXPERIMENTS,
+    roofs: Sequence[Roof] = ROOFS,
+    jobs: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Recognition:
+    """`samples` of every experiment and kind of roof; jobs: processes, 0 for all cores. The result does not depend on them."""
+    wanted = [(e, r, seed, k) for e in experiments for r in roofs for k in range(samples)]
+    trials: list[Trial] = []
+    with ProcessPoolExecutor(jobs or os.cpu_count(), multiprocessing.get_context("spawn"), _begin) as pool:
+        for trial in pool.map(_trial, wanted, chunksize=2):
+            trials.append(trial)
+            progress(len(trials) / len(wanted))
+    rows = [
+        row(e, r, m, [t for t in trials if (t.experiment, t.roof) == (e, r)]) for e in experiments for r in roofs for m in METHODS
+    ]
+    points = [t.key_points for t in trials]
+    return Recognition(samples, seed, sum(t.redrawn for t in trials), min(points), float(np.median(points)), rows, trials)
+
+
+def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial]) -> Row:
+    """What a method made of its trials."""
+    answers = [t.answers[method] for t in trials]
+    recognised, wrong = (sum(a.verdict == v for a in answers) for v in ("recognised", "wrong"))
+    ms = [a.cpu_ms for a in answers if a.cpu_ms is not None]
+    errors = [a.error_m for a in answers if a.error_m is not None and a.verdict == "recognised"]
+    n = len(answers)
+    return Row(
+        experiment, roof, method, n, recognised, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
+        _percentile(ms, 50.0), _percentile(ms, 99.0), _percentile(errors, 50.0),
+    )  # fmt: skip
+
+
+def below(k: int, n: int) -> float:
+    """p95: k of n were seen, the true share is below it, 95 % sure."""
+    return 1.0 if k >= n else float(beta.ppf(0.95, k + 1, n - k))
+
+
+def _percentile(values: Iterable[float], percent: float) -> float | None:
+    several = list(values)
+    return float(np.percentile(several, percent)) if several else None
+
+
+def _begin() -> None:
+    """Of a process: one thread, and everything compiled before anything is timed."""
+    cv2.setNumThreads(1)
+    sample = draw("accuracy", "painted", 0, 0)
+    ask(sample, look(sample.left))
+
+
+def _trial(which: tuple[Experiment, Roof, int, int]) -> Trial:
+    experiment, roof, seed, number = which
+    for redrawn in itertools.count():
+        sample = draw(experiment, roof, seed, number, redrawn)
+        looked = look(sample.left)
+        if len(looked.points) >= LEAST_KEY_POINTS:
+            return Trial(experiment, roof, number, sample.seen, len(looked.points), redrawn, ask(sample, looked))
+    raise AssertionError
