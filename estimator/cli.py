@@ -20,6 +20,7 @@ from estimator.commands import (
     overlay,
     recover,
     replay,
+    report,
     run,
     simulate,
 )
@@ -93,6 +94,7 @@ app.command("replay")(replay.command)
 app.command("run")(run.command)
 app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
+app.command("report")(report.command)
 app.command("overlay")(overlay.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)

@@ -1,4 +1,6 @@
-"""An Evaluation as tables a person reads."""
+"""An Evaluation as tables: for a terminal here, for a page in logs/report.py."""
+
+from collections.abc import Sequence
 
 from rich import box
 from rich.console import Console
@@ -8,36 +10,37 @@ from rich.text import Text
 from logs.evaluation import Accuracy, Evaluation, Honesty
 from logs.metrics import Consistency, Stats
 
+Rows = tuple[str, tuple[str, ...], Sequence[Sequence[str]]]  # title, header, rows
+
 
 def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
     """Print it, the most important first."""
     console = console or Console()
     console.print(_summary(evaluation))
     if evaluation.accuracy:
-        console.print(_accuracy(evaluation.accuracy))
+        console.print(_table(*accuracy(evaluation.accuracy)))
     if evaluation.honesty:
-        console.print(_honesty(evaluation.honesty))
-    if evaluation.outages:
-        console.print(_outages(evaluation))
-    if evaluation.aids:
-        console.print(_aids(evaluation))
-    if evaluation.resets:
-        console.print(_resets(evaluation))
+        console.print(_table(*honesty(evaluation.honesty)))
+    for title, header, rows in (outages(evaluation), aids(evaluation), resets(evaluation)):
+        if rows:
+            console.print(_table(title, header, rows))
     for note in evaluation.notes:
         console.print(f"note: {note}", style="yellow", markup=False, highlight=False)
 
 
-def _table(title: str, *columns: str) -> Table:
+def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) -> Table:
     """A table whose first column is text and whose others are numbers."""
     table = Table(
         title=title, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for k, column in enumerate(columns):
         table.add_column(column, justify="right" if k else "left", no_wrap=not k)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
-def _number(x: float | None, digits: int = 3) -> str:
+def number(x: float | None, digits: int = 3) -> str:
     """Three significant digits, "-" for what is not known."""
     if x is None or x != x:  # noqa: PLR0124  (nan)
         return "-"
@@ -58,9 +61,9 @@ def _summary(e: Evaluation) -> Text:
     return Text("\n".join(lines))
 
 
-def _accuracy(a: Accuracy) -> Table:
-    table = _table("Accuracy", "error", "RMSE", "mean", "median", "max", "unit")
-    rows: list[tuple[str, Stats, str]] = [
+def accuracy(a: Accuracy) -> Rows:
+    """Errors against the truth."""
+    errors: list[tuple[str, Stats, str]] = [
         ("position", a.position_m, "m"),
         ("  outside outages", a.aided_position_m, "m"),
         ("  horizontal", a.horizontal_m, "m"),
@@ -75,17 +78,14 @@ def _accuracy(a: Accuracy) -> Table:
         ("  heading", a.heading_deg, "deg"),
     ]
     for r in a.relative:
-        rows += [(f"relative, over {r.over}", r.translation_m, "m"), ("", r.rotation_deg, "deg")]
-    for name, s, unit in rows:
-        if s.n:
-            table.add_row(name, _number(s.rmse), _number(s.mean), _number(s.median), _number(s.max), unit)
-    return table
+        errors += [(f"relative, over {r.over}", r.translation_m, "m"), ("", r.rotation_deg, "deg")]
+    rows = [(name, number(s.rmse), number(s.mean), number(s.median), number(s.max), unit) for name, s, unit in errors if s.n]
+    return "Accuracy", ("error", "RMSE", "mean", "median", "max", "unit"), rows
 
 
-def _honesty(h: Honesty) -> Table:
-    covered = f"{h.radius95_covered:.1%} inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
-    table = _table(f"Consistency: {covered}", "NEES / dof", "mean", "95 % band", "in band", "in 95 %", "n", "n eff", "verdict")
-    rows: list[tuple[str, Consistency]] = [
+def honesty(h: Honesty) -> Rows:
+    """Whether the covariance tells the errors."""
+    parts: list[tuple[str, Consistency]] = [
         ("position", h.position),
         ("  aided", h.position_aided),
         ("  in outages", h.position_outages),
@@ -93,44 +93,48 @@ def _honesty(h: Honesty) -> Table:
         ("velocity", h.velocity),
         ("pose", h.pose),
     ]
-    for name, c in rows:
+    rows = []
+    for name, c in parts:
         if c.n:
             low, high = c.band
             verdict = "consistent" if c.consistent else "too sure" if c.mean > high else "cautious"
-            table.add_row(
-                name, _number(c.mean), f"{low:.2f}-{high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
+            rows.append((
+                name, number(c.mean), f"{low:.2f}-{high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
                 str(c.n), f"{c.n_effective:.0f}", verdict,
-            )  # fmt: skip
-    return table
+            ))  # fmt: skip
+    covered = f"{h.radius95_covered:.1%} inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
+    header = ("NEES / dof", "mean", "95 % band", "in band", "in 95 %", "n", "n eff", "verdict")
+    return f"Consistency: {covered}", header, rows
 
 
-def _outages(e: Evaluation) -> Table:
-    table = _table(
-        "Outages: no absolute information", "source", "at s", "for s", "RMSE m", "max m", "end m", "end %", "95 % m",
-        "NEES/3", "att deg",
-    )  # fmt: skip
+def outages(e: Evaluation) -> Rows:
+    """Spans without absolute information."""
+    rows = []
     for o in e.outages:
         d = o.drift
         drift = (d.rmse_m, d.max_m, d.end_m, d.end_percent) if d else (None,) * 4
         values = (*drift, o.radius95_end_m, o.nees_position, o.attitude_rmse_deg)
-        table.add_row(o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", *(_number(x) for x in values))
-    return table
+        rows.append((o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", *(number(x) for x in values)))
+    header = ("source", "at s", "for s", "RMSE m", "max m", "end m", "end %", "95 % m", "NEES/3", "att deg")
+    return "Outages: no absolute information", header, rows
 
 
-def _aids(e: Evaluation) -> Table:
-    table = _table("Measurements", "source", "kind", "fused", "others", "NIS/dof", "ratio 95 %", "delay s", "max")
+def aids(e: Evaluation) -> Rows:
+    """What became of each source's measurements."""
+    rows = []
     for a in e.aids:
         others = ", ".join(f"{reason} {n}" for reason, n in a.reasons.items() if reason != "fused")
         ratio, delay = a.test_ratio, a.delay_s
-        table.add_row(
-            a.topic, a.kind, str(a.reasons.get("fused", 0)), others or "-", _number(a.nis), _number(ratio.p95 if ratio else None),
-            _number(delay.p50 if delay else None), _number(delay.max if delay else None),
-        )  # fmt: skip
-    return table
+        rows.append((
+            a.topic, a.kind, str(a.reasons.get("fused", 0)), others or "-", number(a.nis), number(ratio.p95 if ratio else None),
+            number(delay.p50 if delay else None), number(delay.max if delay else None),
+        ))  # fmt: skip
+    return "Measurements", ("source", "kind", "fused", "others", "NIS/dof", "ratio 95 %", "delay s", "max"), rows
 
 
-def _resets(e: Evaluation) -> Table:
-    table = _table("Resets", "number", "at s", "position m", "velocity m/s", "attitude deg")
-    for r in e.resets:
-        table.add_row(str(r.counter), f"{r.t_s:.2f}", _number(r.position_m), _number(r.velocity_m_s), _number(r.attitude_deg))
-    return table
+def resets(e: Evaluation) -> Rows:
+    """Jumps of the estimate."""
+    rows = [
+        (str(r.counter), f"{r.t_s:.2f}", number(r.position_m), number(r.velocity_m_s), number(r.attitude_deg)) for r in e.resets
+    ]
+    return "Resets", ("number", "at s", "position m", "velocity m/s", "attitude deg"), rows

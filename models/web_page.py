@@ -1,6 +1,6 @@
 """A page of HTML that stands alone: nothing is fetched, it follows the reader's light or dark scheme, it prints.
 
-Whatever text goes in comes out as text: markup in it is shown, not obeyed, and the page's own policy forbids every script but ours.
+Whatever text goes in comes out as text: markup in it is shown, not obeyed, and the page's own policy forbids any script but ours.
 """
 
 import base64
@@ -17,7 +17,8 @@ GOOD, USABLE, BAD = "good", "usable", "bad"  # classes of a verdict
 STYLE: Final = """
 :root { color-scheme: light dark; --ground: #fff; --panel: #f6f7f8; --text: #1d2125; --faint: #667079; --line: #d5dade;
   --good: #00795a; --usable: #8a6100; --bad: #b84500; }
-@media (prefers-color-scheme: dark) { :root { --ground: #15181b; --panel: #1e2226; --text: #e4e7ea; --faint: #98a2ab; --line: #373d43; } }
+@media (prefers-color-scheme: dark) { :root { --ground: #15181b; --panel: #1e2226; --text: #e4e7ea; --faint: #98a2ab;
+  --line: #373d43; } }
 @media print { :root { color-scheme: light; } }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 76em; margin: 1.5em auto 4em; padding: 0 1.2em; background: var(--ground);
   color: var(--text); }

@@ -1,0 +1,50 @@
+"""landfix report."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from estimator.commands.console import ConfigFile, Json, Out, print_json, progress
+
+
+def command(
+    log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log with an estimate: of replay, run or simulate.")],
+    out: Out,
+    truth: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
+    ] = "/truth",
+    outage_s: Annotated[
+        float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")
+    ] = None,
+    config: ConfigFile = None,
+    rig: Annotated[Path | None, typer.Option(metavar="RIG", help="Calibration of the cameras [default: the log's].")] = None,
+    map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map [default: the log's].")] = None,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Show what the cameras saw.")] = True,
+    json: Json = False,
+) -> None:
+    """Make a page that answers after a flight: where was I, how sure, why, what went wrong.
+
+    One HTML file that needs no network: a verdict with its reasons, the map, errors or the promised radius, what became of each
+    measurement, what vision saw and why it gave no fix, biases, health, times, the configuration. Drag in a plot to zoom.
+
+    \b
+    Examples:
+      landfix report estimate.mcap -o report.html
+      landfix report estimate.mcap -o report.html --rig rig.yaml --map town.geojson
+      landfix report estimate.mcap -o report.html --truth /rtk/fix --json
+    """
+    from estimator.report_gallery import illustrations
+    from logs.report import no_illustrations, write
+
+    illustrate = illustrations(log, config, rig, map_file) if pictures else no_illustrations
+    with progress(f"read {log.name}") as report:
+        written = write(log, out, truth_topic=truth, outage_s=outage_s, illustrate=illustrate, progress=report)
+    if json:
+        print_json(written)
+        return
+    typer.echo(f"{log}: {written.verdict}")
+    for finding in written.findings:
+        typer.echo(f"  {finding}")
+    typer.echo(f"report: {written.report} ({written.size / 1e6:.1f} MB)")
