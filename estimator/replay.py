@@ -23,9 +23,9 @@ from models.messages import Output
 
 TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
-OWN_INPUTS = frozenset(  # what stands under our own prefix, and no replay of ours makes anew
-    {"/landfix/fix", "/landfix/vision", "/landfix/vision_request", "/landfix/tick", "/landfix/checkpoint"}
-)
+OWN_INPUTS = frozenset({  # what stands under our own prefix, and no replay of ours makes anew
+    "/landfix/fix", "/landfix/vision", "/landfix/vision_request", "/landfix/landmarks", "/landfix/tick", "/landfix/checkpoint",
+})  # fmt: skip
 _PROGRESS_EVERY = 2000  # records
 
 

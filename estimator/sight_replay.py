@@ -15,12 +15,14 @@ import msgspec
 from estimator.sight import Sight
 from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.codec import VISION_REQUEST_TOPIC, Encoded, decode_vision_request, encode
+from logs.markers import TOPIC as LANDMARKS_TOPIC
 from logs.reader import LogReader, Record
 from logs.stamps import stamp_of
 from models.messages import Output, PictureName, VisionRequest
 
 FIX_TOPIC: Final = "/landfix/fix"
 REPORT_TOPIC: Final = "/landfix/vision"
+_ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC})
 _KEPT: Final = 400  # pictures
 
 
@@ -50,6 +52,7 @@ class SightReplay:
         self._shots: dict[PictureName, Shot] = {}
         self._asked: deque[VisionRequest] = deque()
         self._answers: dict[tuple[str, int], Encoded] = {}  # by topic and exposure
+        self._answered_ns = 0  # exposure of the last
         self._due: deque[tuple[int, list[Encoded]]] = deque()
         self.tally = PictureTally()
 
@@ -63,7 +66,7 @@ class SightReplay:
         while self._due and self._due[0][0] <= record.log_time_ns:
             due_ns, answers = self._due.popleft()
             yield from (Record(a.topic, a.schema, due_ns, a.data) for a in answers)
-        if record.topic in {FIX_TOPIC, REPORT_TOPIC}:
+        if record.topic in _ANSWERS:
             yield from self._again(record)
             return
         yield record
@@ -99,7 +102,7 @@ class SightReplay:
 
     def _again(self, record: Record) -> Iterator[Record]:
         """The answer that takes the recorded one's place; what another program sent under our name stays."""
-        t_ns = stamp_of(record.data)
+        t_ns = self._answered_ns if record.topic == LANDMARKS_TOPIC else stamp_of(record.data)  # it follows report and fix
         while t_ns is not None and any(r.t_ns == t_ns for r in self._asked):
             self._answer(self._asked.popleft())
         answer = self._answers.pop((record.topic, t_ns or 0), None)
@@ -110,6 +113,7 @@ class SightReplay:
             yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
 
     def _answer(self, request: VisionRequest) -> None:
+        self._answered_ns = request.t_ns
         left, right = (self._shots.get(name) if name else None for name in (request.left, request.right))
         if (request.left and left is None) or (request.right and right is None):
             self.tally.missing += 1

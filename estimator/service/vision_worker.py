@@ -20,6 +20,7 @@ from estimator.service.ports import Arrival
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.codec import Encoded, decode_vision_request, encode
+from logs.decoding import LANDMARK_FIX_TOPIC
 from logs.stamps import stamp_of
 from models.messages import Vec3
 
@@ -148,7 +149,7 @@ class VisionWorker:
             return
         self._state, self._backoff_s, self._is_warm = "seeing", _FIRST_BACKOFF_S, True
         self._answers += 1
-        self._fixes += len(answers) > 1
+        self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
         for answer in answers:
             self._tell(answer)

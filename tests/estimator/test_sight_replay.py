@@ -12,6 +12,7 @@ from estimator.sight_replay import PictureTally, SightReplay
 from logs.codec import Decoder
 from logs.reader import LogReader, Record
 from logs.recorder import Recorder
+from logs.schemas import STORE
 from models.messages import LandmarkFix
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.scenes import SECOND
@@ -65,6 +66,18 @@ def test_fixes_come_from_pictures_where_the_vehicle_is(seen: Path) -> None:
 def test_each_pair_has_its_request_and_its_report(seen: Path) -> None:
     for topic in ("/landfix/vision_request", "/landfix/vision"):
         assert len(_records(seen, topic)) == len(SEEN_S)
+
+
+def test_viewers_are_told_of_the_landmarks_at_the_first_look_and_of_those_in_use(seen: Path) -> None:
+    looks = _records(seen, "/landfix/vision", "/landfix/fix", "/landfix/landmarks")
+    assert "/landfix/landmarks" in {r.topic for r in looks[1:3]}, "behind the first report and fix"
+    told = [r for r in looks if r.topic == "/landfix/landmarks"]
+    assert 1 <= len(told) <= 2, "four pictures within 1.5 s"
+    fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in looks if r.topic == "/landfix/fix"]
+    markers = STORE.deserialize_cdr(told[0].data, told[0].schema).markers  # type: ignore[attr-defined]
+    green = {m.text for m in markers if m.text and m.color.g > m.color.r}
+    assert green in [set(fix.landmarks) if isinstance(fix, LandmarkFix) else set() for fix in fixes] + [set()]
+    assert len({m.text for m in markers if m.text}) > 5
 
 
 def test_the_same_again_to_the_bit(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:

@@ -94,8 +94,9 @@ def _process_id(worker: VisionWorker) -> int:
 def test_a_pair_gives_a_request_a_report_and_a_fix_in_this_order(files: Path) -> None:
     with _worker(files) as (worker, heard, take):
         take()
-        heard.wait("/landfix/fix", 1)
-        assert [m.topic for m in heard.messages] == ["/landfix/vision_request", "/landfix/vision", "/landfix/fix"]
+        heard.wait("/landfix/landmarks", 1)
+        said = [m.topic for m in heard.messages]
+        assert said == ["/landfix/vision_request", "/landfix/vision", "/landfix/fix", "/landfix/landmarks"]
         assert decode_vision_request(heard.messages[0].data, 0).run == worker.report()["restarts"] == 0
         assert worker.report()["state"] == "seeing"
 
