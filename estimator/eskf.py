@@ -127,7 +127,7 @@ class Eskf:
         noise = z.noise
         s = innovation_covariance(self.cov, h, noise)
         if isinstance(z, PartialPose):
-            bend = np.diag(z.bend(self.x, self.cov, nu, h, s))
+            bend = z.bend(self.x, self.cov, nu, h, s)
             noise, s = noise + bend, s + bend
         distance2, logdet = mahalanobis(nu, s)
         return Innovation(nu, h, noise, s, distance2, logdet)

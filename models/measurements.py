@@ -24,6 +24,9 @@ _XA = X.BA.start
 
 _XYZ, _FIRST = np.arange(3), np.arange(1)
 _MOVED, _TURNED = slice(0, 3), slice(3, 6)  # of a pose's error
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
+)
 DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D / this has orthonormal rows
 
 
@@ -134,23 +137,19 @@ class PartialPose:
         return self.directions @ nu, self.directions @ h
 
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
-        """Variance (r,) of what the linear model leaves out, from the state x with P (n, n); nu, H and S (r, n) of this reading.
+        """Covariance (r, r) of what the linear model leaves out, at the state x with P (n, n); nu, H and S of this reading.
 
-        Turning by theta about a landmark while moving by d leaves it where it is in the picture, but for theta x d / 2. With
-        what this reading leaves open of both, e = z (-) x - K nu where it was not measured and the covariance of that,
-
-            b_i = (|D_p,i| |d| + |D_theta,i| |theta|) |theta| / 2,   E b^2 <= 3 (b of the mean squares)^2  (Gaussian moments)
+        Poses that look the same are x exp(t zeta): moved by d and turned by theta, of which d - theta x d / 2 is linear in t. So
+        D_p (theta x d) / 2 is left out; d and theta are what this reading leaves open, z (-) x - K nu and its covariance.
         """
         off, to_pose = _pose(x, self.z_n, self.q_nb_wxyz)
         cross = to_pose @ cov[:_N] @ h.T
         gain = np.linalg.solve(s, cross.T).T
         e = off - gain @ nu
-        e = e - self.directions.T @ (self.directions @ e) / DIRECTION_SCALE**2
-        left = np.diag(to_pose @ cov[:_N, :_N] @ to_pose.T - gain @ cross.T)
-        d, theta = (np.sqrt(e[part] @ e[part] + max(left[part].sum(), 0.0)) for part in (_MOVED, _TURNED))
-        size_p, size_theta = (np.linalg.norm(self.directions[:, part], axis=1) for part in (_MOVED, _TURNED))
-        b = 0.5 * theta * (size_p * d + size_theta * theta)
-        return np.asarray(3.0 * b**2, dtype=np.float64)
+        e = e - self.directions.T @ (self.directions @ e) / DIRECTION_SCALE**2  # what contradicts the reading is no bend
+        left = to_pose @ cov[:_N, :_N] @ to_pose.T - gain @ cross.T
+        position = self.directions[:, _MOVED]
+        return np.asarray(0.25 * position @ _cross_moment(e, left) @ position.T, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,6 +170,18 @@ class Height:
         h = np.zeros((1, _N))
         h[0, E.P.stop - 1] = -1.0
         return np.array([self.z_m + x[X.P][2]]), h
+
+
+def _cross_moment(mean: Array, cov: Array) -> Array:
+    """E[(theta x d) (theta x d)^T], (3, 3), of a Gaussian (d, theta) with mean (6,) and cov (6, 6), by Isserlis' theorem."""
+    second = cov + np.outer(mean, mean)
+    dd, td, tt = second[_MOVED, _MOVED], second[_TURNED, _MOVED], second[_TURNED, _TURNED]
+    d, t = mean[_MOVED], mean[_TURNED]
+    fourth = (
+        np.einsum("ab,ce->abce", td, td) + np.einsum("ac,be->abce", tt, dd) + np.einsum("ae,cb->abce", td, td)
+        - 2.0 * np.einsum("a,b,c,e->abce", t, d, t, d)
+    )  # fmt: skip
+    return np.asarray(np.einsum("kab,lce,abce->kl", _CROSS, _CROSS, fourth), dtype=np.float64)
 
 
 @njit(cache=True)
