@@ -120,7 +120,7 @@ def test_a_point_is_fused_honestly_where_the_attitude_is_not(later: bool) -> Non
     assert flat[:, 1].mean() > 3.0
     assert 0.1 < bent[:, 1].mean() < 1.3
     assert bent[:, 0].mean() < 1.3
-    assert np.quantile(bent[:, 1], 0.99) < 11.34 / 3.0 * 1.8  # 99 % of 3 degrees of freedom, and the tail of a square
+    assert 0.92 < np.mean(3.0 * bent[:, 1] < 7.81)  # the tail of a square is longer than that of a Gaussian: 95 % there
 
 
 def test_a_late_fix_whose_prior_has_moved_claims_less() -> None:
