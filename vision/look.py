@@ -112,7 +112,7 @@ class Scene:
         for eye, image in shown:
             seen = view(edges, samples, eye, p_n, R_nb, self.prisms)
             if search_px:
-                offsets, usable, variance = _search(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
+                offsets, usable, variance = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:
                 offsets, usable, variance = _fit(image, edges, samples, seen, p_n, R_nb, eye, config.fit_half_px, farthest_px)
             line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
@@ -175,7 +175,7 @@ def _alone(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, pose: 
     return alone
 
 
-def _search(
+def roof_offsets(
     image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int
 ) -> tuple[Array, Mask, Array]:
     """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""

@@ -1,0 +1,104 @@
+"""How the picture of a few landmarks moves with the pose, and what the prior leaves open of it.
+
+    q = J dx + e,    Q = J P J^T,    dx = P J^T Q^-1 q           (q: shift u, v [px], turn [rad], log scale about their middle)
+
+Four of the pose's six degrees of freedom move a few outlines by more than a few pixels: these four are searched. Each q stands
+for the likeliest pose that shows it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models import so3
+from models.camera import CameraModel
+from models.landmarks import Landmark
+from models.messages import Array
+from vision.identify import Prior
+from vision.pose import Pose
+from vision.sensitivity import Eye
+
+_FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Prior, covariance Q (4, 4), gain (6, 4); radius px of the outlines about their middle, roof_px the least width of one."""
+
+    prior: Prior
+    covariance: Array
+    gain: Array
+    radius: float
+    roof_px: float
+
+    @property
+    def shift_px(self) -> float:
+        """1 sigma of the shift in its widest direction."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
+
+    @property
+    def turn_rad(self) -> float:
+        """1 sigma of the turn."""
+        return math.sqrt(float(self.covariance[2, 2]))
+
+    @property
+    def log_scale(self) -> float:
+        """1 sigma of the logarithm of the scale."""
+        return math.sqrt(float(self.covariance[3, 3]))
+
+    def pose(self, q: Array) -> Pose:
+        """The likeliest pose that moves the outlines by q."""
+        dx = self.gain @ q
+        turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(dx[3:])))
+        return np.asarray(self.prior.p_n, dtype=float) + dx[:3], turn @ self.prior.R_nb
+
+
+def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | None:
+    """Of the roofs as predicted by the prior; None where they are not before the camera."""
+    pinhole = straight(eye)
+    p_n = np.asarray(prior.p_n, dtype=float)
+    p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
+    points = np.concatenate([np.empty((0, 3)), *(_roof(mark) for mark in landmarks)])
+    x_c = (points - p_nk) @ R_nk
+    before = x_c[:, 2] > 0.1 * np.linalg.norm(x_c, axis=1)
+    if before.sum() < 3:
+        return None
+    points, x_c = points[before], x_c[before]
+    px = pinhole.camera.project(x_c)
+    r = px - px.mean(axis=0)
+    J = np.linalg.lstsq(_similarity(r).reshape(-1, 4), moved(pinhole.camera, x_c, points - p_n, R_nk).reshape(-1, 6), rcond=None)[
+        0
+    ]
+    P = np.asarray(prior.covariance, dtype=float)
+    Q = J @ P @ J.T + np.diag(_FLOOR)
+    radius = max(1.3 * math.sqrt(float(np.mean(np.sum(r**2, axis=1)))), 1.0)
+    roof_px = eye.camera.fx * min(mark.width_m for mark in landmarks) / float(np.median(x_c[:, 2]))
+    return Motion(prior, Q, np.linalg.solve(Q, J @ P).T, radius, roof_px)
+
+
+def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array:
+    """How points x_c (N, 3) move in the picture with the pose (N, 2, 6):  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
+    jacobian = camera.project_jacobian(x_c) @ R_nk.T
+    lever = lever_n[:, None, :]
+    return np.concatenate((-jacobian, np.cross(jacobian, lever)), axis=2)
+
+
+def straight(eye: Eye) -> Eye:
+    """The same camera without distortion."""
+    c = eye.camera
+    return Eye(CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy), eye.R_kb, eye.p_bk, eye.right)
+
+
+def _roof(mark: Landmark) -> Array:
+    return np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
+
+
+def _similarity(r: Array) -> Array:
+    """d(px) (N, 2, 4) of points r (N, 2) from the middle by shift, turn and log scale."""
+    B = np.zeros((len(r), 2, 4))
+    B[:, 0, 0] = B[:, 1, 1] = 1.0
+    B[:, 0, 2], B[:, 1, 2] = -r[:, 1], r[:, 0]
+    B[:, :, 3] = r
+    return B

@@ -1,0 +1,228 @@
+"""Predict and verify: the main path in flight.
+
+    prior -> outlines in view -> coarse search (coarse.py) -> edges along normals, Gauss-Newton (pose.py) -> verify.py
+
+No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, take part with what is
+left of them.
+"""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.landmarks import Landmark
+from models.messages import Array
+from vision import verify
+from vision.coarse import Candidate, CoarseConfig, Search, limit_px
+from vision.identify import Prior
+from vision.motion import Motion, motion, straight
+from vision.pictures import Pictures
+from vision.pose import NoPose, Pose, PoseConfig, PoseEstimate, estimate_pose
+from vision.recheck import Recheck, recheck
+from vision.rectify import Image
+from vision.reports import RegionReport, Result, fix_of, pose_flaw, report_of
+from vision.sensitivity import Eye, eyes
+from vision.verify import Evidence, VerifyConfig, Waiting
+
+Mask = NDArray[np.bool_]
+Views = tuple[Image | None, Image | None]
+PATH = "predict"
+_MOST_FITS = 3  # landmarks that are not where they should be, or a picture, left out in between
+_PAIR_PX = 0.8  # shifts between the two pictures that do no harm
+_LEAST_SHARE = 0.5  # of what the better picture shows
+
+
+class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """most_voting, most_fitted: landmarks, those with most outline in view first."""
+
+    coarse: CoarseConfig = CoarseConfig()
+    verify: VerifyConfig = VerifyConfig()
+    most_voting: int = 12
+    most_fitted: int = 6
+
+
+class PredictPath:
+    """Pictures of one rig, looked at where the prior says."""
+
+    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig) -> None:
+        self._rig, self._config = rig, config
+        self._pose = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.verify.weak_found)
+        self._pair_sigma_px = pair_sigma_px(rig)
+        self._waiting = Waiting(config.verify)
+
+    def clear(self) -> None:
+        """A fix was made otherwise."""
+        self._waiting.clear()
+
+    def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
+        """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
+        eye = self._eye(pictures)
+        marks = _in_view(eye, near, prior, self._limit_px(eye))[: self._config.most_voting]
+        move = motion(eye, marks, prior) if marks else None
+        return None if move is None else (marks, move)
+
+    def narrow(self, pictures: Pictures, move: Motion, share: float = 1.0) -> bool:
+        """Whether a search of `share` of the limits covers what the prior leaves open."""
+        c, sigmas = self._config.coarse, self._config.coarse.sigmas
+        shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
+        return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
+
+    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int) -> Result:
+        """Fix or reason."""
+        eye, prior = self._eye(pictures), move.prior
+        picture = pictures.right if pictures.only_right else pictures.left
+        assert picture is not None
+        candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)
+        if not candidates:
+            self._waiting.clear()
+            return self._no_fix(pictures, "not_found", "nothing of the outlines in view", t_ns, [])
+        best = candidates[0]
+        trusted = best.support > self._config.verify.landmark_share * np.maximum(best.length, 1.0)
+        evidence = Evidence.of(candidates, trusted, eye.camera.width)
+        said = _reports(eye, marks, best, trusted)
+        if flaw := verify.flaw(evidence, self._config.verify):
+            self._waiting.clear()
+            return self._no_fix(pictures, "not_found", flaw, t_ns, said)
+        if evidence.rival > self._config.verify.rival:
+            self._waiting.clear()
+            return self._no_fix(pictures, "ambiguous", f"another place fits {evidence.rival:.0%} as well", t_ns, said)
+        outcome = self._fit(pictures, marks, best, trusted, prior)
+        if isinstance(outcome, str):
+            self._waiting.clear()
+            return self._no_fix(pictures, "no_pose", outcome, t_ns, said)
+        fit, chosen, remark = outcome
+        level, reason = verify.grade(evidence, fit, self._config.verify)
+        if level == "weak" and not self._waiting.agrees(fit, t_ns, prior):
+            return self._no_fix(pictures, "waiting", f"{reason}: the next picture must agree", t_ns, said)
+        self._waiting.clear()
+        if level == "refused":
+            return self._no_fix(pictures, "no_pose", reason, t_ns, said)
+        names = tuple(marks[k].id for k in chosen)
+        said = [_decided(one, names) for one in said]
+        detail = f"{remark}predicted: {len(names)} of {len(said)} landmarks used, next place {evidence.rival:.0%} as good"
+        fix = fix_of(fit, t_ns, names, fit.found)
+        return Result(fix, report_of(t_ns, "fixed", pictures.remark + detail, said, fit.residual_px), tuple(said), fit)
+
+    def _fit(
+        self, pictures: Pictures, marks: list[Landmark], best: Candidate, trusted: Mask, prior: Prior
+    ) -> tuple[PoseEstimate, list[int], str] | str:
+        """Fit of the outlines, those that are not where they should be left out; landmarks used, remark. Or why there is none."""
+        views: Views = (pictures.left, pictures.right)
+        chosen, remark, v = _chosen(best, trusted, self._config.most_fitted), "", self._config.verify
+        for _ in range(_MOST_FITS):
+            some = [marks[k] for k in chosen]
+            fit = estimate_pose(self._rig, views, some, best.pose, prior, self._pose, best.shift_m[chosen])
+            if isinstance(fit, NoPose):
+                return f"{remark}{fit.reason} {fit.detail}".strip()
+            seen = recheck(self._rig, views, some, fit, self._pose.look)
+            problem = self._pair_flaw(seen)
+            good = [k for k, share in zip(chosen, seen.share, strict=True) if share >= v.landmark_found]
+            if problem:
+                if self._swapped(views, some, best.pose, best.shift_m[chosen], prior):
+                    return "left and right picture are swapped"
+                views, remark = (pictures.left, None), f"right camera not used: {problem}; "
+            elif len(good) == len(chosen):
+                return pose_flaw(fit, prior) or (fit, chosen, remark)
+            elif sum(best.length[good]) < v.seen * sum(best.length):
+                return f"{len(chosen) - len(good)} of {len(chosen)} landmarks are not where the others say"
+            else:
+                chosen = good
+        return "the landmarks do not agree"
+
+    def _pair_flaw(self, seen: Recheck) -> str:
+        """Why the right picture does not belong to the left one; empty where it does."""
+        if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
+            return f"{seen.pictures[0]:.0%} of the outlines found in the left picture, {seen.pictures[1]:.0%} in the right one"
+        if seen.apart is None:
+            return ""
+        du, dv, sigma = seen.apart
+        limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
+        if abs(dv) > limit:
+            return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
+        return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together" if abs(du) > limit else ""
+
+    def _swapped(self, views: Views, marks: list[Landmark], start: Pose, shift_m: Array, prior: Prior) -> bool:
+        """Whether the outlines lie in both pictures once they are taken the other way round."""
+        fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._pose, shift_m)
+        return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
+
+    def _eye(self, pictures: Pictures) -> Eye:
+        return eyes(self._rig)[int(pictures.only_right)]
+
+    def _limit_px(self, eye: Eye) -> float:
+        return limit_px(eye.camera, self._config.coarse)
+
+    def _no_fix(self, pictures: Pictures, outcome: str, detail: str, t_ns: int, said: list[RegionReport]) -> Result:
+        return Result(None, report_of(t_ns, outcome, f"{pictures.remark}predicted: {detail}", said), tuple(said))
+
+
+def pair_sigma_px(rig: StereoRig) -> float:
+    """By how much the two pictures may be shifted against each other for all that the calibration knows [px]."""
+    turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
+    lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
+    return math.sqrt(turn + lenses)
+
+
+def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float) -> list[Landmark]:
+    """Landmarks whose roof comes within limit_px of the picture, those with most of it in view first."""
+    pinhole = straight(eye)
+    p_nk, R_nk = pinhole.pose(np.asarray(prior.p_n, dtype=float), prior.R_nb)
+    c, ranked = pinhole.camera, []
+    for number, mark in enumerate(near):
+        roof = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
+        x_c = (roof - p_nk) @ R_nk
+        if not (x_c[:, 2] > 0.2 * np.linalg.norm(x_c, axis=1)).all():
+            continue
+        px = c.project(x_c)
+        low, high = px.min(axis=0), px.max(axis=0)
+        size = np.array([c.width, c.height])
+        beside = np.maximum(np.maximum(low - size, -high), 0.0).max()
+        if beside < limit_px:
+            inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0))
+            ranked.append((-float(inside), float(beside), number))
+    return [near[number] for _, _, number in sorted(ranked)]
+
+
+def _chosen(best: Candidate, trusted: Mask, most: int) -> list[int]:
+    """The landmarks that are fitted: those with most support, in their order."""
+    order = np.argsort(-np.where(trusted, best.support, -1.0), kind="stable")
+    return sorted(order[: min(most, int(trusted.sum()))].tolist())
+
+
+def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
+    """Identified is what the fix rests on."""
+    if one.state != "open":
+        return one
+    done = one.landmark in used
+    return msgspec.structs.replace(one, state="identified" if done else "open", reason="" if done else "seen, but not used")
+
+
+def _reports(eye: Eye, marks: list[Landmark], best: Candidate, trusted: Mask) -> list[RegionReport]:
+    """One line for each landmark that would be in view."""
+    p_nk, R_nk = eye.pose(*best.pose)
+    said = []
+    for k, mark in enumerate(marks):
+        if best.length[k] <= 0.0:
+            continue
+        outline = mark.outline_n + best.shift_m[k, :2]
+        px = eye.camera.project((np.column_stack((outline, np.full(len(outline), mark.roof_d))) - p_nk) @ R_nk)
+        share = float(best.support[k] / best.length[k])
+        said.append(RegionReport(
+            "open" if trusted[k] else "not_found", _box(eye, px), mark.id, min(share, 1.0), 0.0, int(trusted[k]),
+            f"{share:.0%} of its outline lies on edges", PATH,
+        ))  # fmt: skip
+    return said
+
+
+def _box(eye: Eye, px: Array) -> tuple[int, int, int, int]:
+    good = px[np.isfinite(px).all(axis=1)]
+    if not len(good):
+        return 0, 0, 0, 0
+    limit = np.array([eye.camera.width, eye.camera.height])
+    low = np.clip(np.floor(good.min(axis=0)), 0, limit).astype(int)
+    high = np.clip(np.ceil(good.max(axis=0)), 0, limit).astype(int)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])

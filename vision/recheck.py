@@ -1,0 +1,91 @@
+"""A last look: do the outlines lie where the fit says, landmark by landmark, and do both pictures say the same?
+
+    r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two pictures, px)
+
+A fit leaves out edges that disagree; a landmark of which most disagree is not there, and pictures that are swapped, or were not
+taken together, or belong to another calibration, differ by one shift for all.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.landmarks import Landmark
+from models.messages import Array
+from vision.look import LookConfig, Scene, roof_offsets
+from vision.pose import PoseEstimate
+from vision.rectify import Image
+from vision.sensitivity import eyes, sample_edges, view
+from vision.visibility import Kind, visible_edges
+
+Mask = NDArray[np.bool_]
+_HALF_PX = 8
+_NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted
+_LEAST = 12  # points in both pictures that tell a shift
+_ROUNDS = 4
+_TUKEY = 4.7
+_CORRELATED = 4.0  # neighbouring points on an edge are not independent
+_FLOOR_PX = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Recheck:
+    """share (L,) of each landmark's roof in view that lies where the fit says; pictures: the same of each picture that is there.
+
+    apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
+    """
+
+    share: Array
+    pictures: tuple[float, ...]
+    apart: tuple[float, float, float] | None
+
+
+def recheck(
+    rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
+) -> Recheck:
+    """Look at the roofs from the pose that prior and pictures gave together."""
+    scene = Scene(rig, views, landmarks)
+    pose = fit.joint_p_n, fit.joint_R_nb
+    shown = [(eye, image) for eye, image in zip(eyes(rig), scene.images, strict=True) if image is not None]
+    edges = visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
+    samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == Kind.ROOF)
+    mark, count = edges.landmark[samples.edge], len(landmarks)
+    near, usable, offsets, normals = [], [], [], []
+    for eye, image in shown:
+        seen = view(edges, samples, eye, *pose, scene.prisms)
+        offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
+        near.append(good & (np.abs(offset) < _NEAR_PX))
+        usable.append(good)
+        offsets.append(offset)
+        normals.append(seen.normal)
+    found, given = (sum(np.bincount(mark[one], minlength=count) for one in ones) for ones in (near, usable))
+    pictures = tuple(float(a.sum()) / max(float(b.sum()), 1.0) for a, b in zip(near, usable, strict=True))
+    apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
+    return Recheck(np.asarray(found / np.maximum(given, 1)), pictures, apart)
+
+
+def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:
+    """(du, dv) and a standard deviation of both, robustly (Huber, then Tukey)."""
+    good = np.isfinite(difference)
+    d, n = difference[good], normal[good]
+    if len(d) < _LEAST:
+        return None
+    weight: Array = np.ones(len(d))
+    scale = 1.0
+    shift: Array = np.zeros(2)
+    for k in range(_ROUNDS):
+        A = (n * weight[:, None]).T @ n + 1e-3 * np.eye(2)
+        shift = np.linalg.solve(A, n.T @ (weight * d))
+        z: Array = np.abs(d - n @ shift)
+        scale = max(1.4826 * float(np.median(z)), _FLOOR_PX)
+        z /= scale
+        weight = 1.0 / np.maximum(z, 1.0) if k < _ROUNDS // 2 else np.maximum(1.0 - (z / _TUKEY) ** 2, 0.0) ** 2
+    A = (n * weight[:, None]).T @ n
+    if np.linalg.eigvalsh(A)[0] < 2.0:
+        return None
+    sigma = scale * math.sqrt(_CORRELATED * float(np.linalg.inv(A).diagonal().max()))
+    return float(shift[0]), float(shift[1]), sigma

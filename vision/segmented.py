@@ -1,0 +1,267 @@
+"""Recognition by description, for boot and for a prior that is lost: the stages of the thesis' chapter 5 in their order.
+
+rectify -> segment -> regions -> correspond -> measure -> identify -> pose -> tests of the fix
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from models.camera import StereoRig
+from models.landmarks import Landmark
+from vision import epipolar
+from vision import sightings as sight
+from vision.constellation import Constellation, MemoryConfig
+from vision.correspond import Match, Unmatched, correspond
+from vision.identify import NONE, Identification, IdentifyConfig, Prior, identify
+from vision.likelihood import Catalogue, Sighting, catalogue
+from vision.measure import Measured, measure
+from vision.pictures import Pictures
+from vision.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose
+from vision.rectify import Image, Mask, Rectification, rectify
+from vision.regions import Limits, Region
+from vision.reports import INSIDE_9999, RegionReport, Result, fix_of, nothing, pose_flaw, report_of, squared_distance
+from vision.segment import Space
+from vision.sensitivity import eyes
+from vision.start import centroid_and_size, start_from_regions
+from vision.survey import Settings, grey, segment_regions
+
+_ROWS_PX: Final = 0.8  # rows that differ by less do no harm
+_TOO_FLAT: Final = "seen too flat to know its size"
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentConfig:
+    """least_px: of a region; most_regions; most_landmarks: near the prior, beyond it nothing is identified."""
+
+    space: Space
+    least_px: int
+    most_regions: int
+    most_landmarks: int
+    identify: IdentifyConfig
+    pose: PoseConfig
+    memory: MemoryConfig
+
+
+@dataclass(frozen=True, slots=True)
+class _Views:
+    """The pictures rectified; the first is the left one, or the only good one."""
+
+    work: Image
+    other: Image | None
+    valid: Mask | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Regions that can be identified with their sightings, and reports of those that cannot."""
+
+    regions: list[Region]
+    sightings: list[Sighting]
+    refused: list[RegionReport]
+    metric: bool
+    scale_sigma: float
+    remark: str
+
+
+class SegmentPath:
+    """Regions of pictures of one rig, identified as landmarks."""
+
+    def __init__(self, rig: StereoRig, rectified: Rectification, config: SegmentConfig) -> None:
+        self._rig, self._rectified, self._config = rig, rectified, config
+        self._rows_sigma_px = _rows_sigma(rectified.rig)
+        self._memory = Constellation(config.memory)
+
+    def clear(self) -> None:
+        """A fix was made: what is remembered has another error from now on."""
+        self._memory.clear()
+
+    def locate(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
+        """Fix or reason; near: the landmarks that may be in view."""
+        if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may look sure
+            return nothing(t_ns, "prior_too_wide", f"{pictures.remark}{len(near)} landmarks may be in view")
+        known = catalogue(near)
+        views = self._views(pictures)
+        regions = self._segment(views, near)
+        if not regions:
+            return nothing(t_ns, "no_region", pictures.remark)
+        seen = self._measure(pictures, views, regions, prior, known)
+        if isinstance(seen, str):
+            return nothing(t_ns, "swapped", seen, len(regions))
+        return self._decide(pictures, seen, near, known, t_ns, prior)
+
+    def _views(self, pictures: Pictures) -> _Views:
+        """Rectified."""
+        r = self._rectified
+        maps = (r.right, r.left) if pictures.only_right else (r.left, r.right)
+        raw = (pictures.right, None) if pictures.only_right else (pictures.left, pictures.right)
+        assert raw[0] is not None
+        other = None if raw[1] is None else rectify(raw[1], maps[1])
+        return _Views(rectify(raw[0], maps[0]), other, maps[0].valid if maps[0] else None)
+
+    def _segment(self, views: _Views, near: list[Landmark]) -> list[Region]:
+        colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
+        limits = Limits(least_px=self._config.least_px, most=self._config.most_regions)
+        return segment_regions(views.work, views.valid, Settings(colours, self._config.space, limits=limits))
+
+    def _measure(self, pictures: Pictures, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
+        """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
+        whole = [r for r in regions if not r.touches_border]
+        refused = [RegionReport("cut_off", r.bbox, reason="cut off by the picture's edge") for r in regions if r.touches_border]
+        if views.other is None:
+            return self._one_camera(pictures, whole, prior, known, refused, pictures.remark)
+        rig = self._rectified.rig
+        matches = correspond(grey(views.work), grey(views.other), whole, rig)
+        if swapped := epipolar.pair_reason(matches, None):
+            return swapped
+        if rows := self._rows_off(views, matches):
+            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
+            return self._one_camera(
+                pictures, whole, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
+            )
+        level = sight.level(prior, rig)
+        kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
+        for match in matches:
+            m = measure(match, rig, level=level) if isinstance(match, Match) else match
+            if not isinstance(m, Measured):
+                refused.append(_not_measured(m.region, m.reason))
+            elif one := sight.from_stereo(m, prior, rig):
+                kept.append(m.region)
+                seen.append(one)
+                measured.append(m)
+            else:
+                refused.append(_not_measured(m.region, _TOO_FLAT))
+        return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), pictures.remark)
+
+    def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
+        """By how much the rows of the pair differ beyond what its calibration allows [px], 0 where they fit."""
+        found = [m for m in matches if isinstance(m, Match)]
+        limit = max(_ROWS_PX, 3.0 * self._rows_sigma_px)
+        off = [m.vertical_px for m in found if abs(m.vertical_px) > limit + 3.0 * m.vertical_sigma_px]
+        if off and 2 * len(off) >= len(found):
+            return float(np.median(off))
+        if views.other is not None and 2 * len(found) < len(matches):  # in doubt: looks further, and takes longer
+            residual = epipolar.edge_residual(grey(views.work), grey(views.other), self._rectified.rig)
+            if residual and abs(residual.vertical_px) > limit + 3.0 * residual.sigma_px:
+                return residual.vertical_px
+        return 0.0
+
+    def _one_camera(
+        self,
+        pictures: Pictures,
+        whole: list[Region],
+        prior: Prior,
+        known: Catalogue,
+        refused: list[RegionReport],
+        remark: str,
+    ) -> _Seen:
+        rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
+        roof_d = float(np.mean(known.place_n[:, 2]))
+        kept, seen = list[Region](), list[Sighting]()
+        for region in whole:
+            one = sight.from_one_camera(region, prior, rig, roof_d)
+            if one is None:
+                refused.append(_not_measured(region, _TOO_FLAT))
+            else:
+                kept.append(region)
+                seen.append(one)
+        return _Seen(kept, seen, refused, False, sight.ONE_CAMERA_SCALE_SIGMA, remark)
+
+    def _decide(self, pictures: Pictures, seen: _Seen, near: list[Landmark], known: Catalogue, t_ns: int, prior: Prior) -> Result:
+        """Identify, and where that succeeds fit the pose; regions that stay open are kept for the next picture."""
+        rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
+        remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
+        every = seen.sightings + remembered
+        found = identify(every, known, prior, rig, seen.scale_sigma, self._config.identify, metric=seen.metric)
+        now = len(seen.sightings)
+        reports = [*(_region(seen.regions[i], found, i, known, self._config.identify) for i in range(now)), *seen.refused]
+        chosen = [i for i in range(now) if found.accepted[i]]
+        remark = seen.remark
+        if not chosen or found.place_posterior < self._config.identify.fix_posterior:
+            if seen.metric:
+                self._memory.hold(seen.sightings, remembered, t_ns, prior)
+            outcome = _unsettled(found, now)
+            return Result(None, report_of(t_ns, outcome, remark + _summary(found, now, len(remembered)), reports), tuple(reports))
+        marks = [near[found.landmark[i]] for i in chosen]
+        used = (pictures.left, pictures.right if seen.metric or pictures.only_right else None)
+        pose = self._pose(used, [seen.regions[i] for i in chosen], marks, prior, pictures.only_right)
+        flaw = f"{pose.reason} {pose.detail}".strip() if isinstance(pose, NoPose) else _fix_flaw(pose, prior, found)
+        if flaw or isinstance(pose, NoPose):
+            return Result(None, report_of(t_ns, "no_pose", remark + flaw, reports), tuple(reports))
+        self._memory.clear()
+        similarity = float(np.mean([_similarity(found, i) for i in chosen]))
+        fix = fix_of(pose, t_ns, tuple(m.id for m in marks), similarity)
+        report = report_of(t_ns, "fixed", remark + _summary(found, now, len(remembered)), reports, pose.residual_px)
+        return Result(fix, report, tuple(reports), pose)
+
+    def _pose(
+        self,
+        raw: tuple[Image | None, Image | None],
+        regions: Sequence[Region],
+        marks: Sequence[Landmark],
+        prior: Prior,
+        right: bool,
+    ) -> PoseEstimate | NoPose:
+        """Start from the regions' places in the rectified picture, then fit the outlines in the pictures as they came."""
+        eye = eyes(self._rectified.rig)[int(right)]
+        described = [centroid_and_size(np.ascontiguousarray(r.outline)) for r in regions]
+        centres, sizes = np.array([c for c, _ in described]), np.array([s for _, s in described])
+        p_n, R_nb, shift = start_from_regions(eye, marks, centres, sizes, prior)
+        return estimate_pose(self._rig, raw, marks, (p_n, R_nb), prior, self._config.pose, shift)
+
+
+def _rows_sigma(rig: StereoRig) -> float:
+    """By how much rows may differ for all that the calibration knows [px]: f drx, and both principal points."""
+    turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
+    return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
+
+
+def _not_measured(region: Region, reason: str) -> RegionReport:
+    return RegionReport("not_measured", region.bbox, reason=reason)
+
+
+def _similarity(found: Identification, i: int) -> float:
+    return float(found.own_similarity[i] if found.landmark[i] != NONE else found.similarity[i])
+
+
+def _region(region: Region, found: Identification, i: int, known: Catalogue, config: IdentifyConfig) -> RegionReport:
+    """One line of the why-not."""
+    landmark = found.landmark[i] if found.landmark[i] != NONE else found.best[i]
+    name = known.ids[landmark] if landmark != NONE else ""
+    posterior, candidates = float(found.posterior[i]), int(found.candidates[i])
+    if found.accepted[i]:
+        state, reason = "identified", ""
+    elif candidates == 0:
+        state, reason = "not_in_map", f"no landmark near is {config.min_similarity:.0%} similar"
+    elif found.landmark[i] == NONE and posterior >= config.accept_posterior:
+        state, reason = "not_in_map", "something like it, but not where a landmark is"
+    elif found.landmark[i] == NONE:
+        state, reason = "open", f"probably not in the map ({posterior:.4f}), {candidates} candidates"
+    else:
+        state, reason = "open", f"ambiguous: probability {posterior:.4f}, {candidates} candidates"
+    return RegionReport(state, region.bbox, name, _similarity(found, i), posterior, candidates, reason)
+
+
+def _unsettled(found: Identification, now: int) -> str:
+    if not found.candidates[:now].any():
+        return "no_candidate"
+    return "ambiguous" if (found.landmark[:now] != NONE).any() else "not_in_map"
+
+
+def _summary(found: Identification, now: int, remembered: int) -> str:
+    count = int(found.accepted[:now].sum())
+    before = f", {remembered} of earlier pictures" if remembered else ""
+    return f"{count} of {now} regions identified{before}, place sure to {found.place_posterior:.5f}"
+
+
+def _fix_flaw(pose: PoseEstimate, prior: Prior, found: Identification) -> str:
+    """Why a fitted pose is not believed: not a number, not where the prior may be, not where the regions said."""
+    if flaw := pose_flaw(pose, prior):
+        return flaw
+    p_n, q = prior.moved(found.x)
+    distance = squared_distance(pose.joint_p_n, pose.joint_R_nb, p_n, q, found.covariance[:6, :6] + pose.joint_covariance)
+    if distance > INSIDE_9999:
+        return f"outlines and regions disagree: squared distance {distance:.0f}, 99.99 % are below {INSIDE_9999:.0f}"
+    return ""

@@ -1,0 +1,121 @@
+"""Is a place that was found the right one? When in doubt there is no fix.
+
+    share   = sum support / sum length          of all landmarks in view, not of the chosen ones
+    rival   = (score of the next place) / score, both without the prior
+    agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
+
+A place with little to be seen is held until the next picture shows the same error of the prior.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.coarse import Candidate
+from vision.identify import Prior
+from vision.pose import PoseEstimate, difference
+
+Grade = Literal["sure", "weak", "refused"]
+
+
+class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a place must show."""
+
+    landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length from which a landmark counts as seen")] = (
+        0.33
+    )
+    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.38
+    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.6
+    rival: Annotated[float, Meta(gt=0, lt=1, description="score of the next place, over the best one's, at most")] = 0.75
+    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 60.0
+    least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
+    found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.6
+    landmark_found: Annotated[float, Meta(gt=0, lt=1, description="the same of one landmark, or it is left out")] = 0.4
+    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.45
+    factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
+    memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
+    agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
+    drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from picture to picture")] = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for the best candidate before it is fitted."""
+
+    score_px: float
+    share: float
+    seen: float
+    rival: float
+
+    @classmethod
+    def of(cls, candidates: list[Candidate], trusted: NDArray[np.bool_], width: int) -> "Evidence":
+        """trusted: (L,) landmarks of the best one that count as seen; width: px of the picture."""
+        best = candidates[0]
+        total = max(float(best.length.sum()), 1e-9)
+        rival = max((c.score for c in candidates[1:]), default=0.0)
+        return cls(
+            best.score * 640.0 / width,
+            float(best.support.sum()) / total,
+            float(best.length[trusted].sum()) / total,
+            max(rival, 0.0) / max(best.score, 1e-9),
+        )
+
+
+def flaw(evidence: Evidence, config: VerifyConfig) -> str:
+    """Why a place is not worth a fit; empty where it is."""
+    if evidence.score_px < config.least_px or evidence.share < config.share:
+        return f"the outlines are not where they should be: {evidence.share:.0%} of them on edges"
+    if evidence.seen < config.seen:
+        return f"landmarks with {evidence.seen:.0%} of the outline in view were found, the others were not"
+    return ""
+
+
+def grade(evidence: Evidence, fit: PoseEstimate, config: VerifyConfig) -> tuple[Grade, str]:
+    """How far a fit is believed, and why no further."""
+    if fit.factor > config.factor:
+        return "refused", f"residuals are {fit.factor:.1f} times what they should be"
+    if fit.found < config.weak_found:
+        return "refused", f"{fit.found:.0%} of the outlines found"
+    if fit.found < config.found:
+        return "weak", f"{fit.found:.0%} of the outlines found"
+    if evidence.score_px < config.score_px:
+        return "weak", "little of the outlines in view"
+    return "sure", ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    t_ns: int
+    error: Array  # x (-) x0, (6,)
+    covariance: Array
+    prior: Array  # its variances
+
+
+class Waiting:
+    """The weak place of the picture before: a function of the requests alone, so that a replay waits as the flight did."""
+
+    def __init__(self, config: VerifyConfig) -> None:
+        self._config = config
+        self._held: _Held | None = None
+
+    def clear(self) -> None:
+        """Forget: a fix was made, or nothing was found."""
+        self._held = None
+
+    def agrees(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> bool:
+        """Whether the place held before shows the same error of the prior; this one is held from now on."""
+        error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
+        now = _Held(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy())
+        before, self._held = self._held, now
+        if before is None or not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+            return False
+        drift = np.maximum(now.prior - before.prior, 0.0)
+        drift[:3] += self._config.drift_m**2
+        apart = now.error - before.error
+        spread = now.covariance + before.covariance + np.diag(drift)
+        return bool(apart @ np.linalg.solve(spread, apart) < self._config.agree)
