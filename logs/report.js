@@ -69,11 +69,11 @@
 
   // --- charts over time ----------------------------------------------------------------------------------------------------
 
-  const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 22;
+  const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 22, ROW = 30;
 
   class OverTime {
     constructor(figure, chart) {
-      Object.assign(this, { figure, chart, height: chart.height || 26 * Object.keys(chart.rows || {}).length + TOP + BOTTOM });
+      Object.assign(this, { figure, chart, height: chart.height || ROW * Object.keys(chart.rows || {}).length + TOP + BOTTOM });
       figure.append(html("figcaption", "", chart.title + (chart.unit ? ` [${chart.unit}]` : "")));
       this.hidden = chart.parts ? legend(figure, chart.parts.map((p) => [p.name, p.colour]), () => this.draw()) : new Set();
       this.readout = html("div", "readout");
@@ -172,7 +172,7 @@
       }
       for (const level of this.chart.levels) take(level.y);
       if (low > high) return log ? [0.1, 10] : [-1, 1];
-      if (log) return [low / 1.3, high * 1.3];
+      if (log) return [Math.max(low, high / 1e5) / 1.3, high * 1.3]; // a single tiny value does not squeeze the rest
       const room = Math.max(0.06 * (high - low), 1e-9 * Math.abs(high), 1e-12);
       return [low - room, high + room];
     }
@@ -190,7 +190,7 @@
       for (const part of this.shown()) this[part.type](body, part, y);
       for (const level of this.chart.levels) {
         body.append(element("path", { class: "level", d: `M${LEFT} ${y(level.y)}H${this.width - RIGHT}` }));
-        body.append(label(this.width - RIGHT - 3, y(level.y) - 3, level.name, "end"));
+        body.append(label(this.width - RIGHT - 3, y(level.y) + (y(level.y) < TOP + 14 ? 12 : -3), level.name, "end"));
       }
       this.point(view.cursor);
     }
@@ -265,12 +265,12 @@
     draw() {
       const body = this.frame();
       Object.entries(this.chart.rows).forEach(([name, stays], row) => {
-        const top = TOP + 26 * row;
+        const top = TOP + ROW * row;
         for (const stay of stays) {
           const a = this.x(stay.start), width = Math.max(1.5, this.x(stay.end) - a);
-          body.append(element("rect", { class: `stay ${stay.colour}`, x: a, y: top + 10, width, height: 14 }));
+          body.append(element("rect", { class: `stay ${stay.colour}`, x: a, y: top + 15, width, height: 12 }));
         }
-        this.svg.append(label(LEFT + 2, top + 9, name, "start"));
+        this.svg.append(label(LEFT + 2, top + 11, name, "start"));
       });
       this.point(view.cursor);
     }
@@ -296,7 +296,7 @@
     draw() {
       const width = Math.max(280, this.figure.clientWidth), height = 170, { edges, counts, colour } = this.chart;
       const used = counts.flatMap((n, k) => (n ? [k] : []));
-      const first = Math.max(0, (used[0] ?? 0) - 2), last = Math.min(counts.length, (used.at(-1) ?? 0) + 3);
+      const first = Math.max(0, (used[0] ?? 0) - 5), last = Math.min(counts.length, (used.at(-1) ?? 0) + 8);
       const [a, b] = [Math.log10(edges[first]), Math.log10(edges[last])], most = Math.log10(Math.max(...counts, 1) * 1.4);
       const x = (v) => LEFT + ((Math.log10(v) - a) / (b - a)) * (width - LEFT - RIGHT);
       const y = (n) => height - BOTTOM - ((n > 0 ? Math.log10(n) + 0.2 : 0) / (most + 0.2)) * (height - TOP - BOTTOM);
@@ -306,10 +306,11 @@
       for (let n = 1; Math.log10(n) <= most; n *= 10) {
         this.svg.append(label(LEFT - 5, y(n) + 4, number(n), "end"), element("path", { class: "grid", d: `M${LEFT} ${y(n)}H${width - RIGHT}` }));
       }
+      const between = (k) => (k === 0 ? `up to ${number(edges[1])}` : k === counts.length - 1 ? `${number(edges[k])} and more` : `${number(edges[k])} to ${number(edges[k + 1])}`);
       for (let k = first; k < last; k++) {
         if (!counts[k]) continue;
         const bar = element("rect", { class: `bar ${colour}`, x: x(edges[k]), y: y(counts[k]), width: x(edges[k + 1]) - x(edges[k]) - 0.5, height: height - BOTTOM - y(counts[k]) });
-        bar.onpointerenter = () => (this.readout.textContent = `${number(edges[k])} to ${number(edges[k + 1])}: ${counts[k]}`);
+        bar.onpointerenter = () => (this.readout.textContent = `${between(k)}: ${counts[k]}`);
         this.svg.append(bar);
       }
     }

@@ -24,6 +24,7 @@ from models.messages import Reason
 from models.web_page import text
 
 _SHOWN_BYTES: Final = 40_000  # of an attached text
+_MOST_WORDS: Final = 50
 
 
 class Shot(msgspec.Struct, frozen=True):
@@ -86,15 +87,17 @@ def page(m: Material) -> str:
     c = compare(m.evidence.estimate, m.evidence.truth)
     parts = {
         "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
-        "Error and promise": _errors(m, sheet, sheet.add(report_plots.promises(m.evidence, m.gathered, c), "one"), c),
-        "Outages and resets": _table(evaluation_table.outages(m.evaluation)) + _table(evaluation_table.resets(m.evaluation)),
+        "Error and promise": _errors(m, sheet, c),
+        "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation)),
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),
-        "State": sheet.add(report_plots.states(m.evidence, m.gathered)),
+        "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
         "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered))
         or _faint("The health in this log does not tell biases."),
-        "Health": sheet.add(report_plots.health(m.evidence, m.gathered)) + _table(_counts(m)),
-        "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered)) + _table(_traffic(m)) + _daemon(m),
+        "Health": sheet.add(report_plots.health(m.evidence, m.gathered), "three") + web_page.table(_counts(m)),
+        "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
+        + web_page.table(_traffic(m))
+        + _daemon(m),
         "Configuration and calibration": _attachments(m),
     }
     parts = {name: body for name, body in parts.items() if body}
@@ -128,8 +131,14 @@ def _faint(words: str) -> str:
     return f'<p class="faint">{text(words)}</p>'
 
 
-def _table(table: web_page.Table) -> str:
-    return web_page.table(table)
+def _beside(*tables: web_page.Table) -> str:
+    """Tables in a row, as far as there is room."""
+    return f'<div class="beside">{"".join(f"<div>{web_page.table(t)}</div>" for t in tables if t[2])}</div>'
+
+
+def _at(m: Material, t_ns: int) -> str:
+    """Seconds since the first estimate."""
+    return f"{round((t_ns - m.start_ns) * 1e-9, 1) + 0.0:.1f}"
 
 
 def _head(m: Material) -> str:
@@ -172,18 +181,17 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
     return tiles
 
 
-def _errors(m: Material, sheet: _Sheet, radius: str, c: Comparison) -> str:
-    body = radius + sheet.add(report_plots.errors(m.evidence, c))
-    if m.evaluation.accuracy:
-        body += _table(evaluation_table.accuracy(m.evaluation.accuracy))
-    body += sheet.add(report_plots.consistency(m.evidence, c), "one")
-    if m.evaluation.honesty:
-        body += _table(evaluation_table.honesty(m.evaluation.honesty))
-    return body
+def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
+    """Errors and promises, and whether they agree."""
+    body = sheet.add(report_plots.promises(m.evidence, m.gathered, c), "one")
+    body += sheet.add(report_plots.errors(m.evidence, c), "three") + sheet.add(report_plots.consistency(m.evidence, c), "one")
+    tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []
+    tables += [evaluation_table.honesty(m.evaluation.honesty)] if m.evaluation.honesty else []
+    return body + _beside(*tables)
 
 
 def _measurements(m: Material, sheet: _Sheet) -> str:
-    return _table(evaluation_table.aids(m.evaluation)) + _table(_refused(m)) + sheet.add(report_plots.innovations(m.evidence))
+    return _beside(evaluation_table.aids(m.evaluation), _refused(m)) + sheet.add(report_plots.innovations(m.evidence), "three")
 
 
 def _refused(m: Material) -> web_page.Table:
@@ -195,7 +203,7 @@ def _refused(m: Material) -> web_page.Table:
     rows = []
     for (topic, kind, reason), members in sorted(groups.items(), key=lambda g: -len(g[1])):
         aids = [m.evidence.aids[k] for k in members]
-        at = [f"{(a.t_ns - m.start_ns) * 1e-9:.1f}" for a in (aids[0], aids[-1])]
+        at = [_at(m, a.t_ns) for a in (aids[0], aids[-1])]
         worst = max(aids, key=lambda a: a.test_ratio)
         ratio = number(worst.test_ratio) if worst.test_ratio else "-"
         rows.append((topic, kind, reason, str(len(aids)), *at, ratio, worst.detail))
@@ -204,20 +212,20 @@ def _refused(m: Material) -> web_page.Table:
 
 def _vision(m: Material, sheet: _Sheet) -> str:
     charts = sheet.add(report_plots.vision(m.evidence, m.gathered))
-    shots = "".join(_figure(s, m.start_ns) for s in m.illustrations.shots)
+    shots = "".join(_figure(m, s) for s in m.illustrations.shots)
     note = _faint(m.illustrations.note) if m.illustrations.note and (charts or shots) else ""
     return charts + (f"<h3>Pictures</h3><div class='gallery'>{shots}</div>" if shots else "") + note
 
 
-def _figure(s: Shot, start_ns: int) -> str:
-    kind, at = "good" if s.good else "usable", f"{(s.t_ns - start_ns) * 1e-9:.1f} s"
-    said = f'<b class="is-{kind}">{text(s.outcome)}</b>{at}, {text(s.words)}'
+def _figure(m: Material, s: Shot) -> str:
+    kind = "good" if s.good else "usable"
+    said = f'<b class="is-{kind}">{text(s.outcome)}</b>{_at(m, s.t_ns)} s, {text(s.words)}'
     return f"<figure>{web_page.image(s.outcome, s.jpeg, 'jpeg')}<figcaption>{said}</figcaption></figure>"
 
 
 def _counts(m: Material) -> web_page.Table:
-    rows = [((s.t_ns - m.start_ns) * 1e-9, s.state) for s in m.gathered.details if s.state]
-    return "What it said of itself", ("at s", ""), [(f"{t:.1f}", words) for t, words in rows[:50]]
+    rows = [(_at(m, s.t_ns), s.state) for s in m.gathered.details if s.state]
+    return "What it said of itself", ("at s", ""), rows[:_MOST_WORDS]
 
 
 def _traffic(m: Material) -> web_page.Table:
@@ -225,21 +233,23 @@ def _traffic(m: Material) -> web_page.Table:
     for topic, t in sorted(m.gathered.traffic.items()):
         span = (t.last_ns - t.first_ns) * 1e-9
         rate = f"{(t.count - 1) / span:.1f}" if span > 0 else "-"
-        silent = (f"{t.silence_ns * 1e-9:.3g}", f"{(t.silent_from_ns - m.start_ns) * 1e-9:.1f}") if t.count > 1 else ("-", "-")
+        silent = (f"{t.silence_ns * 1e-9:.3g}", _at(m, t.silent_from_ns)) if t.count > 1 else ("-", "-")
         rows.append((topic, t.schema, str(t.count), rate, *silent))
     return "Topics in the log", ("topic", "type", "messages", "Hz", "longest silence s", "from s"), rows
 
 
 def _daemon(m: Material) -> str:
     rows = [(key, value) for key, value in m.gathered.daemon.items()]
-    table = _table(("", (), rows))
+    table = web_page.table(("", (), rows))
     return f"<details><summary>What the daemon told of itself at the end</summary>{table}</details>" if rows else ""
 
 
 def _attachments(m: Material) -> str:
     files = [(a.name, a.media_type, f"{len(a.data)} bytes", sha256(a.data).hexdigest()[:16]) for a in m.evidence.attachments]
     facts = [(f"{record} {key}", value) for record, values in m.evidence.metadata.items() for key, value in values.items()]
-    body = _table(("Files in the log", ("name", "type", "size", "sha256, its beginning"), files)) + _table(("", (), facts))
+    body = web_page.table(("Files in the log", ("name", "type", "size", "sha256, its beginning"), files)) + web_page.table(
+        ("", (), facts)
+    )
     for a in m.evidence.attachments:
         words = _readable(a.data)
         if words:

@@ -108,12 +108,10 @@ def states(evidence: Evidence, gathered: Gathered) -> Charts:
     charts: Charts = {}
     for k, (title, unit) in enumerate(zip(titles, ["m"] * 3 + ["m/s"] * 3 + ["deg"] * 3, strict=True)):
         turn = 360.0 if k == 8 else 0.0
-        parts: list[Line | Band | Points] = [
-            band("95 % band", "sky", signals, k, 9 + k, start_ns),
-            line("estimate", "blue", signals, k, start_ns, turn),
-        ]
+        parts: list[Line | Band | Points] = [band("95 % band", "sky", signals, k, 9 + k, start_ns)]
         if truth is not None and np.isfinite(truth.low[:, k]).any():
             parts.append(line("truth", "black", truth, k, start_ns, turn))
+        parts.append(line("estimate", "blue", signals, k, start_ns, turn))
         charts[f"state{k}"] = TimeChart(title, unit, parts, height=165)
     return charts
 
@@ -219,10 +217,8 @@ def health(evidence: Evidence, gathered: Gathered) -> Charts:
             ("absolute_age_s", "Since an absolute position was fused", "s"),
             ("attitude_sigma_deg", "Attitude, 1 sigma of the worst axis", "deg"),
         ):
-            parts: list[Line | Band | Points] = [
-                line(title.split(",")[0], "blue", gathered.numbers, NUMBERS.index(name), start_ns)
-            ]
-            charts[name] = TimeChart(title, unit, parts, height=165)
+            told = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), start_ns)
+            charts[name] = TimeChart(title, unit, [told], height=165)
     return charts
 
 
@@ -252,7 +248,9 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
     for t, report in looks:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
-        rows.setdefault(report.outcome, []).append(Stay(at, at + 0.8 * step, colour, report.detail or report.outcome))
+        rows.setdefault(report.outcome.replace("_", " "), []).append(
+            Stay(at, at + 0.8 * step, colour, report.detail or report.outcome)
+        )
     charts: Charts = {
         "outcomes": StripChart("What came of each pair of pictures", dict(sorted(rows.items(), key=lambda r: -len(r[1]))))
     }

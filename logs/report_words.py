@@ -135,7 +135,8 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
 
 
 def _source(aid: AidSummary) -> list[Finding]:
-    total, fused = sum(aid.reasons.values()), aid.reasons.get("fused", 0)
+    fused, refused = aid.reasons.get("fused", 0), refusals(aid)
+    total = fused + sum(refused.values())
     refused = {
         r: n for r, n in aid.reasons.items() if r not in {"fused", "aligning", "thinned", "duplicate", "probation", "no_fix"}
     }
