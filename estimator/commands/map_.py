@@ -1,4 +1,4 @@
-"""landfix map build, show, check."""
+"""landfix map build, learn, show, check."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from estimator.commands import map_learn
 from estimator.commands.console import Json, Out, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from estimator.map_check import MapCheck
-    from models.colours import Colour
     from models.landmarks import LandmarkMap
     from models.map_table import Finding, MapReport
 
@@ -18,7 +18,8 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
-app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, show, check.", rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, learn, show, check.", rich_markup_mode=None)
+app.command("learn")(map_learn.command)
 MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or any GeoJSON of polygons.")]
 
 
@@ -65,15 +66,19 @@ def build(
       landfix map build orthophoto.tif -o map.geojson --pick red,white --height-m 0
     """
     from estimator import map_from_picture, orthophoto
+    from estimator.commands.map_options import colours
     from estimator.map_store import load
     from models.landmarks import LandmarkMap
     from models.map_table import Defaults
 
-    colours = _colours(pick, source)
+    is_picture = source.suffix.lower() in _PICTURES
+    if pick and not is_picture:
+        raise typer.BadParameter("--pick wants a picture as IN")
+    wanted = colours(pick)
     defaults = Defaults(height_m=height_m, sigma_m=0.5 if sigma_m is None else sigma_m, origin=_origin(origin))
     with progress(f"build {source.name}") as report:
-        if source.suffix.lower() in _PICTURES:
-            regions = map_from_picture.landmarks(orthophoto.load(source, picture_epsg), colours, least_m2, sigma_m)
+        if is_picture:
+            regions = map_from_picture.landmarks(orthophoto.load(source, picture_epsg), wanted, least_m2, sigma_m)
             the_map = LandmarkMap.from_geojson(regions, defaults)
         else:
             the_map = load(source, defaults)
@@ -162,19 +167,6 @@ def check(
         _print_check(map_file, result)
     if not result.usable:
         raise typer.Exit(1)
-
-
-def _colours(pick: str, source: Path) -> "tuple[Colour, ...]":
-    """The colours to pick from a picture; none: all. Raises a usage error."""
-    from models.colours import parse
-
-    if pick and source.suffix.lower() not in _PICTURES:
-        raise typer.BadParameter("--pick wants a picture as IN")
-    found = [(word, parse(word)) for word in pick.split(",") if word.strip()]
-    for word, colour in found:
-        if colour is None:
-            raise typer.BadParameter(f"--pick: {word!r} is neither a CSS name nor #rrggbb")
-    return tuple(colour for _, colour in found if colour is not None)
 
 
 def _origin(text: str) -> tuple[float, float, float] | None:

@@ -1,0 +1,263 @@
+"""Landmarks learned from a flight: one roof, seen from many places, becomes one place with its covariance.
+
+    z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each picture,   s ~ N(0, I) the same in all of them
+
+F_i: pose (a slow error of GNSS is the same along the whole flight), mounting, lens, depth as the rig's calibration gives it.
+A picture says little about depth; the flight does, for the rays of one roof meet in one point:
+
+    l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + d_i d_i^T,  d_i of F_i: depth
+    cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
+
+so that what repeats is never averaged away, however often a roof is seen. l_0: roofs stand a few metres above the ground.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.special import gammaincinv
+
+from models import outline as polygon
+from models import so3
+from models.camera import StereoRig
+from models.messages import Array
+from vision.identify import Prior
+from vision.measure import Measured
+from vision.regions import Region
+from vision.start import centroid_and_size
+
+_BLIND_M = 1e3  # along a ray whose length nothing tells
+_SHALLOW = 0.25  # sine of a ray against the ground, below which a region is seen too flat
+_VAGUE = 0.3  # relative error of a distance that is none any more
+_NOT = 1e6  # cost of what is excluded
+
+
+class MappingConfig(msgspec.Struct, frozen=True):
+    """How looks become landmarks. roof_m: of a roof above ground, before anything is measured; centre_px, side_px: of a region;
+
+    fresh_share: of the pose's variance that is new in each picture, the rest is the same in all; drift_m: by which it changes
+    along a flight; gate: probability inside it.
+    """
+
+    roof_m: float = 4.0
+    roof_sigma_m: float = 6.0
+    centre_px: float = 0.3
+    side_px: float = 0.5
+    log_size_floor: float = 0.08
+    fresh_share: float = 0.1
+    drift_m: float = 0.3
+    gate: float = 0.999
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A region in one picture. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
+
+    p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
+    log_sigma (2,) of them; pixel_m: a pixel there; S_inverse (3, 3): (R + d d^T)^-1.
+    """
+
+    frame: int
+    z: Array
+    R: Array
+    F: Array
+    depth: Array
+    p_nc: Array
+    rays: Array
+    log_sides: Array
+    log_sigma: Array
+    pixel_m: float
+    colour_bgr: tuple[float, float, float]
+    S_inverse: Array
+
+    def outline_at(self, down: float) -> Array:
+        """(K, 2) north, east of the outline on the level plane there, anticlockwise seen from above."""
+        points = np.ascontiguousarray((self.p_nc + self.rays * (down - self.p_nc[2]))[:, :2])
+        return points if polygon.area(points) > 0.0 else np.ascontiguousarray(points[::-1])
+
+
+def look(
+    frame: int, region: Region, measured: Measured | None, prior: Prior, rig: StereoRig, ground_d: float, config: MappingConfig
+) -> Look | None:
+    """A region, and its distance where that was measured, from the pose of its picture; None where it is seen too flat.
+
+    rig: the rectified one.
+    """
+    p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
+    rays = rig.left.ray(region.outline) @ R_nc.T
+    down = ground_d - config.roof_m - float(p_nc[2])
+    if not np.isfinite(rays).all() or rays[:, 2].min() < _SHALLOW or down < 1.0:
+        return None
+    middle, _ = centroid_and_size(np.ascontiguousarray(region.outline))
+    x_c = rig.left.ray(middle[None])[0]
+    if measured is None or np.hypot(measured.disparity_sigma_px, measured.rig_sigma_px) > _VAGUE * measured.disparity_px:
+        x_c *= down / float((R_nc @ x_c)[2])
+        own, shared = _BLIND_M / float(np.linalg.norm(x_c)), 0.0
+    else:
+        x_c *= measured.distance_m
+        own, shared = measured.disparity_sigma_px / measured.disparity_px, measured.rig_sigma_px / measured.disparity_px
+    z, pixel_m = p_nc + R_nc @ x_c, down / rig.left.fx
+    F_pose = np.hstack((np.eye(3), -so3.skew(z - prior.p_n))) @ _root(prior.covariance)
+    along = R_nc @ x_c
+    spread = (config.centre_px * float(np.linalg.norm(x_c)) / rig.left.fx) ** 2 * np.eye(3)
+    R = spread + own**2 * np.outer(along, along) + config.fresh_share * F_pose @ F_pose.T
+    F = np.hstack((np.sqrt(1.0 - config.fresh_share) * F_pose, _of_rig(x_c, prior.R_nb, R_nc, rig), shared * along[:, None]))
+    level = rays / rays[:, 2:]
+    points = np.ascontiguousarray(level[:, :2] * down)
+    d = polygon.describe(points if polygon.area(points) > 0.0 else points[::-1].copy(), np.array([0, len(points)]))[0]
+    sides = d[[polygon.WIDTH, polygon.LENGTH]]
+    sigma = np.hypot(config.log_size_floor, np.sqrt(2.0) * config.side_px * pixel_m / sides)
+    S_inverse: Array = np.linalg.inv(R + shared**2 * np.outer(along, along)).astype(np.float64)
+    return Look(frame, z, R, F, shared * along, p_nc, level, np.log(sides), sigma, pixel_m, region.colour_bgr, S_inverse)
+
+
+def _of_rig(x_c: Array, R_nb: Array, R_nc: Array, rig: StereoRig) -> Array:
+    """How a point of n is moved by the errors of the mounting and of the left lens, (3, 10), each of variance 1."""
+    moved = np.zeros((3, 10))
+    if rig.covariance_bc is not None:
+        moved[:, :6] = R_nb @ np.hstack((np.eye(3), -so3.skew(rig.R_bc @ x_c))) @ _root(rig.covariance_bc)
+    if rig.left.covariance is not None:
+        x, y, depth = x_c[0] / x_c[2], x_c[1] / x_c[2], x_c[2]
+        by_lens = -depth / rig.left.fx * np.array([[x, 0.0, 1.0, 0.0], [0.0, y, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]])
+        moved[:, 6:] = R_nc @ by_lens @ _root(rig.left.covariance[:4, :4])
+    return moved
+
+
+def _root(covariance: Array) -> Array:
+    """The symmetric L with L L^T = C."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+@dataclass(slots=True)
+class Track:
+    """What is taken for one thing, and where it is so far: information (3, 3) and vector (3,)."""
+
+    information: Array
+    vector: Array
+    log_sides: Array
+    looks: list[Look] = field(default_factory=list)
+
+    def add(self, one: Look) -> None:
+        """One more look at it."""
+        weight = one.S_inverse
+        self.information = self.information + weight
+        self.vector = self.vector + weight @ one.z
+        self.looks.append(one)
+        self.log_sides = np.median([k.log_sides for k in self.looks], axis=0)
+
+    @property
+    def place(self) -> Array:
+        """l (3,)."""
+        return np.asarray(np.linalg.solve(self.information, self.vector))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where one thing is: l (3,), own (3, 3) the part of the covariance that is only its own, F (3, k) what others share;
+
+    chi2: sum of the squared distances of its looks, over their degrees of freedom.
+    """
+
+    place_n: Array
+    own: Array
+    F: Array
+    chi2: float
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) of the whole error."""
+        return self.own + self.F @ self.F.T
+
+
+class Mapper:
+    """Puts the looks of picture after picture together. ground_d: down of the ground."""
+
+    def __init__(self, ground_d: float, config: MappingConfig | None = None) -> None:
+        self.config = config or MappingConfig()
+        self.tracks: list[Track] = []
+        self._roof_d = ground_d - self.config.roof_m
+        self._prior = np.diag([0.0, 0.0, self.config.roof_sigma_m**-2])
+
+    def add(self, looks: Sequence[Look]) -> None:
+        """The looks of one picture: each belongs to a thing seen before, or is the first of a new one."""
+        chosen = self._associated(looks)
+        for one, k in zip(looks, chosen, strict=True):
+            if k < 0:
+                self.tracks.append(Track(self._prior.copy(), self._prior @ [0.0, 0.0, self._roof_d], one.log_sides))
+            self.tracks[k].add(one)
+
+    def place(self, track: Track) -> Place:
+        """Where a thing is, and how surely."""
+        C = np.linalg.inv(track.information)
+        weights = [C @ one.S_inverse for one in track.looks]
+        l_n = C @ track.vector
+        own = C @ self._prior @ C + sum(W @ one.R @ W.T for W, one in zip(weights, track.looks, strict=True))
+        residuals = [one.z - l_n for one in track.looks]
+        square = sum(float(r @ one.S_inverse @ r) for r, one in zip(residuals, track.looks, strict=True))
+        chi2 = square / max(2 * len(track.looks) - 3, 1)
+        F = np.sum([W @ one.F for W, one in zip(weights, track.looks, strict=True)], axis=0)
+        return Place(l_n, max(chi2, 1.0) * own, F, chi2)
+
+    def same(self, a: Track, b: Track) -> bool:
+        """Whether two tracks may be one thing; what repeats moves both alike."""
+        off, sides = a.place - b.place, a.log_sides - b.log_sides
+        S = self.place(a).own + self.place(b).own + self.config.drift_m**2 * np.eye(3)
+        sigma = np.minimum(a.looks[0].log_sigma, b.looks[0].log_sigma)
+        return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
+
+    def _associated(self, looks: Sequence[Look]) -> list[int]:
+        """For each look the row of its track, -1 for none: best pairs inside the gate that agree with each other as well."""
+        if not looks or not self.tracks:
+            return [-1] * len(looks)
+        gate = _quantile(self.config.gate, 4)
+        cost = np.full((len(looks), len(self.tracks) + len(looks)), _NOT)
+        cost[:, len(self.tracks) :] = gate
+        places = np.array([track.place for track in self.tracks])
+        for i, one in enumerate(looks):
+            near = np.flatnonzero(np.hypot(*(places - one.z)[:, :2].T) < self._reach(one))
+            for j in near.tolist():
+                cost[i, j] = self._distance(one, self.tracks[j], places[j])
+        rows, columns = linear_sum_assignment(cost)
+        chosen = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if j < len(self.tracks) and cost[i, j] < gate}
+        self._keep_joint(looks, chosen)
+        return [chosen.get(i, -1) for i in range(len(looks))]
+
+    def _reach(self, one: Look) -> float:
+        """Farther off than this a track is another thing, whatever the covariances say."""
+        across = np.linalg.norm(one.z[:2] - one.p_nc[:2]) / max(one.z[2] - one.p_nc[2], 1.0)
+        height = min(float(np.sqrt(one.R[2, 2] + one.depth[2] ** 2)), self.config.roof_sigma_m)
+        return float(np.exp(one.log_sides[0]) + 3.0 * across * height)
+
+    def _distance(self, one: Look, track: Track, place: Array) -> float:
+        """Squared Mahalanobis distance in place and sides (two of the place's three, for rays say nothing of their lengths)."""
+        S = np.linalg.inv(track.information) + one.R + one.F @ one.F.T
+        off, sides = one.z - place, one.log_sides - track.log_sides
+        return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
+
+    def _keep_joint(self, looks: Sequence[Look], chosen: dict[int, int]) -> None:
+        """Drop pairs until the rest agrees jointly: the pose's error is one for all regions of a picture."""
+        while len(chosen) > 1:
+            pairs = list(chosen.items())
+            off = np.concatenate([looks[i].z - self.tracks[j].place for i, j in pairs])
+            F = np.concatenate([looks[i].F for i, _ in pairs])
+            V = F @ F.T
+            for k, (i, j) in enumerate(pairs):
+                rows = slice(3 * k, 3 * k + 3)
+                V[rows, rows] += looks[i].R + np.linalg.inv(self.tracks[j].information)
+            weighted = np.linalg.solve(V, off)
+            if float(off @ weighted) < _quantile(self.config.gate, 2 * len(pairs)):
+                return
+            inverse = np.linalg.inv(V)
+            gains = []
+            for k in range(len(pairs)):
+                rows = slice(3 * k, 3 * k + 3)
+                gains.append(float(weighted[rows] @ np.linalg.solve(inverse[rows, rows], weighted[rows])))
+            del chosen[pairs[int(np.argmax(gains))][0]]
+
+
+def _quantile(probability: float, degrees: int) -> float:
+    """Chi-square below which this probability lies."""
+    return float(2.0 * gammaincinv(0.5 * degrees, probability))
