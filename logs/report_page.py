@@ -17,7 +17,7 @@ from logs.evidence import Evidence
 from logs.metrics import horizontal_radius
 from logs.report_charts import Chart, Drawing, Span
 from logs.report_gather import Gathered
-from logs.report_words import Finding, Level, duration, summary
+from logs.report_words import Finding, Level, duration, refusals, summary
 from models import web_page
 from models.landmarks import Landmark
 from models.messages import Reason
@@ -175,9 +175,9 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
     if e.honesty:
         tiles.append(("of the time inside the 95 % radius", f"{e.honesty.radius95_covered:.0%}"))
     fused = sum(a.reasons.get("fused", 0) for a in e.aids)
-    total = sum(n for a in e.aids for n in a.reasons.values())
-    if total:
-        tiles.append(("measurements fused", f"{fused} of {total}"))
+    refused = sum(n for a in e.aids for n in refusals(a).values())
+    if fused + refused:
+        tiles.append(("measurements refused", f"{refused} of {fused + refused}"))
     return tiles
 
 

@@ -9,13 +9,14 @@ from logs.evaluation import AidSummary, Evaluation
 from logs.evidence import Evidence
 from logs.metrics import Consistency
 from logs.report_gather import Gathered
-from models.messages import Mode
+from models.messages import Mode, Reason
 from models.web_page import BAD, GOOD, USABLE
 
 _MANY_REFUSED: Final = 0.2
 _NIS_BAND: Final = (0.3, 2.0)  # of the mean over a flight; outside, sigmas are wrong by more than 1.4 or 1.8
 _LATE_S: Final = 0.15  # what an autopilot still takes for an estimate of now
 _FEW: Final = 20
+_NOT_JUDGED: Final = {Reason.ALIGNING, Reason.THINNED, Reason.DUPLICATE, Reason.PROBATION, Reason.NO_FIX}
 
 
 class Level(IntEnum):
@@ -134,12 +135,14 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
     return found
 
 
+def refusals(aid: AidSummary) -> dict[str, int]:
+    """Measurements that were judged and not fused, by reason."""
+    return {reason: n for reason, n in aid.reasons.items() if reason not in _NOT_JUDGED and reason != Reason.FUSED}
+
+
 def _source(aid: AidSummary) -> list[Finding]:
     fused, refused = aid.reasons.get("fused", 0), refusals(aid)
     total = fused + sum(refused.values())
-    refused = {
-        r: n for r, n in aid.reasons.items() if r not in {"fused", "aligning", "thinned", "duplicate", "probation", "no_fix"}
-    }
     found = []
     if sum(refused.values()) > _MANY_REFUSED * total:
         reasons = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in refused.items())
