@@ -1,7 +1,5 @@
 """The report of a calibration: one HTML page that stands alone, verdict first, and its picture as PNG beside it."""
 
-import base64
-import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,19 +12,14 @@ from calib.errors import CalibrationError
 from calib.mono import Dropped, Mono
 from calib.stereo import Stereo
 from calib.verdict import Grade, Verdict
-from models import so3
+from models import so3, web_page
 from models.camera import CameraModel
+from models.web_page import Table
 
-Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]  # title, header, rows
+__all__ = ["Table", "camera_table", "dropped", "mono_tables", "stereo_tables", "write"]
 
-_COLOURS = {Grade.GOOD: "#009E73", Grade.USABLE: "#B8860B", Grade.REDO: "#D55E00"}
+_COLOURS = {Grade.GOOD: web_page.GOOD, Grade.USABLE: web_page.USABLE, Grade.REDO: web_page.BAD}
 _NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_STYLE = (
-    "body{font:15px/1.45 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse;margin:.5em 0 1.5em}"
-    "td,th{padding:.2em .9em .2em 0;text-align:left;border-bottom:1px solid #ddd}"
-    "img{max-width:100%}.verdict{font-size:1.5em;color:#fff;padding:.4em .7em;border-radius:.3em}"
-)
 
 
 def write(path: Path, title: str, judged: Verdict, tables: Sequence[Table], figure: Figure) -> list[Path]:
@@ -114,21 +107,10 @@ def dropped(pictures: Sequence[Dropped]) -> Table:
 
 
 def _page(title: str, judged: Verdict, tables: Sequence[Table], png: bytes) -> str:
-    advice = "".join(f"<li>{html.escape(a)}</li>" for a in judged.advice)
+    advice = "".join(f"<li>{web_page.text(a)}</li>" for a in judged.advice)
     figures = ("Judged by", ("figure", "value", "good / usable up to", ""), verdict.table(judged.figures))
-    picture = base64.b64encode(png).decode()
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style>'
-        f'<h1>{html.escape(title)}</h1><p><span class="verdict" style="background:{_COLOURS[judged.grade]}">'
-        f"{judged.grade.word}</span></p><ul>{advice}</ul>{_table(figures)}"
-        f'<img alt="coverage and residuals" src="data:image/png;base64,{picture}">{"".join(_table(t) for t in tables)}</html>\n'
+    return web_page.page(
+        title,
+        f"<h1>{web_page.text(title)}</h1><p>{web_page.verdict(judged.grade.word, _COLOURS[judged.grade])}</p><ul>{advice}</ul>"
+        f"{web_page.table(figures)}{web_page.image('coverage and residuals', png)}{''.join(map(web_page.table, tables))}",
     )
-
-
-def _table(table: Table) -> str:
-    title, header, rows = table
-    if not rows:
-        return ""
-    head = "".join(f"<th>{html.escape(h)}</th>" for h in header)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<h2>{html.escape(title)}</h2><table><tr>{head}</tr>{body}</table>"

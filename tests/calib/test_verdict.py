@@ -45,7 +45,7 @@ def test_the_report_stands_alone_and_escapes_names(tmp_path: Path) -> None:
     assert png.suffix == ".png"
     assert "&lt;b&gt;.png" in text
     assert "Camera &lt;1&gt;" in text
-    assert "http" not in text
+    assert "://" not in text
     assert verdict.of_mono(result).grade.word in text
     with pytest.raises(CalibrationError, match="cannot be written"):
         report.write(tmp_path / "no" / "x.yaml", "", verdict.of_mono(result), [], Plot())
