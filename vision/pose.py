@@ -7,7 +7,9 @@ landmarks whose map errors are independent are weighed rightly. The prior picks 
 linearised, but what is reported is the information of the pictures alone: the measurement z which, fused with this prior, gives
 the joint optimum,
 
-    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H.
+    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H,
+
+or of those directions in which they say anything (information.py).
 """
 
 from collections.abc import Sequence
@@ -25,12 +27,11 @@ from models.messages import Array
 from vision.ambiguity import alternatives
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
+from vision.information import Measured
 from vision.joint import POSE, Solution, System, distances, solve, solve_robustly
 from vision.look import Image, Look, LookConfig, Scene
 
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
-_WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
-_WORTHLESS = 1e-3  # share of the prior's information below which a direction of the pictures is not believed to say anything
 _NEAR = 0.5  # of the first fit's reach: if most offsets are below, no further search is needed
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
@@ -72,10 +73,10 @@ class PoseEstimate:
     """A pose from the pictures alone, and what it comes to with the prior.
 
     p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every picture; covariance_common (6, 6): the part
-    that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, 4): how the errors of each landmark,
+    that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, M): how the errors of each landmark,
     of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and pictures.
     residual_px: RMS of the edges' offsets; factor: measured over expected variance of the residuals; found: share of
-    the outline in view that was found; edges: lines used, over all pictures; shift_m: (L, 4) estimated map errors
+    the outline in view that was found; edges: lines used, over all pictures; shift_m: (L, M) estimated map errors
     (MapError); cost: chi-square of all residuals and of the prior's.
     """
 
@@ -83,6 +84,7 @@ class PoseEstimate:
     R_nb: Array
     covariance: Array
     covariance_common: Array
+    directions: Array | None
     landmark_errors: Array
     covariance_rig: Array
     joint_p_n: Array
@@ -149,7 +151,7 @@ def estimate_pose(
 ) -> PoseEstimate | NoPose:  # fmt: skip
     """Pose of the body from landmarks identified in views (left, right; None = not there), or why there is none.
 
-    start: p_n, R_nb near enough that every outline lies within the first window of its edges; shift_m: (L, 4) what is known
+    start: p_n, R_nb near enough that every outline lies within the first window of its edges; shift_m: (L, M) what is known
     so far of the map's errors (MapError), as start_from_regions gives it.
     """
     config = config or PoseConfig()
@@ -250,66 +252,39 @@ def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solu
 
 def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseConfig) -> PoseEstimate | NoPose:
     used = system.W[:, ::2, ::2].diagonal(axis1=1, axis2=2) > 0.0  # (E, K)
-    freedom = max(2 * system.count - POSE, 1)
+    measured = Measured.of(step.omega, fit.information)
+    freedom = max(2 * system.count - measured.rank, 1)
     chi2 = float(distances(system, step.residual).sum() + step.nuisance @ step.nuisance)
     factor = (config.freedom * config.expected + chi2) / (config.freedom + freedom)
     if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
         return NoPose("diverged")
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
+    if not measured.rank:
+        return NoPose("nothing_new", "the pictures say nothing of the pose that the prior does not")
     fit.move(step)
-    image, moved = _covariances(system, step.omega, 1.0)  # as it was solved
-    p_n, R_nb = _pictures_alone(fit, image + moved @ moved.T)
-    image, moved = _covariances(system, step.omega, factor)
-    common, delta = moved @ moved.T, fit.delta()
+    delta = fit.delta()
+    image, moved = measured.covariances(system, step.omega, 1.0)  # as it was solved
+    p_n, R_nb = retract(fit.p0, fit.q0, measured.alone(delta, image + moved @ moved.T))
+    image, moved = measured.covariances(system, step.omega, factor)
+    common, directions = moved @ moved.T, measured.directions
     by_landmark, by_rig = _told_apart(moved, fit.scene)
-    image = image * max(_surprise(fit, image + common) / config.surprise, 1.0)
-    joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common)
+    image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
+    joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions)
     return PoseEstimate(
-        p_n, R_nb, _symmetric(image), _symmetric(common),
+        p_n, R_nb, _symmetric(image), _symmetric(common), directions,
         by_landmark, _symmetric(by_rig @ by_rig.T), joint_p_n, joint_R_nb, joint,
         float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
         chi2 + float(delta @ fit.information @ delta),
     )  # fmt: skip
 
 
-def _covariances(system: System, omega: Array, factor: float) -> tuple[Array, Array]:
-    """What of the pose's error (6, 6) comes from the pictures, and how the errors of map and rig, of variance 1, move it (6, P).
-
-    G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
-    """
-    size = len(omega)
-    limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
-    floor = np.array([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
-    limited[range(POSE), range(POSE)] += floor
-    inverse = np.linalg.inv(limited)
-    gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor  # (E, 6, M)
-    image = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain) + (inverse[:POSE, :POSE] * floor) @ inverse[:POSE, :POSE]
-    return image, np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
-
-
 def _told_apart(moved: Array, scene: Scene) -> tuple[Array, Array]:
-    """What moves the pose (6, P), by landmark (L, 6, 4), MapError in columns, and by the rig (6, the rest)."""
+    """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest)."""
     used = scene.map_used
     by_landmark = np.zeros((scene.map_sigma.size, POSE))
     by_landmark[used] = moved[:, : len(used)].T
     return by_landmark.reshape(*scene.map_sigma.shape, POSE).transpose(0, 2, 1), moved[:, len(used) :]
-
-
-def _pictures_alone(fit: _Fit, covariance: Array) -> Pose:
-    """z = x0 (+) (delta + C Lambda_0 delta); directions worth nothing beside the prior keep delta alone."""
-    delta = fit.delta()
-    low = np.linalg.cholesky(fit.information)
-    values, vectors = np.linalg.eigh(low.T @ covariance @ low)  # C in units of the prior's
-    values = np.where(values < 1.0 / _WORTHLESS, values, 0.0)
-    white = vectors @ (values * (vectors.T @ (low.T @ delta)))
-    return retract(fit.p0, fit.q0, delta + np.linalg.solve(low.T, white))
-
-
-def _surprise(fit: _Fit, covariance: Array) -> float:
-    """Chi-square (6) of the pictures' pose against the prior: nu^T (P_0 + C)^-1 nu,  nu = z (-) x0 = (P_0 + C) Lambda_0 delta."""
-    pull = fit.information @ fit.delta()
-    return float(fit.delta() @ pull + pull @ covariance @ pull)
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -327,12 +302,17 @@ def retract(p_n: Array, q_nb: Array, step: Array) -> Pose:
     return p_n + step[:3], so3.matrix(so3.quat_exp(step[3:])) @ so3.matrix(q_nb)
 
 
-def combine(prior: Prior, p_n: Array, R_nb: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior.
+def combine(
+    prior: Prior, p_n: Array, R_nb: Array, covariance: Array, directions: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior; directions D: as in LandmarkFix.
 
-    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0)
+    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0);   in part: K = P_0 D^T (D (P_0 + C) D^T)^-1 D in the place of P C^-1
     """
     P0, q0 = np.asarray(prior.covariance, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-    gain = np.linalg.solve(P0 + covariance, P0).T
+    if directions is None:
+        gain = np.linalg.solve(P0 + covariance, P0).T
+    else:
+        gain = np.linalg.solve(directions @ (P0 + covariance) @ directions.T, directions @ P0).T @ directions
     step = gain @ difference(p_n, R_nb, prior.p_n, q0)
     return *retract(prior.p_n, q0, step), _symmetric(P0 - gain @ P0)

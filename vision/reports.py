@@ -56,6 +56,7 @@ def fix_of(pose: PoseEstimate, t_ns: int, landmarks: tuple[str, ...], similarity
         residual_px=pose.residual_px,
         landmark_errors=pose.landmark_errors,
         covariance_rig=pose.covariance_rig,
+        directions=pose.directions,
     )
 
 

@@ -1,0 +1,106 @@
+"""What pictures say of the pose, and in which directions they say anything.
+
+    Lambda_I = Omega_pp - Omega_pn Omega_nn^-1 Omega_np = L U diag(lambda) U^T L^T,   Lambda_0 = L L^T
+
+Lambda_I: information of the pictures about the pose, errors of map and rig (n) being unknown too; Lambda_0: of the prior. A
+direction is measured where lambda is not less than a share of the prior's information. From a lower one nothing is learnt, and
+its reading lies 1 / sqrt(lambda) of the prior's standard deviations away from where the pictures were linearised. One edge, one
+corner, one round roof leave directions open; then the measurement is D xi, D = U_k^T L^T (its rows made orthonormal).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc, chdtri
+
+from models.measurements import DIRECTION_SCALE
+from models.messages import Array
+from vision.joint import POSE, System
+
+_WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations of a whole fix are limited to these: still "given", and worth nothing
+_LEAST_SHARE = 1e-3  # of the prior's information: below it a direction is not measured
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """prior: Lambda_0; low: L; basis: U, all (6, 6), best measured first; share: lambda (6,); rank: how many are measured."""
+
+    prior: Array
+    low: Array
+    basis: Array
+    share: Array
+    rank: int
+
+    @classmethod
+    def of(cls, omega: Array, prior: Array) -> "Measured":
+        """omega (6 + P, 6 + P): information of the pictures, with the priors of map and rig; prior (6, 6): of the pose."""
+        low = np.asarray(np.linalg.cholesky(prior), dtype=np.float64)
+        between = omega[:POSE, POSE:]
+        alone = omega[:POSE, :POSE] - between @ np.linalg.solve(omega[POSE:, POSE:], between.T)
+        white = np.linalg.solve(low, np.linalg.solve(low, alone).T)
+        values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+        return cls(prior, low, vectors[:, ::-1], values[::-1], int((values >= _LEAST_SHARE).sum()))
+
+    @property
+    def directions(self) -> Array | None:
+        """D (r, 6), orthonormal where a radian counts as RADIAN_M metres (LandmarkFix); None for all six."""
+        if self.rank == POSE:
+            return None
+        rows = self.basis[:, : self.rank].T @ self.low.T
+        q, _ = np.linalg.qr((rows / DIRECTION_SCALE).T)
+        return np.asarray(q.T * DIRECTION_SCALE, dtype=np.float64)
+
+    def covariances(self, system: System, omega: Array, factor: float) -> tuple[Array, Array]:
+        """What of the pose's error (6, 6) comes from the pictures, and how errors of map and rig, of variance 1, move it (6, P).
+
+        G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
+        Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
+        """
+        size = len(omega)
+        limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
+        floor = self._floor()
+        limited[:POSE, :POSE] += floor
+        inverse = np.linalg.inv(limited)
+        gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor  # (E, 6, M)
+        noise = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain)
+        image = noise + (inverse[:POSE, :POSE] @ floor) @ inverse[:POSE, :POSE]
+        moved = np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
+        if self.rank == POSE:
+            return image, moved
+        through = self.through
+        rest = np.linalg.solve(self.low.T, self.basis[:, self.rank :])
+        return through @ image @ through.T + rest @ rest.T / _LEAST_SHARE, through @ moved
+
+    @property
+    def through(self) -> Array:
+        """L^-T U_k U_k^T L^T (6, 6): what is left of an error without the directions that are not measured; D through = D."""
+        kept = self.basis[:, : self.rank]
+        return np.asarray(np.linalg.solve(self.low.T, kept @ kept.T) @ self.low.T, dtype=np.float64)
+
+    def _floor(self) -> Array:
+        """Information added so that there is an inverse: limits of a whole fix, or what directions lack that are not measured."""
+        if self.rank == POSE:
+            return np.diag([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
+        rest = self.low @ self.basis[:, self.rank :]
+        return (rest * (_LEAST_SHARE - self.share[self.rank :])) @ rest.T
+
+    def alone(self, delta: Array, covariance: Array) -> Array:
+        """z (-) x0 = delta + C Lambda_0 delta, delta (6,) of the joint optimum: the reading that leads there from the prior.
+
+        Directions that are not measured keep delta alone.
+        """
+        values, vectors = np.linalg.eigh(self.low.T @ covariance @ self.low)  # C in units of the prior's
+        values[self.rank :] = 0.0
+        white = vectors @ (values * (vectors.T @ (self.low.T @ delta)))
+        step: Array = delta + np.linalg.solve(self.low.T, white)
+        return step
+
+    def surprise(self, delta: Array, covariance: Array, limit: float) -> float:
+        """Chi-square of the reading against the prior, over limit: nu^T (P_0 + C)^-1 nu, nu = (P_0 + C) Lambda_0 delta.
+
+        limit: of six degrees of freedom; of fewer it is the one that as many honest readings stay below.
+        """
+        if self.rank < POSE:
+            delta, limit = self.through @ delta, float(chdtri(self.rank, chdtrc(POSE, limit)))
+        pull = self.prior @ delta
+        return float(delta @ pull + pull @ covariance @ pull) / limit
