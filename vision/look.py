@@ -29,6 +29,7 @@ _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
+_MAPPED_FROM = 18  # columns before those of the map: pose 6, camera on the body 6, right against left camera 6
 _COARSE = 1.5  # how much farther apart points are before the last look
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
@@ -69,8 +70,7 @@ class Scene:
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
         self.images = [None if image is None else _channels(image) for image in views]
-        sigmas = [(m.sigma_m, m.sigma_m, m.height_sigma_m if m.height_m > 0.0 else 0.0, m.outline_sigma_m) for m in landmarks]
-        self.map_sigma = np.array(sigmas, dtype=np.float64)  # (L, 4)
+        self.map_sigma = np.array([_sigmas(m) for m in landmarks])  # (L, M)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
         self.rig_roots = _rig_roots(rig)
 
@@ -101,7 +101,7 @@ class Scene:
     ) -> Look:
         """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
 
-        shift_m (L, 4), rig: errors of map and rig as now believed.
+        shift_m (L, M), rig: errors of map and rig as now believed.
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         edges = visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
@@ -132,17 +132,25 @@ class Scene:
     ) -> tuple[Array, Array]:
         """H (E, 2, 6) and N (E, 2, P) of one picture; P counts map errors only, without the rig's."""
         count = len(edges.kind)
-        every = compress(line.gain, np.hstack((d.pose, d.mapped, d.bc, d.rc, d.own)), samples.edge, count)
+        every = compress(line.gain, np.hstack((d.pose, d.bc, d.rc, d.mapped, d.own)), samples.edge, count)
+        own_from = _MAPPED_FROM + len(MapError)
         mapped = np.zeros((count, 2, len(self.map_sigma), len(MapError)))
-        mapped[np.arange(count), :, edges.landmark] = every[:, :, 6:10] * self.map_sigma[edges.landmark][:, None, :]
+        own_map = every[:, :, _MAPPED_FROM:own_from]
+        mapped[np.arange(count), :, edges.landmark] = own_map * self.map_sigma[edges.landmark][:, None, :]
         parts = [mapped.reshape(count, 2, -1)[:, :, self.map_used]]
         if with_rig:
             bc, rc, *own = self.rig_roots
-            parts += [every[:, :, columns] @ root for columns, root in ((slice(10, 16), bc), (slice(16, 22), rc)) if root.size]
+            parts += [every[:, :, columns] @ root for columns, root in ((slice(6, 12), bc), (slice(12, 18), rc)) if root.size]
             for root, mine in zip(own, (not right, right), strict=True):
                 if root.size:
-                    parts.append(every[:, :, 22:] @ root if mine else np.zeros((count, 2, root.shape[1])))
+                    parts.append(every[:, :, own_from:] @ root if mine else np.zeros((count, 2, root.shape[1])))
         return every[:, :, :6], np.concatenate(parts, axis=2)
+
+
+def _sigmas(mark: Landmark) -> Array:
+    """Standard deviations (M,) of MapError. A roof is level; ground that a mark is painted on may slope as it may be too high."""
+    ground = mark.height_sigma_m if mark.height_m == 0.0 else 0.0
+    return np.array([mark.sigma_m, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m, ground, ground])
 
 
 def _channels(image: Image) -> Image:

@@ -155,7 +155,7 @@ def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n
 
 @dataclass(frozen=True, slots=True)
 class Derivatives:
-    """n . du of the samples: by dp_n and dtheta_n (N, 6), by their landmark's MapError (N, 4), by what covariance_bc (N, 6) and
+    """n . du of the samples: by dp_n and dtheta_n (N, 6), by their landmark's MapError (N, M), by what covariance_bc (N, 6) and
     covariance_rc (N, 6) speak of, and by the camera's own parameters (N, 4 + n).
     """
 
@@ -176,7 +176,7 @@ def derivatives(
         np.ascontiguousarray(eye.R_kb.T), lever_b, rig.t_rc, eye.right,
     )  # fmt: skip
     own = np.matmul(seen.normal[:, None, :], eye.camera.parameter_jacobian(seen.x_c))[:, 0]
-    return Derivatives(rows[:, :6], rows[:, 6:10], rows[:, 10:16], rows[:, 16:], own)
+    return Derivatives(rows[:, :6], rows[:, 18:], rows[:, 6:12], rows[:, 12:18], own)
 
 
 @njit(cache=True)
@@ -184,29 +184,29 @@ def _derivative_rows(
     row_c: Array, x_c: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array, R_nk: Array,
     R_bk: Array, lever_b: Array, t_rc: Array, right: bool,
 ) -> Array:  # fmt: skip
-    """(N, 22): pose 6, map 4, bc 6, rc 6.  row . (q x dtheta) = -(q x row) . dtheta."""
-    n = row_c.shape[0]
-    rows, row_n, row_b, q = np.zeros((n, 22)), np.empty(3), np.empty(3), np.empty(3)
+    """(N, 18 + M): pose 6, bc 6, rc 6, map M.  row . (q x dtheta) = -(q x row) . dtheta."""
+    n, errors = row_c.shape[0], map_start.shape[2]
+    rows, row_n, row_b, q = np.zeros((n, 18 + errors)), np.empty(3), np.empty(3), np.empty(3)
     for i in range(n):
         out, row_k, e = rows[i], row_c[i], edge[i]
         _turn(R_nk, row_k, row_n)
         _turn(R_bk, row_k, row_b)
         _turn(R_bk, x_c[i], q)
         for a in range(3):
-            out[a], out[10 + a] = -row_n[a], -row_b[a]
+            out[a], out[6 + a] = -row_n[a], -row_b[a]
             q[a] += lever_b[a]
-        _minus_cross(q, row_b, out[13:16])
+        _minus_cross(q, row_b, out[9:12])
         for a in range(3):
             q[a] = points[i, a] - p_n[a]
         _minus_cross(q, row_n, out[3:6])
-        for k in range(4):
+        for k in range(errors):
             for a in range(3):
-                out[6 + k] += row_n[a] * ((1.0 - t[i]) * map_start[e, a, k] + t[i] * map_end[e, a, k])
+                out[18 + k] += row_n[a] * ((1.0 - t[i]) * map_start[e, a, k] + t[i] * map_end[e, a, k])
         if right:
             for a in range(3):
-                out[16 + a] = row_k[a]
+                out[12 + a] = row_k[a]
                 q[a] = x_c[i, a] - t_rc[a]
-            _minus_cross(row_k, q, out[19:22])
+            _minus_cross(row_k, q, out[15:18])
     return rows
 
 

@@ -32,7 +32,7 @@ def centroid_and_size(contour_px: Array) -> tuple[Array, float]:
 def start_from_regions(
     eye: Eye, landmarks: Sequence[Landmark], centres_px: Array, sizes_px: Array, prior: Prior, sigma_px: float = 2.0
 ) -> tuple[Array, Array, Array]:
-    """p_n (3,), R_nb (3, 3) and map errors (L, 4) [m] nearest to the prior at which roofs lie at centres_px (L, 2).
+    """p_n (3,), R_nb (3, 3) and map errors (L, M) [m] nearest to the prior at which roofs lie at centres_px (L, 2).
 
     sizes_px: (L,) square roots of the regions' areas, NaN where a region is cut off.
     """

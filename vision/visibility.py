@@ -33,16 +33,21 @@ class Kind(IntEnum):
 
 
 class MapError(IntEnum):
-    """Unknowns of one landmark: shift north and east, rise of the roof, growth of the outline [m]."""
+    """Unknowns of one landmark [m]: shift north and east, rise of the roof, growth of the outline, and tilt of the roof: by how
+    much it rises towards north and east over the outline's radius (root mean square of the corners' distances from their mean).
+    """
 
     NORTH = 0
     EAST = 1
     RISE = 2
     GROWTH = 3
+    TILT_NORTH = 4
+    TILT_EAST = 5
 
 
 _ROOF, _BASE, _UPRIGHT = int(Kind.ROOF), int(Kind.BASE), int(Kind.UPRIGHT)  # compiled code reads plain integers
-_NORTH, _EAST, _RISE, _GROWTH = (int(error) for error in MapError)
+_NORTH, _EAST, _RISE, _GROWTH, _TILT_NORTH, _TILT_EAST = (int(error) for error in MapError)
+_ERRORS = len(MapError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,7 @@ class ModelEdges:
     """E edges of L landmarks as seen from one place.
 
     start_n, end_n: (E, 3) m, roof and base edges run anticlockwise; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base
-    edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, 4) derivatives of
+    edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, M) derivatives of
     the ends by MapError.
     """
 
@@ -84,7 +89,7 @@ class ModelEdges:
 
 
 def visible_edges(landmarks: Prisms | Sequence[Landmark], p_nc: Array, shift_m: Array | None = None) -> ModelEdges:
-    """Edges seen from p_nc (3,) m, of landmarks that are off the map by shift_m (L, 4); none of one whose roof is not below."""
+    """Edges seen from p_nc (3,) m, of landmarks that are off the map by shift_m (L, M); none of one whose roof is not below."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     count = len(prisms.base_d)
     shift = np.zeros((count, len(MapError))) if shift_m is None else shift_m
@@ -96,36 +101,40 @@ def _visible_edges(
     vertices: Array, offsets: Indices, base_d: Array, height: Array, p_c: Array, shift: Array
 ) -> tuple[Array, Array, Indices, Indices, Indices, Array, Array]:
     most = 3 * len(vertices)
-    ends, by_map = np.empty((2, most, 3)), np.zeros((2, most, 3, 4))
+    ends, by_map = np.empty((2, most, 3)), np.zeros((2, most, 3, _ERRORS))
     landmark, kind, partner = np.empty(most, np.int64), np.empty(most, np.int64), np.full(most, -1)
-    n = 0
+    foot, n = np.zeros(3), 0
     for m in range(len(base_d)):
         roof_d = base_d[m] - height[m] - shift[m, _RISE]
         if p_c[2] >= roof_d:
             continue
-        corners, mitre, outward = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])
+        outline = vertices[offsets[m] : offsets[m + 1]]
+        corners, mitre, outward = _corners(outline, shift[m])
+        lever = _levers(outline)
         count = len(corners)
         seen = np.empty(count, np.bool_)
         for j in range(count):
             towards = (p_c[0] - corners[j, 0]) * outward[j, 0] + (p_c[1] - corners[j, 1]) * outward[j, 1]
             seen[j] = towards > 0.0 and height[m] > 0.0
-            _put(n, 0, corners[j], mitre[j], roof_d, 1.0, ends, by_map)
-            _put(n, 1, corners[(j + 1) % count], mitre[(j + 1) % count], roof_d, 1.0, ends, by_map)
+            after = (j + 1) % count
+            _put(n, 0, corners[j], mitre[j], roof_d, lever[j], shift[m], ends, by_map)
+            _put(n, 1, corners[after], mitre[after], roof_d, lever[after], shift[m], ends, by_map)
             landmark[n], kind[n] = m, _ROOF
             n += 1
         first = n - count
         for j in range(count):
             if seen[j]:
-                _put(n, 0, corners[j], mitre[j], base_d[m], 0.0, ends, by_map)
-                _put(n, 1, corners[(j + 1) % count], mitre[(j + 1) % count], base_d[m], 0.0, ends, by_map)
+                after = (j + 1) % count
+                _put(n, 0, corners[j], mitre[j], base_d[m], foot, shift[m], ends, by_map)
+                _put(n, 1, corners[after], mitre[after], base_d[m], foot, shift[m], ends, by_map)
                 landmark[n], kind[n], partner[n], partner[first + j] = m, _BASE, first + j, n
                 n += 1
         for j in range(count):
             b = j - 1 if j > 0 else count - 1
             turn = abs(outward[b, 0] * outward[j, 1] - outward[b, 1] * outward[j, 0])
             if (seen[j] or seen[b]) and not (seen[j] and seen[b] and turn < _FLAT):
-                _put(n, 0, corners[j], mitre[j], roof_d, 1.0, ends, by_map)
-                _put(n, 1, corners[j], mitre[j], base_d[m], 0.0, ends, by_map)
+                _put(n, 0, corners[j], mitre[j], roof_d, lever[j], shift[m], ends, by_map)
+                _put(n, 1, corners[j], mitre[j], base_d[m], foot, shift[m], ends, by_map)
                 landmark[n], kind[n] = m, _UPRIGHT
                 n += 1
     return ends[0, :n].copy(), ends[1, :n].copy(), landmark[:n], kind[:n], partner[:n], by_map[0, :n].copy(), by_map[1, :n].copy()
@@ -150,12 +159,27 @@ def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
 
 
 @njit(cache=True)
-def _put(n: int, end: int, corner: Array, mitre: Array, down: float, rises: float, ends: Array, by_map: Array) -> None:
-    """One end of edge n, and its derivatives."""
-    ends[end, n, 0], ends[end, n, 1], ends[end, n, 2] = corner[0], corner[1], down
+def _levers(outline: Array) -> Array:
+    """By how much (K, 3) each corner rises per metre of RISE, TILT_NORTH and TILT_EAST."""
+    count = len(outline)
+    north, east = np.mean(outline[:, 0]), np.mean(outline[:, 1])
+    lever = np.ones((count, 3))
+    lever[:, 1], lever[:, 2] = outline[:, 0] - north, outline[:, 1] - east
+    lever[:, 1:] /= np.sqrt(np.sum(lever[:, 1:] ** 2) / count)
+    return lever
+
+
+@njit(cache=True)
+def _put(
+    n: int, end: int, corner: Array, mitre: Array, down: float, lever: Array, shift: Array, ends: Array, by_map: Array
+) -> None:
+    """One end of edge n, and its derivatives; down: of the roof without its tilt."""
+    tilt = lever[1] * shift[_TILT_NORTH] + lever[2] * shift[_TILT_EAST]
+    ends[end, n, 0], ends[end, n, 1], ends[end, n, 2] = corner[0], corner[1], down - tilt
     by_map[end, n, 0, _NORTH] = by_map[end, n, 1, _EAST] = 1.0
     by_map[end, n, 0, _GROWTH], by_map[end, n, 1, _GROWTH] = mitre[0], mitre[1]
-    by_map[end, n, 2, _RISE] = -rises
+    by_map[end, n, 2, _RISE] = -lever[0]
+    by_map[end, n, 2, _TILT_NORTH], by_map[end, n, 2, _TILT_EAST] = -lever[1], -lever[2]
 
 
 def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark]) -> NDArray[np.bool_]:

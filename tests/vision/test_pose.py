@@ -18,6 +18,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
 from vision.synthetic.world import Look, Sun, World
+from vision.visibility import MapError
 
 SIGMA = np.array([3.0, 3.0, 2.0, *np.radians([0.5, 0.5, 2.0])])
 COLOURS = ((40, 50, 190), (170, 80, 40), (60, 170, 60))
@@ -166,6 +167,43 @@ def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
     assert found.shift_m[0, 0] == pytest.approx(-0.5, abs=0.15)
 
 
+def test_ground_that_slopes_does_not_lie_about_the_place() -> None:
+    """A mark on ground of 3 degrees, known to be level to that: the attitude is the prior's, the place as sure as that."""
+    level, slope = flight(1, marks=1, tilt=0.0), so3.matrix(so3.quat_exp(np.radians([3.0, 0.0, 0.0])))
+    marks, pictures = _painted(level)
+    tilted = [_on_slope(mark, slope) for mark in marks]
+    q = so3.normalise(so3.multiply(so3.from_matrix(slope), level.prior.q_nb_wxyz))
+    prior = Prior(slope @ level.prior.p_n, q, level.prior.covariance)
+    p_n, R_nb = slope @ level.p_n, slope @ level.R_nb
+    errors = []
+    for marks in (tilted, [msgspec.structs.replace(mark, height_sigma_m=0.0) for mark in tilted]):
+        found = estimate_pose(level.rig, pictures, marks, (p_n, R_nb), prior)
+        assert isinstance(found, PoseEstimate), found
+        e = found.joint_p_n - p_n
+        errors.append((float(np.linalg.norm(e)), float(e @ np.linalg.solve(found.joint_covariance[:3, :3], e)) / 3.0))
+    assert errors[0][0] < 0.6
+    assert errors[0][1] < 3.0
+    assert errors[1][0] > 1.0
+    assert errors[1][1] > 20.0
+
+
+def _painted(view: Flight) -> tuple[list[Landmark], tuple[Image, Image]]:
+    """The view's landmarks without their height."""
+    marks = [msgspec.structs.replace(mark, height_m=0.0) for mark in view.landmarks]
+    looks = tuple(Look(COLOURS[k]) for k in range(len(marks)))
+    rng = np.random.default_rng(0)
+    world = World(tuple(marks), looks, (), Ground.procedural(rng), Sun(0.0))
+    return marks, render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), rng)
+
+
+def _on_slope(mark: Landmark, slope: Array) -> Landmark:
+    """A painted mark of level ground as a map has it whose down is another: level at its mean height, and how much it is not."""
+    corners = np.column_stack((mark.outline_n, np.zeros(len(mark.outline_n)))) @ slope.T
+    base_d = float(corners[:, 2].mean())
+    uneven = float(corners[:, 2].std())
+    return Landmark.of(mark.id, corners[:, :2], base_d, 0.0, mark.colour_bgr, height_sigma_m=uneven)
+
+
 def test_rig_errors_are_common() -> None:
     exact = flight(3)
     rig = msgspec.structs.replace(exact.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
@@ -181,7 +219,7 @@ def test_the_common_part_is_told_apart_by_landmark_and_rig() -> None:
     rig = msgspec.structs.replace(view.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
     found = estimate_pose(rig, view.pictures, marks, near(view), view.prior)
     assert isinstance(found, PoseEstimate)
-    assert found.landmark_errors.shape == (len(marks), 6, 4)
+    assert found.landmark_errors.shape == (len(marks), 6, len(MapError))
     whole = np.einsum("mik,mjk->ij", found.landmark_errors, found.landmark_errors) + found.covariance_rig
     np.testing.assert_allclose(whole, found.covariance_common, atol=1e-9)
     together = np.abs(found.landmark_errors[:, :2, :2].sum(axis=0))  # a map shifted as a whole shifts the fix by as much

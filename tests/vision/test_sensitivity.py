@@ -8,7 +8,7 @@ from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.sensitivity import Eye, derivatives, edge_gaps, eyes, sample_edges, view
-from vision.visibility import Kind, visible_edges
+from vision.visibility import Kind, MapError, visible_edges
 
 NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 CAMERA = CameraModel(640, 480, 600.0, 590.0, 319.5, 239.5, (-0.1, 0.03, 1e-3, -5e-4))
@@ -52,8 +52,8 @@ def test_rows_are_derivatives(right: bool) -> None:
     for k in range(3):
         np.testing.assert_allclose(d.pose[:, k], along_normal(eye, P + STEP * np.eye(3)[k], R), atol=2e-5)
         np.testing.assert_allclose(d.pose[:, 3 + k], along_normal(eye, P, moved(R, k)), atol=1e-2, rtol=1e-5)
-    for k in range(4):
-        error = np.zeros((1, 4))
+    for k in MapError:
+        error = np.zeros((1, len(MapError)))
         error[0, k] = STEP
         there = visible_edges([MARK], eye.pose(P, R)[0], error)
         points = there.start_n[samples.edge] + samples.t[:, None] * (there.end_n - there.start_n)[samples.edge]

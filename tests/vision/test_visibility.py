@@ -51,7 +51,7 @@ def test_ends_follow_the_map_errors() -> None:
     mark, p = box(np.array([[-4.0, -6.0], [-3.0, 7.0], [5.0, 4.0], [2.0, -5.0]])), np.array([30.0, 20.0, -60.0])
     here = visible_edges([mark], p)
     for error in MapError:
-        shift = np.zeros((1, 4))
+        shift = np.zeros((1, len(MapError)))
         shift[0, error] = 0.01
         there = visible_edges([mark], p, shift)
         np.testing.assert_allclose((there.start_n - here.start_n) / 0.01, here.map_start[:, :, error], atol=1e-9)
@@ -59,7 +59,7 @@ def test_ends_follow_the_map_errors() -> None:
 
 
 def test_growth_moves_every_side_outwards_by_the_same_distance() -> None:
-    shift = np.array([[0.0, 0.0, 0.0, 0.5]])
+    shift = np.array([[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]])
     edges = visible_edges([box()], np.array([0.0, 0.0, -60.0]), shift)
     np.testing.assert_allclose(np.abs(edges.start_n[:, :2]), np.tile([4.5, 6.5], (4, 1)))
 
