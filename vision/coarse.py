@@ -13,7 +13,7 @@ large: there every landmark finds its own place, and pose and map errors are sol
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import cv2
 import msgspec
@@ -25,13 +25,13 @@ from models import so3
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.motion import Motion, moved
-from vision.pose import Pose, difference
+from vision.motion import Motion, moved, similarity
+from vision.pose import Pose
 from vision.rectify import Image
 from vision.reduced import Level, levels
 from vision.sensitivity import Eye
 from vision.visibility import MapError, Prisms
-from vision.voters import Voters, voters
+from vision.voters import voters
 from vision.votes import vote
 
 Mask = NDArray[np.bool_]
@@ -54,7 +54,7 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turns: Annotated[int, Meta(ge=0, description="of turn and scale, to either side, at most")] = 6
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    peaks: Annotated[int, Meta(ge=1, description="places looked at again")] = 5
+    peaks: Annotated[int, Meta(ge=1, description="places looked at again")] = 4
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
@@ -64,7 +64,7 @@ def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A place: p_n, R_nb, map errors (L, 4); support and length in view (L,) px of each landmark; score px."""
+    """A place: p_n, R_nb, map errors (L, 4); support and length in view (L,) px of each landmark; score px; q (4,)."""
 
     p_n: Array
     R_nb: Array
@@ -72,6 +72,7 @@ class Candidate:
     support: Array
     length: Array
     score: float
+    q: Array
 
     @property
     def pose(self) -> Pose:
@@ -84,143 +85,163 @@ class Search:
 
     def __init__(self, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, config: CoarseConfig) -> None:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
-        self.body = Prisms.of(landmarks)
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
+        self.body = Prisms.of(landmarks)
 
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
         size = self._reduction()
-        fine, wide = levels(picture, self.eye.camera, (max(size // 2, 1), size))[:: 1 if size > 1 else -1]
-        found = [self._near(fine, q, size // fine.size) for q in self._wide(wide)]
-        chosen: list[Candidate] = []
-        for one in sorted((c for c in found if c is not None), key=lambda c: -c.score):
-            if all(self._across(wide, better, one) > _APART_PX for better in chosen):
-                chosen.append(one)
-        return chosen
+        reach = limit_px(self.eye.camera, self.config)
+        fine, wide = (
+            _Stage(level, self, reach + 2.0 * size, (1 + (level.size < size)) * self.config.points)
+            for level in levels(picture, self.eye.camera, (max(size // 2, 1), size))[:: 1 if size > 1 else -1]
+        )
+        found = sorted((self._near(fine, q, size // fine.level.size) for q in self._wide(wide)), key=lambda c: -c.score)
+        return _apart(found, [c.q for c in found], fine, _APART_PX * size)
 
     def _reduction(self) -> int:
         """By how much the picture is reduced: roofs keep a width, and the search stays small."""
-        reach = min(self.config.sigmas * self.motion.shift_px, self._limit_px)
+        reach = min(self.config.sigmas * self.motion.shift_px, limit_px(self.eye.camera, self.config))
         by_roof = math.floor(math.log2(max(self.motion.roof_px / self.config.roof_px, 1.0)))
         by_reach = math.ceil(math.log2(max(reach / self.config.steps, 1.0)))
         return int(min(2 ** max(by_roof, by_reach), _MOST_REDUCED))
 
-    @property
-    def _limit_px(self) -> float:
-        return limit_px(self.eye.camera, self.config)
-
-    def _wide(self, level: Level) -> list[Array]:
+    def _wide(self, stage: "_Stage") -> list[Array]:
         """The best q of the whole grid."""
-        grid = _grid(self.motion, self.config, level.size, self._limit_px)
-        eye, shape = self._eye(level), (len(grid.su), len(grid.sv))
-        reach = float(max(grid.su[-1], grid.sv[-1])) / level.size
-        every = voters(eye, self.landmarks, self.body, self.motion.pose(np.zeros(4)), None, reach, self.config.points)
-        if every is None:
+        grid = _grid(self.motion, self.config, stage.level.size, limit_px(self.eye.camera, self.config))
+        if stage.voters is None:
             return []
-        information = np.linalg.inv(self.motion.covariance)
-        best, q_best = np.full(shape, _NEVER), np.zeros((*shape, 4))
-        q = np.zeros((*shape, 4))
-        q[:, :, 0], q[:, :, 1] = grid.su[:, None], grid.sv[None, :]
-        for q[:, :, 2], q[:, :, 3] in grid.others:
-            chi2 = np.einsum("abi,ij,abj->ab", q, information, q)
+        information = np.linalg.inv(self.motion.covariance).astype(np.float64)
+        best = np.full((len(grid.su), len(grid.sv)), _NEVER)
+        other = np.zeros(best.shape, dtype=np.int64)
+        for k, pair in enumerate(grid.others):
+            chi2 = _squared(information, grid, np.array(pair))
             inside = chi2 <= grid.chi2
             if inside.any():
-                pose = self.motion.pose(np.array([0.0, 0.0, *q[0, 0, 2:]]))
-                support, length = self._vote(level, every, pose, grid.su, grid.sv, inside)
-                votes = support - self.config.expected * length
-                score = self._together(votes, inside, self._freedom(every, level)) - 0.5 * chi2
+                votes, _ = stage.vote(np.array([0.0, 0.0, *pair]), grid.su, grid.sv, inside)
+                score = _together(votes, inside, stage.free) - 0.5 * chi2
                 better = inside & (score > best)
-                best[better], q_best[better] = score[better], q[better]
-        return [q_best[a, b] for a, b in _peaks(best)[: 2 * self.config.peaks]]
+                best[better], other[better] = score[better], k
+        peaks = [np.array([grid.su[a], grid.sv[b], *grid.others[other[a, b]]]) for a, b in _peaks(best)[: 3 * self.config.peaks]]
+        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.peaks]
 
-    def _near(self, level: Level, q: Array, steps: int) -> Candidate | None:
+    def _near(self, stage: "_Stage", q: Array, steps: int) -> Candidate:
         """Every landmark's own place near a q, and the pose and map errors that follow."""
-        pose = self.motion.pose(q)
-        every = voters(self._eye(level), self.landmarks, self.body, pose, None, 2.0 * steps, 2 * self.config.points)
-        if every is None:
-            return None
-        free = self._freedom(every, level) + _SLACK
+        level, free = stage.level, stage.free + _SLACK
         half = steps + int(free.max())
         s = np.arange(-half, half + 1.0) * level.size
         everywhere = np.ones((len(s), len(s)), dtype=np.bool_)
-        support, length = self._vote(level, every, pose, s, s, everywhere)
-        votes = support - self.config.expected * length
-        total = self._together(votes, everywhere, free)
-        inner = total[half - steps : half + steps + 1, half - steps : half + steps + 1]
+        votes, length = stage.vote(q, s, s, everywhere)
+        inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
         common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
         places = np.array([_own_place(one, common, int(radius)) for one, radius in zip(votes, free, strict=True)])
         k, (a, b) = np.arange(len(votes)), np.rint(places).astype(int).T
-        support, length = support[k, a, b], length[k, a, b]
+        length = length[k, a, b]
+        support = votes[k, a, b] + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        p_n, R_nb, shift_m, chi2 = self._settle(level, every, pose, (places - half) * level.size, trusted)
-        score = float((support - self.config.expected * length).sum()) * level.size - 0.5 * chi2
-        return Candidate(p_n, R_nb, shift_m, support * level.size, length * level.size, score)
-
-    def _settle(
-        self, level: Level, every: Voters, pose: Pose, shift_px: Array, trusted: Mask
-    ) -> tuple[Array, Array, Array, float]:
-        """Pose, map errors (L, 4) and the prior's chi-square from where the trusted landmarks were found beside a pose."""
-        prior, eye = self.motion.prior, self._eye(level)
-        q0, P = np.asarray(prior.q_nb_wxyz, dtype=float), np.asarray(prior.covariance, dtype=float)
-        delta = difference(*pose, np.asarray(prior.p_n, dtype=float), q0)
-        x_c, _ = every.aim(eye, pose)
-        D = moved(eye.camera, x_c, every.points_n - pose[0], eye.pose(*pose)[1]) * level.size
-        H, noise, y = np.zeros((2 * len(shift_px), 6)), np.zeros((2 * len(shift_px),) * 2), np.zeros(2 * len(shift_px))
-        for k in range(len(shift_px)):
-            rows, mine = slice(2 * k, 2 * k + 2), every.mark_of_point == k
-            if trusted[k] and mine.any():
-                H[rows] = D[mine].mean(axis=0)
-                y[rows] = shift_px[k] + H[rows] @ delta
-            spread = self.map_sigma[k] * H[rows, :2]
-            noise[rows, rows] = (_PLACE_PX * level.size) ** 2 * np.eye(2) + spread @ spread.T
-        total = P @ H.T @ np.linalg.solve(H @ P @ H.T + noise, y)
-        left = np.linalg.solve(noise, y - H @ total)
-        shift_m = np.zeros((len(shift_px), len(MapError)))
-        for k in range(len(shift_px)):
-            rows = slice(2 * k, 2 * k + 2)
-            shift_m[k, :2] = -(self.map_sigma[k] ** 2) * H[rows, :2].T @ left[rows]
+        total, shift_m = self._settle(stage, q, (places - half) * level.size, trusted)
+        prior = self.motion.prior
+        chi2 = float(total @ np.linalg.solve(prior.covariance, total))
         turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(total[3:])))
-        return prior.p_n + total[:3], turn @ prior.R_nb, shift_m, float(total @ np.linalg.solve(P, total))
+        score = float(votes[k, a, b].sum()) * level.size - 0.5 * chi2
+        return Candidate(
+            prior.p_n + total[:3],
+            turn @ prior.R_nb,
+            shift_m,
+            support * level.size,
+            length * level.size,
+            score,
+            self.motion.J @ total,
+        )
 
-    def _across(self, level: Level, one: Candidate, other: Candidate) -> float:
-        """By how much the outlines in view at one place lie beside those at another, across the edges: RMS, px of the level."""
-        eye = self._eye(level)
-        every = voters(eye, self.landmarks, self.body, one.pose, one.shift_m, 0.0, self.config.points)
-        if every is None:
-            return math.inf
-        x_c, normal = every.aim(eye, one.pose)
-        p_nk, R_nk = eye.pose(*other.pose)
-        points = every.points_n.copy()
-        points[:, :2] += (other.shift_m - one.shift_m)[every.mark_of_point, :2]
-        step = eye.camera.project((points - p_nk) @ R_nk) - eye.camera.project(x_c)
-        aside = np.sum(step * normal, axis=1)
-        return float(np.sqrt(np.mean(aside**2))) if np.isfinite(aside).all() else math.inf
+    def _settle(self, stage: "_Stage", q: Array, shift_px: Array, trusted: Mask) -> tuple[Array, Array]:
+        """Error (6,) of the prior and map errors (L, 4) from where the trusted landmarks were found beside a q."""
+        count, P, size = len(shift_px), np.asarray(self.motion.prior.covariance, dtype=float), stage.level.size
+        delta = self.motion.gain @ q
+        H = stage.moved(self.motion.pose(q)) * trusted[:, None, None]
+        y = (shift_px + H @ delta) * trusted[:, None]
+        spread = self.map_sigma[:, None, None] * H[:, :, :2]
+        noise = (_PLACE_PX * size) ** 2 * np.eye(2) + spread @ spread.transpose(0, 2, 1)
+        weighted = np.linalg.solve(noise, H)
+        information = np.einsum("lia,lib->ab", H, weighted)
+        total = np.linalg.solve(np.eye(6) + P @ information, P @ np.einsum("lia,li->a", weighted, y))
+        left = np.linalg.solve(noise, (y - H @ total)[:, :, None])
+        shift_m = np.zeros((count, len(MapError)))
+        shift_m[:, :2] = -(self.map_sigma[:, None] ** 2) * (H[:, :, :2].transpose(0, 2, 1) @ left)[:, :, 0]
+        return total, shift_m
 
-    def _vote(self, level: Level, every: Voters, pose: Pose, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
-        """Support and length in view (L, U, V) of the landmarks at shifts of the picture that a pose gives."""
-        c, eye = level.camera, self._eye(level)
-        x_c, normal = every.aim(eye, pose)
-        along = every.along(eye, pose, self.motion.gain[:, :2])
-        floor = _FLOOR * float(np.median(level.field[::2, ::2, 6])) + 0.5
-        return vote(
-            level.field, np.array([c.fx, c.fy, c.cx, c.cy]), x_c, along, normal, every.first, every.mark, every.length,
-            every.chroma, len(self.landmarks), floor, su, sv, inside,
+
+class _Stage:
+    """One reduced picture and the points that vote in it."""
+
+    def __init__(self, level: Level, search: Search, reach_px: float, points: int) -> None:
+        self.level, self.motion, self.expected = level, search.motion, search.config.expected
+        self.eye = Eye(level.camera, search.eye.R_kb, search.eye.p_bk, search.eye.right)
+        pose = self.motion.pose(np.zeros(4))
+        self.voters = voters(self.eye, search.landmarks, search.body, pose, reach_px / level.size, points)
+        depth = np.array([mark.roof_d for mark in search.landmarks]) - self.eye.pose(*pose)[0][2]
+        self.free = np.rint(2.0 * search.map_sigma * level.camera.fx / np.maximum(depth, 1.0))  # px that the map leaves open
+        self.floor = _FLOOR * float(np.median(level.field[::2, ::2, 6])) + 0.5
+
+    def vote(self, q: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
+        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts beside q."""
+        assert self.voters is not None
+        v, c, marks = self.voters, self.level.camera, len(self.free)
+        aimed = v.aimed(self.eye, self.motion.pose(q), self.motion.gain[:, :2])
+        support, length = vote(
+            self.level.field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
+            su, sv, inside,
         )  # fmt: skip
+        return support - self.expected * length, length
 
-    def _together(self, votes: Array, inside: Mask, free: Array) -> Array:
-        """Sum over landmarks of the best vote within what each one's place leaves open."""
-        total = np.zeros(inside.shape)
-        for one, radius in zip(votes, free.tolist(), strict=True):
-            width = 2 * int(radius) + 1
-            total += cv2.dilate(np.where(inside, one, _NEVER), np.ones((width, width), np.uint8))
-        return total
+    def moved(self, pose: Pose) -> Array:
+        """How each landmark moves in the picture with the pose (L, 2, 6) px."""
+        assert self.voters is not None
+        v, marks = self.voters, len(self.free)
+        aimed = v.aimed(self.eye, pose, self.motion.gain[:, :2])
+        D = moved(self.level.camera, aimed[:, :3], v.points_n - pose[0], self.eye.pose(*pose)[1]).reshape(-1, 12)
+        total = np.array([np.bincount(v.mark_of_point, column, marks) for column in D.T]).T
+        count = np.maximum(np.bincount(v.mark_of_point, minlength=marks), 1)
+        return np.asarray((total / count[:, None]).reshape(marks, 2, 6) * self.level.size)
 
-    def _freedom(self, every: Voters, level: Level) -> Array:
-        """How far (L,), px of the level, the map lets each landmark be off."""
-        return np.rint(2.0 * self.map_sigma * level.camera.fx / np.maximum(every.depth, 1.0))
+    def across(self, q: Array) -> Array:
+        """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
+        assert self.voters is not None
+        aimed = self.voters.aimed(self.eye, self.motion.pose(q), self.motion.gain[:, :2])
+        px = self.level.camera.project(aimed[:, :3])
+        shown = self.level.camera.contains(px)
+        r = ((px + 0.5) * self.level.size - 0.5)[shown] - self.motion.middle - q[:2]
+        A = np.einsum("ni,nik->nk", aimed[shown, 9:], similarity(r))
+        return np.asarray(A.T @ A / max(len(A), 1))
 
-    def _eye(self, level: Level) -> Eye:
-        return Eye(level.camera, self.eye.R_kb, self.eye.p_bk, self.eye.right)
+
+T = TypeVar("T")
+
+
+def _apart(ranked: Sequence[T], q: Sequence[Array], stage: _Stage, least_px: float) -> list[T]:
+    """Those of ranked, which lie at q, that are apart from every better one."""
+    chosen: list[tuple[int, Array]] = []
+    for k in range(len(ranked)):
+        if all((q[k] - q[other]) @ M @ (q[k] - q[other]) > least_px**2 for other, M in chosen):
+            chosen.append((k, stage.across(q[k])))
+    return [ranked[k] for k, _ in chosen]
+
+
+def _together(votes: Array, inside: Mask, free: Array) -> Array:
+    """Sum over landmarks of the best vote within what each one's place leaves open."""
+    total = np.zeros(inside.shape)
+    for one, radius in zip(votes, free.tolist(), strict=True):
+        width = 2 * int(radius) + 1
+        total += cv2.dilate(np.where(inside, one, _NEVER), np.ones((width, width), np.uint8)) if width > 1 else one
+    return total
+
+
+def _squared(information: Array, grid: "_Grid", other: Array) -> Array:
+    """q^T Q^-1 q (U, V) of the whole grid of shifts with one turn and scale."""
+    linear = 2.0 * information[:2, 2:] @ other
+    u = information[0, 0] * grid.su**2 + linear[0] * grid.su
+    v = information[1, 1] * grid.sv**2 + linear[1] * grid.sv + other @ information[2:, 2:] @ other
+    return np.asarray(u[:, None] + v[None, :] + 2.0 * information[0, 1] * grid.su[:, None] * grid.sv[None, :])
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,11 +25,13 @@ _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q bes
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Prior, covariance Q (4, 4), gain (6, 4); radius px of the outlines about their middle, roof_px the least width of one."""
+    """Prior, J (4, 6), covariance Q (4, 4), gain (6, 4); middle (2,) and radius px of the outlines, roof_px the least width."""
 
     prior: Prior
+    J: Array
     covariance: Array
     gain: Array
+    middle: Array
     radius: float
     roof_px: float
 
@@ -67,15 +69,15 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
         return None
     points, x_c = points[before], x_c[before]
     px = pinhole.camera.project(x_c)
-    r = px - px.mean(axis=0)
-    J = np.linalg.lstsq(_similarity(r).reshape(-1, 4), moved(pinhole.camera, x_c, points - p_n, R_nk).reshape(-1, 6), rcond=None)[
-        0
-    ]
+    middle = px.mean(axis=0)
+    r = px - middle
+    D = moved(pinhole.camera, x_c, points - p_n, R_nk)
+    J = np.linalg.lstsq(similarity(r).reshape(-1, 4), D.reshape(-1, 6), rcond=None)[0].astype(np.float64)
     P = np.asarray(prior.covariance, dtype=float)
     Q = J @ P @ J.T + np.diag(_FLOOR)
     radius = max(1.3 * math.sqrt(float(np.mean(np.sum(r**2, axis=1)))), 1.0)
     roof_px = eye.camera.fx * min(mark.width_m for mark in landmarks) / float(np.median(x_c[:, 2]))
-    return Motion(prior, Q, np.linalg.solve(Q, J @ P).T, radius, roof_px)
+    return Motion(prior, J, Q, np.linalg.solve(Q, J @ P).T, middle, radius, roof_px)
 
 
 def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array:
@@ -95,7 +97,7 @@ def _roof(mark: Landmark) -> Array:
     return np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
 
 
-def _similarity(r: Array) -> Array:
+def similarity(r: Array) -> Array:
     """d(px) (N, 2, 4) of points r (N, 2) from the middle by shift, turn and log scale."""
     B = np.zeros((len(r), 2, 4))
     B[:, 0, 0] = B[:, 1, 1] = 1.0

@@ -79,7 +79,7 @@ def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | Non
     shift: Array = np.zeros(2)
     for k in range(_ROUNDS):
         A = (n * weight[:, None]).T @ n + 1e-3 * np.eye(2)
-        shift = np.linalg.solve(A, n.T @ (weight * d))
+        shift = np.linalg.solve(A, n.T @ (weight * d)).astype(np.float64)
         z: Array = np.abs(d - n @ shift)
         scale = max(1.4826 * float(np.median(z)), _FLOOR_PX)
         z /= scale

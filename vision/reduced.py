@@ -2,7 +2,8 @@
 
     u_s = (u + 1/2) / s - 1/2                         (pixel of the picture reduced s times, pixel centres at integers)
 
-A field (H, W, 7) holds dI/du of three channels, dI/dv of three channels, and the length of all six together.
+A field (H, W, 8) holds dI/du of three channels, dI/dv of three channels, and the length of all six together; the last one is
+empty, so that a pixel is half a line of the cache.
 """
 
 from dataclasses import dataclass
@@ -46,11 +47,11 @@ def levels(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[
 def _field(picture: Image, unseen: NDArray[np.bool_] | None) -> Field:
     image = picture if picture.ndim == 3 else picture[:, :, None]
     channels = min(image.shape[2], 3)
-    field = np.zeros((*image.shape[:2], 7), dtype=np.float32)
+    field = np.zeros((*image.shape[:2], 8), dtype=np.float32)
     for k, (du, dv) in enumerate(((1, 0), (0, 1))):
         slope = cv2.Sobel(picture, cv2.CV_32F, du, dv, ksize=3, scale=_SOBEL)
         field[:, :, 3 * k : 3 * k + channels] = slope.reshape(*image.shape[:2], -1)[:, :, :channels]
-    field[:, :, 6] = np.sqrt(np.einsum("ijk,ijk->ij", field, field))
+    field[:, :, 6] = np.sqrt(sum(field[:, :, k] ** 2 for k in range(6)))
     if unseen is not None:
         field[unseen, 6] = _UNSEEN
     return field

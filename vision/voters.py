@@ -14,6 +14,7 @@ from models.messages import Array
 from vision.pose import Pose
 from vision.sensitivity import Eye, Samples, edge_gaps, sample_edges, view
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
+from vision.votes import aim
 
 Indices = NDArray[np.int64]
 _GAP_PX, _UPRIGHT_PX, _EDGE_PX = 1.5, 3.0, 2.0  # nearer feet of walls, shorter corners, shorter edges are left out
@@ -39,32 +40,19 @@ class Voters:
     chroma: Array
     depth: Array
 
-    def aim(self, eye: Eye, pose: Pose) -> tuple[Array, Array]:
-        """Points x_c (N, 3) in the camera (without distortion) from a pose, and the normals (N, 2) of their edges."""
+    def aimed(self, eye: Eye, pose: Pose, gain: Array) -> Array:
+        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture."""
         p_nk, R_nk = eye.pose(*pose)
-        x_c, d = (self.points_n - p_nk) @ R_nk, self.direction_n @ R_nk
-        plane = x_c[:, :2] / x_c[:, 2:]
-        tangent = (d[:, :2] - plane * d[:, 2:]) * np.array([eye.camera.fx, eye.camera.fy])
-        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
-        return x_c, np.column_stack((-tangent[:, 1], tangent[:, 0]))
-
-    def along(self, eye: Eye, pose: Pose, gain: Array) -> Array:
-        """dx_c (N, 3, 2) of a shift by one pixel in u and v, which moves the pose by gain (6, 2):  R^T ([X - p]x dtheta - dp)."""
-        _, R_nk = eye.pose(*pose)
-        lever = self.points_n - pose[0]
-        parts = [(np.cross(lever, gain[3:, k]) - gain[:3, k]) @ R_nk for k in range(2)]
-        return np.ascontiguousarray(np.stack(parts, axis=2))
+        return aim(self.points_n, self.direction_n, pose[0], gain, p_nk, R_nk, eye.camera.fx, eye.camera.fy)
 
 
-def voters(
-    eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, shift_m: Array | None, reach_px: float, most: int
-) -> Voters | None:
+def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, reach_px: float, most: int) -> Voters | None:
     """About `most` points of what is seen from a pose and comes into the picture within reach_px; None where there is nothing.
 
-    eye: with the camera of the reduced picture, without distortion; shift_m: (L, 4) errors of the map.
+    eye: with the camera of the reduced picture, without distortion.
     """
     p_nk, _ = eye.pose(*pose)
-    edges = visible_edges(body, p_nk, shift_m)
+    edges = visible_edges(body, p_nk)
     samples = sample_edges(edges, eye, *pose, 1.0, _MOST_ON_EDGE)
     if len(samples.t) > most:
         samples = sample_edges(edges, eye, *pose, len(samples.t) / most, _MOST_ON_EDGE)

@@ -22,40 +22,46 @@ _LEAST_POINTS = 2  # in view that make an edge
 
 @njit(cache=True, fastmath=True)
 def vote(
-    field: Field, camera: Array, x: Array, along: Array, normal: Array, first: Indices, mark: Indices, length: Array,
-    chroma: Array, marks: int, floor: float, su: Array, sv: Array, inside: Mask,
+    field: Field, camera: Array, aimed: Array, first: Indices, mark: Indices, length: Array, chroma: Array, marks: int,
+    floor: float, su: Array, sv: Array, inside: Mask,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Support and length in view (L, U, V) of each landmark at shifts su (U,), sv (V,); 0 where not inside (U, V).
+    """Support and length in view (L, U, V) of each landmark at shifts su (U,), sv (V,) px; 0 where not inside (U, V).
 
-    camera: fx fy cx cy of the field's pixels; x (N, 3): points in the camera; along (N, 3, 2): how a shift by 1 px in u and v
-    moves them; normal (N, 2); first (E + 1,): points of edge e are first[e] to first[e + 1]; mark (E,): its landmark; length
-    (E,): px that one of its points stands for; chroma (E, 3): unit colour of the roof inside it, without the grey part, else 0;
+    camera: fx fy cx cy of the field's pixels; aimed (N, 11): of each point x_c, d x_c by a shift of 1 px in u, the same in v, and
+    the normal of its edge; first (E + 1,): points of edge e are first[e] to first[e + 1]; mark (E,): its landmark; length (E,):
+    px that one of its points stands for; chroma (E, 3): unit colour of the roof inside it, without the grey part, else 0;
     marks: L; floor: of a gradient, so that smooth places have no direction.
     """
     rows, columns = field.shape[0], field.shape[1]
     support = np.zeros((marks, len(su), len(sv)))
     seen = np.zeros((marks, len(su), len(sv)))
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5
+    row = np.empty((len(aimed), 8))  # the points at one shift in u: x_c, its step in v, normal
+    for i in range(len(aimed)):
+        for k in range(3):
+            row[i, 3 + k] = aimed[i, 6 + k]
+        row[i, 6], row[i, 7] = aimed[i, 9], aimed[i, 10]
     for a in range(len(su)):
+        for i in range(len(aimed)):
+            for k in range(3):
+                row[i, k] = aimed[i, k] + su[a] * aimed[i, 3 + k]
         for b in range(len(sv)):
             if not inside[a, b]:
                 continue
-            s, t = su[a], sv[b]
+            t = sv[b]
             for e in range(len(mark)):
                 g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
                 for i in range(first[e], first[e + 1]):
-                    z = x[i, 2] + s * along[i, 2, 0] + t * along[i, 2, 1]
-                    if z <= 0.0:
-                        continue
+                    z = row[i, 2] + t * row[i, 5]
                     scale = 1.0 / z
-                    u = fx * scale * (x[i, 0] + s * along[i, 0, 0] + t * along[i, 0, 1]) + cx
-                    v = fy * scale * (x[i, 1] + s * along[i, 1, 0] + t * along[i, 1, 1]) + cy
-                    if not (u >= 1.0 and v >= 1.0 and u < columns - 1.0 and v < rows - 1.0):
+                    u = fx * scale * (row[i, 0] + t * row[i, 3]) + cx
+                    v = fy * scale * (row[i, 1] + t * row[i, 4]) + cy
+                    if not (z > 0.0 and u >= 1.0 and v >= 1.0 and u < columns - 1.0 and v < rows - 1.0):
                         continue
                     here = field[int(v), int(u)]
                     if here[6] < 0.0:
                         continue
-                    nu, nv = normal[i, 0], normal[i, 1]
+                    nu, nv = row[i, 6], row[i, 7]
                     g0 += here[0] * nu + here[3] * nv
                     g1 += here[1] * nu + here[4] * nv
                     g2 += here[2] * nu + here[5] * nv
@@ -71,3 +77,35 @@ def vote(
                 support[m, a, b] += n * share
                 seen[m, a, b] += n
     return support, seen
+
+
+@njit(cache=True)
+def aim(points: Array, direction: Array, p_n: Array, gain: Array, p_nk: Array, R_nk: Array, fx: float, fy: float) -> Array:
+    """Points (N, 3) on edges of direction (N, 3) as vote() wants them (N, 11); camera without distortion at p_nk, axes R_nk.
+
+    A shift of the picture by one pixel moves the pose p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
+    """
+    out = np.empty((len(points), 11))
+    lever, turned = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        for k in range(3):
+            out[i, k] = 0.0
+            turned[k] = 0.0
+            lever[k] = points[i, k] - p_n[k]
+            for m in range(3):
+                out[i, k] += (points[i, m] - p_nk[m]) * R_nk[m, k]
+                turned[k] += direction[i, m] * R_nk[m, k]
+        for c in range(2):
+            d, e, f = gain[3, c], gain[4, c], gain[5, c]
+            along = (
+                lever[1] * f - lever[2] * e - gain[0, c],
+                lever[2] * d - lever[0] * f - gain[1, c],
+                lever[0] * e - lever[1] * d - gain[2, c],
+            )
+            for k in range(3):
+                out[i, 3 + 3 * c + k] = along[0] * R_nk[0, k] + along[1] * R_nk[1, k] + along[2] * R_nk[2, k]
+        z = out[i, 2]
+        tu, tv = fx * (turned[0] - out[i, 0] / z * turned[2]), fy * (turned[1] - out[i, 1] / z * turned[2])
+        size = max(np.sqrt(tu * tu + tv * tv), 1e-12)
+        out[i, 9], out[i, 10] = -tv / size, tu / size
+    return out
