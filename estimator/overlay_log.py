@@ -4,10 +4,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
+from estimator.overlay_measure import View
 from logs import axes, schemas
 from logs.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
 from logs.evaluate import LONGEST_STEP_NS
@@ -18,28 +19,13 @@ from logs.reader import Attachment, LogError, LogReader, Record
 from logs.stamps import stamp_of
 from logs.trajectory import decode, interpolate
 from models import so3
-from models.messages import Array, LandmarkFix, PictureName, vec3
+from models.messages import LandmarkFix, PictureName, vec3
 from vision.rectify import Image
 
 FIX_TOPIC: Final = "/landfix/fix"
 HEALTH_TOPIC: Final = "/landfix/health"
 _PICTURES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
 _PROGRESS_EVERY: Final = 2000  # records
-
-
-class View(NamedTuple):
-    """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) of both about the axes of n; what it rests on.
-
-    identified: landmarks of the fix that vision made of the picture.
-    """
-
-    t_ns: int
-    p_n: Array
-    R_nb: Array
-    covariance: Array
-    radius95_m: float
-    mode: str
-    identified: frozenset[str]
 
 
 @dataclass(slots=True)

@@ -6,6 +6,7 @@ expect is told with it.
 """
 
 from collections import defaultdict
+from collections.abc import Collection
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -13,10 +14,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.overlay_files import Scenery
-from estimator.overlay_log import View
-from models.camera import CameraModel
-from models.landmarks import Landmark
+from models.camera import CameraModel, StereoRig
+from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from vision.overlay import Picture, Residuals, add_strip, draw_overlay, expected_px, in_view, outline_residuals
 from vision.survey import to_8_bit
@@ -25,6 +24,21 @@ _REACH_M = 300.0  # landmarks further off are too small to be measured
 _LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 30.0  # edges are looked for so far at least, and at most
 _SIGMAS = 3.0  # edges are looked for within so many expected standard deviations
 _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of its outline have an edge near
+
+
+class View(NamedTuple):
+    """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) of both about the axes of n; what it rests on.
+
+    identified: landmarks of the fix that vision made of the picture.
+    """
+
+    t_ns: int
+    p_n: Array
+    R_nb: Array
+    covariance: Array
+    radius95_m: float
+    mode: str
+    identified: frozenset[str]
 
 
 class Moment(msgspec.Struct, frozen=True):
@@ -113,11 +127,10 @@ class Frame(NamedTuple):
 
 
 class Overlay:
-    """Draws and measures one picture after the other. measured: ids of the landmarks that are measured; None: all in view."""
+    """Draws and measures one picture after the other; right: those of the right camera; times count from start_ns."""
 
-    def __init__(self, scenery: Scenery, right: bool, measured: frozenset[str] | None, start_ns: int) -> None:
-        self._rig, self._landmarks = scenery
-        self._right, self._measured, self._start_ns = right, measured, start_ns
+    def __init__(self, rig: StereoRig, landmarks: LandmarkMap, start_ns: int, right: bool = False) -> None:
+        self._rig, self._landmarks, self._start_ns, self._right = rig, landmarks, start_ns, right
         self._in_view: defaultdict[str, int] = defaultdict(int)
         self._residuals: defaultdict[str, list[float]] = defaultdict(list)
 
@@ -126,14 +139,23 @@ class Overlay:
         """The camera that took the pictures."""
         return self._rig.right if self._right else self._rig.left
 
-    def frame(self, picture: NDArray[np.uint8] | NDArray[np.uint16], view: View, draw: bool = True) -> Frame:
-        """The picture with the map drawn in from the view; the picture as it is unless it is to be drawn."""
+    def frame(
+        self,
+        picture: NDArray[np.uint8] | NDArray[np.uint16],
+        view: View,
+        measured: Collection[str] | None = None,
+        draw: bool = True,
+    ) -> Frame:
+        """The picture with the map drawn in from the view; as it is unless it is to be drawn.
+
+        measured: ids of the landmarks that are measured; None: all in view.
+        """
         canvas = np.asarray(to_8_bit(picture), np.uint8)
         place = self._rig.right_camera_pose if self._right else self._rig.camera_pose
         p_nc, R_nc = place(view.p_n, view.R_nb)
         near = in_view(self.camera, p_nc, R_nc, self._landmarks.near(p_nc[0], p_nc[1], _REACH_M))
         expected = {mark.id: expected_px(self.camera, view.p_n, p_nc, R_nc, view.covariance, mark) for mark in near}
-        residuals = self._measure(canvas, p_nc, R_nc, near, expected)
+        residuals = self._measure(canvas, p_nc, R_nc, near, expected, measured)
         moment = self._moment(view, len(near), residuals, expected)
         if draw:
             canvas = draw_overlay(canvas, self.camera, p_nc, R_nc, near, view.identified, residuals)
@@ -146,14 +168,20 @@ class Overlay:
         return tuple(sorted(made, key=lambda row: (-(row.residual_px.n if row.residual_px else 0), row.id)))
 
     def _measure(
-        self, canvas: Picture, p_nc: Array, R_nc: Array, near: list[Landmark], expected: dict[str, float]
+        self,
+        canvas: Picture,
+        p_nc: Array,
+        R_nc: Array,
+        near: list[Landmark],
+        expected: dict[str, float],
+        measured: Collection[str] | None,
     ) -> list[Residuals]:
         """Residuals of the landmarks that are measured and seen, looked for as far as the pose may be off."""
         off = _SIGMAS * np.median([sigma for sigma in expected.values() if np.isfinite(sigma)] or [0.0])
         reach_px = float(np.clip(off, _LEAST_REACH_PX, _MOST_REACH_PX))
         seen = []
         for residual in outline_residuals(canvas, self.camera, p_nc, R_nc, near, reach_px):
-            wanted = self._measured is None or residual.id in self._measured
+            wanted = measured is None or residual.id in measured
             if wanted and len(residual.px) >= _LEAST_POINTS:
                 self._in_view[residual.id] += 1
                 if residual.found >= _LEAST_FOUND:

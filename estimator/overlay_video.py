@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from estimator.overlay_files import Scenery
-from estimator.overlay_log import Flight, View, pictures, views
-from estimator.overlay_measure import Moment, Overlay, OverlayResult, Summary
+from estimator.overlay_log import Flight, pictures, views
+from estimator.overlay_measure import Moment, Overlay, OverlayResult, Summary, View
 from logs.plots import BLACK, BLUE, GREEN, ORANGE
 from logs.reader import LogError
 from vision.overlay import Picture
@@ -73,7 +73,7 @@ def make(
     if not wanted:
         raise LogError(f"{flight.path}: of {len(seen_from)} pictures none is chosen, or none has an estimate at its exposure")
     measured = None if choice.everything or not flight.used else flight.used
-    overlay = Overlay(scenery, choice.right, measured, start_ns)
+    overlay = Overlay(scenery.rig, scenery.landmarks, start_ns, choice.right)
     file = _Video(video, _rate_hz(wanted)) if video else None
     moments: list[Moment] = []
     unreadable = 0
@@ -87,7 +87,7 @@ def make(
                 f"{flight.path}: pictures of {picture.shape[1]} x {picture.shape[0]}, a calibration for "
                 f"{overlay.camera.width} x {overlay.camera.height}: not the same camera"
             )
-        frame = overlay.frame(picture, wanted[number], draw=file is not None)
+        frame = overlay.frame(picture, wanted[number], measured, draw=file is not None)
         moments.append(frame.moment)
         if file:
             file.write(frame.canvas)

@@ -9,6 +9,7 @@ from msgspec import Meta
 from logs.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
 
+OVERLAY_TOPIC = "/landfix/overlay"
 CONFIG_ATTACHMENT = "config.toml"  # of a log: what the estimator was configured with
 
 
@@ -19,6 +20,9 @@ class OutputConfig(msgspec.Struct, frozen=True):
     slow_rate_hz: Annotated[float, Meta(gt=0, le=30, description="/landfix/pose, /tf and /landfix/global at most this often")] = (
         30.0
     )
+    overlay_hz: Annotated[
+        float, Meta(ge=0, le=30, description="Hz: /landfix/overlay at most this often, drawn while somebody subscribes; 0: never")
+    ] = 2.0
 
 
 class Pace:

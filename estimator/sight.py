@@ -1,18 +1,35 @@
 """Vision behind a door of messages: a request and its pictures in, report and fix out."""
 
+from typing import Final, NamedTuple
+
 import cv2
 import msgspec
 import numpy as np
 
 from estimator.overlay_board import LandmarkBoard
+from estimator.overlay_measure import Overlay, View
+from estimator.publish import OVERLAY_TOPIC
 from estimator.vision_requests import Shot
 from logs.codec import Encoded, encode, encode_input
-from logs.pictures import Picture, PictureError, decode_picture
+from logs.metrics import horizontal_radius
+from logs.pictures import Picture, PictureError, decode_picture, encode_picture
+from models import so3
 from models.camera import StereoRig
 from models.landmarks import LandmarkMap
 from models.messages import VisionReport, VisionRequest
 from vision.identify import Prior
 from vision.pipeline import LandmarkPipeline, PipelineConfig
+
+_JPEG_QUALITY: Final = 80
+
+
+class _Look(NamedTuple):
+    """What was looked at last, and what was identified in it."""
+
+    request: VisionRequest
+    left: Picture | None
+    right: Picture | None
+    identified: frozenset[str]
 
 
 class Sight:
@@ -24,6 +41,9 @@ class Sight:
         self._run: int | None = None
         self._pipeline = LandmarkPipeline(rig, landmarks, config)
         self._board = LandmarkBoard(landmarks)
+        self._used: set[str] = set()
+        self._began_ns: int | None = None
+        self._last: _Look | None = None
 
     @property
     def time_offset_ns(self) -> int:
@@ -39,16 +59,39 @@ class Sight:
             self._run = request.run
             self._pipeline = LandmarkPipeline(self._rig, self._landmarks, self._config)
             self._board = LandmarkBoard(self._landmarks)
-        left, right = (_decoded(shot) for shot in pictures)
+        decoded = [_decoded(shot) for shot in pictures]
+        left, right = (picture if not isinstance(picture, str) else None for picture in decoded)
         prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
-        result = self._pipeline.process(
-            left if not isinstance(left, str) else None, right if not isinstance(right, str) else None, request.t_ns, prior
-        )
-        unread = "".join(f"; {flaw}" for flaw in (left, right) if isinstance(flaw, str))
+        result = self._pipeline.process(left, right, request.t_ns, prior)
+        unread = "".join(f"; {flaw}" for flaw in decoded if isinstance(flaw, str))
         report: VisionReport = msgspec.structs.replace(result.report, detail=result.report.detail + unread)
         used = frozenset(result.fix.landmarks if result.fix else ())
+        self._used |= used
+        self._last = _Look(request, left, right, used)
+        self._began_ns = self._began_ns or request.t_ns
         news = self._board.news(request.t_ns, prior.p_n, used)
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
+
+    def draw(self, mode: str) -> Encoded | None:
+        """The picture looked at last with the map drawn in from the estimate; None where there is none. Never raises.
+
+        Residuals are those of the landmarks identified so far.
+        """
+        if self._last is None or self._began_ns is None:
+            return None
+        request, left, right, identified = self._last
+        picture = left if left is not None else right
+        try:
+            R_nb = so3.matrix(so3.normalise(np.array(request.q_nb_wxyz)))
+            radius_m = float(horizontal_radius(request.covariance[None, :2, :2])[0])
+            view = View(request.t_ns, np.array(request.p_n), R_nb, request.covariance, radius_m, mode, identified)
+            overlay = Overlay(self._rig, self._landmarks, self._began_ns, right=left is None)
+            if picture is None or picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
+                return None
+            canvas = overlay.frame(picture, view, self._used).canvas
+        except Exception:  # a picture for people must not cost the next fix
+            return None
+        return encode_picture(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
 
 
 def _decoded(shot: Shot | None) -> Picture | str | None:

@@ -118,6 +118,11 @@ class Track:
         """Keep what Fusion said."""
         self._estimates.extend(o for o in outputs if isinstance(o, Estimate))
 
+    @property
+    def mode(self) -> str:
+        """What the newest estimate rests on; "" before the first."""
+        return self._estimates[-1].mode if self._estimates else ""
+
     def request(self, pair: Pair, arrived_ns: int, run: int = 0) -> VisionRequest | None:
         """Where the vehicle is believed to have been when the pictures were taken; None where nobody knows."""
         t_ns = pair.t_ns

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
-from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
+from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher
 from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
@@ -123,7 +123,7 @@ def assembled(
             outboxes.append(mavlink)
         status = Status(clock.now_ns(), parts)
         mailbox, track = Mailbox(clock, log, images, config.mounting()), Track()
-        if vision := _vision(stack, config, folder, clock, track, mailbox):
+        if vision := _vision(stack, config, folder, clock, track, mailbox, bus):
             parts["vision"] = vision.report
             mailbox.see = vision.put
         daemon = Daemon(
@@ -152,7 +152,7 @@ def assembled(
 
 
 def _vision(
-    stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox
+    stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox, bus: ZenohBus | None
 ) -> VisionWorker | None:
     """Vision, where the configuration names cameras and a map."""
     files, inputs = config.files(), config.inputs
@@ -160,7 +160,9 @@ def _vision(
         return None
     sides = {**dict.fromkeys(inputs.left_image, "left"), **dict.fromkeys(inputs.right_image, "right")}
     where = folder / files["calibration"], folder / files["map"], config.fusion().origin
-    worker = VisionWorker(where, config.vision, sides, clock, Stamps(clock, config.clock), track, mailbox.put_own)
+    screen = bus.screen(OVERLAY_TOPIC, schemas.COMPRESSED_IMAGE) if bus else None
+    stamps, overlay_hz = Stamps(clock, config.clock), config.output.overlay_hz
+    worker = VisionWorker(where, config.vision, sides, clock, stamps, track, mailbox.put_own, screen, overlay_hz)
     stack.callback(worker.close)
     return worker
 

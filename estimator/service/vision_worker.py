@@ -15,8 +15,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
+from estimator.publish import Pace
 from estimator.service.clock import SECOND_NS, Clock, Stamps
-from estimator.service.ports import Arrival
+from estimator.service.ports import Arrival, Screen
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.codec import Encoded, decode_vision_request, encode
@@ -31,7 +32,10 @@ _WAITING: Final = 8  # pictures
 
 
 def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None) -> None:
-    """The process: answers requests until the pipe is closed. First it sends the cameras' time offset [ns], or why it cannot."""
+    """The process: answers requests until the pipe is closed. First it sends the cameras' time offset [ns], or why it cannot.
+
+    A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
     from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
@@ -43,8 +47,12 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None)
     pipe.send((sight.time_offset_ns,))
     with suppress(EOFError, BrokenPipeError):
         while True:
-            data, left, right = pipe.recv()
-            pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
+            asked = pipe.recv()
+            if isinstance(asked, str):
+                pipe.send((sight.draw(asked),))
+            else:
+                data, left, right = asked
+                pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
 
 
 class VisionWorker:
@@ -59,7 +67,11 @@ class VisionWorker:
         stamps: Stamps,
         track: Track,
         tell: Callable[[Encoded], None],
+        screen: Screen | None = None,
+        overlay_hz: float = 0.0,
     ) -> None:
+        """files: cameras, map, origin; sides: topic -> "left" or "right"; screen: where what is seen is drawn, if watched."""
+        self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
         self._files, self._config, self._sides = files, config, sides
         self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
         self._shots: deque[Shot] = deque(maxlen=_WAITING)
@@ -68,9 +80,9 @@ class VisionWorker:
         self._pipe: Connection | None = None
         self._offset_ns = self._run = 0
         self._backoff_s = _FIRST_BACKOFF_S
-        self._is_warm = False  # the first answer takes longer: kernels are compiled
+        self._is_warm = self._has_drawn = False  # the first answer takes longer: kernels are compiled
         self._state = "starting"
-        self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = 0
+        self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = self._drawn = 0
         self._latency_s = 0.0
         self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
         self._thread.start()
@@ -105,6 +117,7 @@ class VisionWorker:
             "fixes": self._fixes,
             "dropped_pictures": self._dropped,
             "pictures_of_unknown_time": self._unplaced,
+            "overlays": self._drawn,
             "restarts": self._run,
             "latency_ms": round(1e3 * self._latency_s, 1),
         }
@@ -153,6 +166,21 @@ class VisionWorker:
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
         for answer in answers:
             self._tell(answer)
+        if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
+            self._draw(self._screen)
+
+    def _draw(self, screen: Screen) -> None:
+        """The picture just answered for, with the map drawn in; the answer is out already."""
+        patience_s = self._config.timeout_s if self._has_drawn else _START_S
+        drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, patience_s)
+        self._has_drawn = drawn is not None
+        if drawn is None:
+            self._restart("does not draw")
+            return
+        (picture,) = drawn
+        if picture is not None:
+            self._drawn += 1
+            screen.show(picture)
 
     def _exchange(self, question: Any, patience_s: float) -> Any:
         """What the process says to that; None where it is dead, or was killed because it took too long, even to listen."""
@@ -182,7 +210,8 @@ class VisionWorker:
         if isinstance(ready, str):
             self._restart(ready)
             return False
-        (self._offset_ns,), self._state, self._is_warm = ready, "ready", False
+        (self._offset_ns,), self._state = ready, "ready"
+        self._is_warm = self._has_drawn = False
         self._shots.clear()
         return True
 

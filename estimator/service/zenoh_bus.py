@@ -78,11 +78,33 @@ class _Sender:
         if self._plain is not None:
             self._plain.put(data)
 
+    def watched(self) -> bool:
+        """Whether somebody subscribes."""
+        return any(p is not None and p.matching_status.matching for p in (self._rmw, self._plain))  # type: ignore[attr-defined]
+
     def _answer(self, query: zenoh.Query) -> None:
         """The last message of the topic, for whoever comes late and asks."""
         with query:
             if self.last is not None:
                 query.reply(query.key_expr, self.last)
+
+
+class ZenohScreen:
+    """A Screen of ports.py: one topic of the bus, that is told to the network at once, and sent by a thread of its own."""
+
+    def __init__(self, session: zenoh.Session, config: ZenohConfig, clock: Clock, topic: str, schema: str) -> None:
+        self._sender, self._clock = _Sender(session, config, topic, schema), clock
+
+    def watched(self) -> bool:
+        """Whether somebody subscribes."""
+        with contextlib.suppress(zenoh.ZError):
+            return self._sender.watched()
+        return False
+
+    def show(self, picture: Encoded) -> None:
+        """Send it."""
+        with contextlib.suppress(zenoh.ZError):
+            self._sender.put(picture.data, self._clock.now_ns())
 
 
 class ZenohBus:
@@ -116,6 +138,10 @@ class ZenohBus:
                         self._config.domain, zid, self._config.node, subscriber.id.eid, topic, schema, type_hash(schema)
                     )
                     self._kept.append(live.declare_token(token))
+
+    def screen(self, topic: str, schema: str) -> ZenohScreen:
+        """Where pictures of a topic are shown."""
+        return ZenohScreen(self.session, self._config, self._clock, topic, schema)
 
     def serve(self, name: str, content: Callable[[], bytes | None], media_type: str) -> None:
         """Answer queries for landfix/<name>; None: there is none."""
