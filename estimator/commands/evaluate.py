@@ -2,15 +2,18 @@
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import Json, print_json, progress
+from estimator.commands.console import Json, note, print_json, progress
+
+if TYPE_CHECKING:
+    from logs.evaluation import Evaluation
 
 
 def command(
-    log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What landfix replay wrote, truth included.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="OUT.mcap...", help="What landfix replay wrote, truth included.")],
     truth: Annotated[
         str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
     ] = "/truth",
@@ -19,24 +22,65 @@ def command(
         float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")
     ] = None,
     json: Json = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="A row for each log, as Markdown.")] = False,
+    comma_separated: Annotated[bool, typer.Option("--csv", help="A row for each log, as CSV with all digits.")] = False,
 ) -> None:
-    """Say how good an estimate was.
+    """Say how good an estimate was, or compare several.
 
     Errors, consistency of the covariance, drift in each outage, what became of the measurements.
-    Without a truth in the log it says all that needs none.
+    Without a truth in the log it says all that needs none. Of several logs there is a row for each; the best of a column stands
+    out. A log that cannot be read is told on stderr and left out, and the exit code is 1.
 
     \b
     Examples:
       landfix evaluate estimate.mcap
       landfix evaluate estimate.mcap --truth /rtk/fix --json
+      landfix evaluate before.mcap after.mcap
+      landfix evaluate fleet/*.mcap --csv > fleet.csv
     """
+    if json + markdown + comma_separated > 1:
+        raise typer.BadParameter("of --json, --markdown and --csv only one can be printed")
+    if len(logs) == 1 and not (markdown or comma_separated):
+        evaluation = _evaluate(logs[0], truth, burn_in_s, outage_s)
+        if json:
+            print_json(evaluation)
+        else:
+            from logs.evaluation_table import print_table
+
+            print_table(evaluation)
+        return
+    from logs.evaluation_runs import comma_separated as as_csv
+    from logs.evaluation_runs import compare_runs, print_runs
+    from logs.evaluation_runs import markdown as as_markdown
+
+    evaluations = _readable(logs, truth, burn_in_s, outage_s)
+    if json:
+        print_json(evaluations)
+    elif markdown:
+        typer.echo(as_markdown(compare_runs(evaluations)), nl=False)
+    elif comma_separated:
+        typer.echo(as_csv(compare_runs(evaluations)), nl=False)
+    elif evaluations:
+        print_runs(compare_runs(evaluations))
+    if len(evaluations) < len(logs):
+        raise typer.Exit(1)
+
+
+def _evaluate(log: Path, truth: str, burn_in_s: float, outage_s: float | None) -> "Evaluation":
     from logs.evaluate import evaluate
 
     with progress(f"read {log.name}") as report:
-        evaluation = evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, progress=report)
-    if json:
-        print_json(evaluation)
-        return
-    from logs.evaluation_table import print_table
+        return evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, progress=report)
 
-    print_table(evaluation)
+
+def _readable(logs: list[Path], truth: str, burn_in_s: float, outage_s: float | None) -> "list[Evaluation]":
+    """The evaluations of those that can be read; of the others a line on stderr."""
+    from logs.reader import LogError
+
+    evaluations = []
+    for log in logs:
+        try:
+            evaluations.append(_evaluate(log, truth, burn_in_s, outage_s))
+        except LogError as error:
+            note(f"landfix: {error}")
+    return evaluations

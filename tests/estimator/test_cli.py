@@ -169,3 +169,14 @@ def test_the_table_of_keys_is_a_valid_configuration_with_the_defaults(tmp_path: 
     assert {"section": "map", "name": "geoid_m", "default": "0.0", "unit": "m"}.items() <= next(
         r for r in rows if r["name"] == "geoid_m"
     ).items()
+
+
+def test_evaluate_compares_several_logs_and_goes_on_where_one_is_none(estimate: Path, flight: Path) -> None:
+    assert run("evaluate", estimate, estimate).stdout.count("estimate") >= 2
+    both = run("evaluate", estimate, flight, "--csv")
+    assert both.exit_code == 1
+    assert both.stdout.count("\n") == 2
+    assert "holds no /landfix/odometry" in both.stderr
+    assert len(json.loads(run("evaluate", estimate, estimate, "--json").stdout)) == 2
+    assert run("evaluate", estimate, "--markdown").stdout.startswith("| run | s |")
+    assert run("evaluate", estimate, "--csv", "--json").exit_code == 2
