@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.tasks import ROOT
+from estimator.map_alike import marked
 from estimator.map_picture import draw
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
@@ -95,6 +96,24 @@ def overlays(scene: Scene, village: LandmarkMap) -> Array:
     return np.hstack(panels)
 
 
+def terraces_and_village() -> LandmarkMap:
+    """Three rows of equal houses north of a village in which two look alike."""
+    rng = np.random.default_rng(0)
+    paints = (38, 40, 205), (205, 110, 25), (30, 190, 225), (70, 165, 35), (170, 40, 160), (235, 235, 235)
+    rows = [_box(f"t{r}{c}", (70.0 + 25.0 * r, 24.0 * c), (14.0, 9.0), (60, 70, 150)) for r in range(3) for c in range(8)]
+    others = [
+        _box(f"v{k}", (42.0 * (k // 7) + rng.uniform(-8, 8), 26.0 * (k % 7) + rng.uniform(-6, 6)),
+             (rng.uniform(8, 20), rng.uniform(6, 10)), paints[k % 6])
+        for k in range(14)
+    ]  # fmt: skip
+    return LandmarkMap.from_landmarks((47.3977, 8.5456, 488.0), [*rows, *others])
+
+
+def _box(name: str, place: tuple[float, float], sides: tuple[float, float], colour: tuple[int, int, int]) -> Landmark:
+    corners = 0.5 * np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) * sides
+    return Landmark.of(name, corners + place, 0.0, 4.0, colour, 0.5)
+
+
 def main() -> None:
     """Draws them all."""
     described().savefig(IMAGES / "map_description.png")
@@ -102,6 +121,8 @@ def main() -> None:
     scene = make_world(3, WorldSpec(area_m=260.0, painted=0.8, rig=rig))
     village = LandmarkMap.from_landmarks(scene.map.origin, map(_named, scene.map))
     draw(village, "village.geojson").savefig(IMAGES / "map_show.png")
+    rows = terraces_and_village()
+    draw(rows, "terraces.geojson", marked(rows)).savefig(IMAGES / "map_alike.png")
     cv2.imwrite(str(IMAGES / "map_overlay.jpg"), overlays(scene, village), [cv2.IMWRITE_JPEG_QUALITY, 90])
 
 

@@ -2,20 +2,15 @@
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from estimator.doctor import Check, judge
+from estimator.map_alike import look_alikes, marks
 from models import outline as polygon
 from models.landmarks import LandmarkMap
-from models.map_table import WEIGHTS, Finding
+from models.map_table import Alike, Finding
 from models.messages import Array
-from vision.similarity import normalised, similarity
 
 FEW = 3  # landmarks in view make a fix that stands by itself
-_MOST_PAIRS = 20_000_000
-_OTHER_COLOUR = 100.0  # distance in BGR; lighting alone changes a colour by less
-_COLUMNS = [polygon.SIZE, polygon.WIDTH, polygon.LENGTH, polygon.FILL]
 
 _MISSING = {
     "height_m": "roofs at a guessed height move the fix when seen from the side; give height_m (map build --height-m)",
@@ -32,6 +27,13 @@ class LookAlike(msgspec.Struct, frozen=True):
     b: str
     distance_m: float
     similarity: float
+
+
+class Repeat(msgspec.Struct, frozen=True):
+    """A landmark, and the nearest shift that takes it and most of what is around it to look-alikes."""
+
+    id: str
+    shift_m: float
 
 
 class Nested(msgspec.Struct, frozen=True):
@@ -52,15 +54,19 @@ class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
     rejected: tuple[Finding, ...]
     remarks: tuple[Finding, ...]
     look_alikes: list[LookAlike]
+    repeats: list[Repeat]
     nested: list[Nested]
 
 
 def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
     """Everything about a map. look_alikes: pairs at most radius_m apart whose similarity is at least `alike`, likest first."""
     pairs, distances, similarities = look_alikes(the_map, radius_m, alike)
+    marked = marks(the_map, pairs, distances)
     order = np.lexsort((distances, -similarities))
     names = the_map.columns.ids
     nested = [Nested(names[outer], names[inner]) for outer, inner in the_map.nested().tolist()]
+    repeated = np.flatnonzero(marked.repeats_m < np.inf)
+    repeats = [Repeat(names[i], round(float(marked.repeats_m[i]), 2)) for i in repeated.tolist()]
     listed = [
         LookAlike(names[a], names[b], round(float(distances[k]), 2), round(float(similarities[k]), 4))
         for k in order.tolist()
@@ -71,28 +77,13 @@ def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
         features=the_map.report.features,
         usable=len(the_map) > 0,
         origin=the_map.origin,
-        checks=[*_contents(the_map), *(_quality(the_map, pairs, len(nested), radius_m, alike) if len(the_map) else [])],
+        checks=[*_contents(the_map), *(_quality(the_map, marked, len(nested), radius_m, alike) if len(the_map) else [])],
         rejected=the_map.report.rejected,
         remarks=the_map.report.remarks,
         look_alikes=listed,
+        repeats=repeats,
         nested=nested,
     )
-
-
-def look_alikes(the_map: LandmarkMap, radius_m: float, alike: float) -> tuple[NDArray[np.intp], Array, Array]:
-    """Pairs (P, 2) of rows, their distances [m] and similarities. Raises ValueError where there are too many to look at."""
-    described = the_map.description
-    tree = cKDTree(described[:, [polygon.NORTH, polygon.EAST]])
-    if tree.count_neighbors(tree, radius_m) > 2 * _MOST_PAIRS:
-        raise ValueError(f"more than {_MOST_PAIRS:.0e} pairs within {radius_m:g} m: look within a smaller radius")
-    pairs = tree.query_pairs(radius_m, output_type="ndarray")
-    a, b = pairs.T
-    similarities = similarity(described[a][:, _COLUMNS], described[b][:, _COLUMNS], normalised(WEIGHTS))
-    colour = the_map.columns.colour_bgr.astype(np.float64)
-    known = (colour[a, 0] >= 0.0) & (colour[b, 0] >= 0.0)
-    kept = (similarities >= alike) & ~(known & (np.linalg.norm(colour[a] - colour[b], axis=1) > _OTHER_COLOUR))
-    distances = np.hypot(*(described[a] - described[b])[kept][:, [polygon.NORTH, polygon.EAST]].T)
-    return pairs[kept], distances, similarities[kept]
 
 
 def _contents(the_map: LandmarkMap) -> list[Check]:
@@ -114,17 +105,19 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     return [few, rejected, order, *lacks]
 
 
-def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], nested: int, radius_m: float, alike: float) -> list[Check]:
+def _quality(the_map: LandmarkMap, marked: Alike, nested: int, radius_m: float, alike: float) -> list[Check]:
     d, columns = the_map.description, the_map.columns
     north, east, size = d[:, polygon.NORTH], d[:, polygon.EAST], d[:, polygon.SIZE]
     far_km = float(np.hypot(north, east).max()) / 1000.0
-    twins = len(np.unique(pairs))
+    twins, repeated = int(np.sum(marked.count > 0)), int(np.sum(marked.repeats_m < np.inf))
     extent = f"{np.ptp(north):.0f} m north-south, {np.ptp(east):.0f} m east-west, up to {far_km:.1f} km from the origin"
     similar = f"{twins} landmarks ({twins / len(the_map):.0%}) have one at {alike:.0%} or more within {radius_m:g} m"
     tilted = "beyond 20 km the origin's down is more than 0.2 degrees off: make a map of the place itself"
     small = "landmarks under 1 m2 are seen from close by only"
     exact = "sigma_m = 0 says that the map is exact; no survey is"
     waiting = "shape and size alone do not tell them apart: fixes wait until several are in view"
+    same = f"{repeated} landmarks stand where a shift within {radius_m:g} m finds the same arrangement again"
+    by_prior = "there several in view do not decide: arrive with a prior better than half the shift, or add what differs"
     one_place = "a roof is one landmark: keep the whole or its parts (building or building:part)"
     return [
         judge("extent", extent, warn=far_km > 20.0, advice=tilted),
@@ -134,6 +127,7 @@ def _quality(the_map: LandmarkMap, pairs: NDArray[np.intp], nested: int, radius_
         judge("map sigma", f"{_spread(columns.sigma_m, 2)} m", warn=bool(np.any(columns.sigma_m == 0.0)), advice=exact),
         judge("one in another", f"{nested} pairs", warn=nested > 0, advice=one_place),
         judge("look-alikes", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
+        judge("repetition", same, warn=repeated > 0, advice=by_prior),
     ]
 
 

@@ -3,24 +3,27 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from models import outline as polygon
 from models.landmarks import LandmarkMap
+from models.map_table import Alike
 from models.messages import Array
 
 _SIDE_IN, _DPI = 9.0, 150
 _GROUND, _UNKNOWN, _EDGE = "#ebe8df", "#b5b0a4", "#3a3a3a"
+_ALIKE, _REPEATS = "#D55E00", "#CC00CC"
 _FONT_PT = 7.0
 _MOST_NAMES = 400
 _MOST_EDGES = 2000  # more would hide the colours
 _STRIP = 0.07  # of the height, along the lower edge
 
 
-def draw(the_map: LandmarkMap, title: str) -> Figure:
-    """The whole map, north up, in metres from the origin. The map must not be empty."""
+def draw(the_map: LandmarkMap, title: str, alike: Alike | None = None) -> Figure:
+    """The whole map, north up, in metres from the origin; what is alike gets edges of its own. The map must not be empty."""
     columns = the_map.columns
     low, high = _frame(columns.vertices)
     figure = Figure(figsize=_figure_size(high - low), layout="constrained", dpi=_DPI)
@@ -32,12 +35,15 @@ def draw(the_map: LandmarkMap, title: str) -> Figure:
     outlines = np.split(columns.vertices[:, ::-1], columns.offsets[1:-1])
     fills = np.where(columns.colour_bgr[:, :1] >= 0, columns.colour_bgr[:, ::-1] / 255.0, _rgb(_UNKNOWN))
     order = np.argsort(-the_map.description[:, polygon.SIZE])  # small ones on top
-    edges = _EDGE if len(the_map) <= _MOST_EDGES else "none"
+    edges, widths = _edges(len(the_map), alike)
     axes.add_collection(
-        PolyCollection([outlines[i] for i in order.tolist()], facecolors=fills[order], edgecolors=edges, linewidths=0.7)
+        PolyCollection(
+            [outlines[i] for i in order.tolist()], facecolors=fills[order], edgecolors=edges[order], linewidths=widths[order]
+        )
     )
     if low[0] < 0.0 < high[0] and low[1] < 0.0 < high[1]:
         axes.plot(0.0, 0.0, "+", color="#0072B2", markersize=10, markeredgewidth=1.5, zorder=3)
+    _legend(figure, alike)
     figure.canvas.draw()  # the layout decides how many pixels a metre has
     _names(axes, the_map, fills)
     _scale_bar(axes)
@@ -47,6 +53,37 @@ def draw(the_map: LandmarkMap, title: str) -> Figure:
     axes.grid(color="white", linewidth=0.8)
     axes.set_axisbelow(True)
     return figure
+
+
+def _edges(count: int, alike: Alike | None) -> tuple[Array, Array]:
+    """Colours (N, 4) and widths (N,) of the outlines' lines."""
+    colours = np.tile(to_rgba(_EDGE if count <= _MOST_EDGES else "none"), (count, 1))
+    widths = np.full(count, 0.7)
+    for colour, which, _ in _kinds(alike):
+        colours[which], widths[which] = to_rgba(colour), 2.0 if count <= _MOST_EDGES else 0.7
+    return colours, widths
+
+
+def _kinds(alike: Alike | None) -> list[tuple[str, NDArray[np.bool_], str]]:
+    """Colour, rows and meaning of what is marked."""
+    if alike is None:
+        return []
+    repeats = alike.repeats_m < np.inf
+    return [
+        (_ALIKE, (alike.count > 0) & ~repeats, "looks like another one near by"),
+        (_REPEATS, repeats, "the same arrangement stands near by"),
+    ]
+
+
+def _legend(figure: Figure, alike: Alike | None) -> None:
+    """What the edges mean, where there are any of their kind."""
+    handles = [
+        Patch(facecolor="white", edgecolor=colour, linewidth=2.0, label=f"{meaning} ({int(which.sum())})")
+        for colour, which, meaning in _kinds(alike)
+        if which.any()
+    ]
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8, frameon=False)
 
 
 def _title(the_map: LandmarkMap, title: str) -> str:

@@ -19,7 +19,7 @@ from models import map_file
 from models import outline as polygon
 from models.colours import Colour
 from models.frames import Origin
-from models.map_table import WEIGHTS, Columns, Defaults, MapReport, Weights
+from models.map_table import WEIGHTS, Alike, Columns, Defaults, MapReport, Weights
 from models.messages import Array, Vec3
 
 __all__ = ["WEIGHTS", "Columns", "Landmark", "LandmarkMap"]
@@ -131,9 +131,9 @@ class LandmarkMap:
         """The map of a GeoJSON file, ours or anybody's (docs/map.md); bad features are in `report`. Raises MapError."""
         return cls(*map_file.read(data, defaults or Defaults()))
 
-    def to_geojson(self) -> bytes:
-        """The file, with the description of each landmark written in."""
-        return map_file.write(self.origin, self.columns, self.description)
+    def to_geojson(self, alike: Alike | None = None) -> bytes:
+        """The file, with the description of each landmark written in, and what looks like it, where that is given."""
+        return map_file.write(self.origin, self.columns, self.description, alike)
 
     def __len__(self) -> int:
         return len(self.columns.ids)

@@ -31,7 +31,7 @@ class OurPolygon(msgspec.Struct, tag_field="type", tag="Polygon"):
 
 
 class OurProperties(msgspec.Struct, omit_defaults=True):
-    """Properties as we write them. size to orientation are computed, for people, and computed anew at reading."""
+    """Properties as we write them. What has a default but name, colour and weights is computed, for people, and not read."""
 
     height_m: _Height
     height_sigma_m: _Sigma
@@ -43,6 +43,9 @@ class OurProperties(msgspec.Struct, omit_defaults=True):
     length_m: float = 0.0
     fill_ratio: float = 0.0
     orientation_deg: float = -1.0
+    look_alikes: int = 0
+    look_alike_m: float = 0.0
+    repeats_m: float = 0.0
     name: str = ""
     colour: str = ""
     weights: Weights | None = None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from models import colours, projection
 from models import outline as polygon
 from models.map_features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features, head_of
-from models.map_table import Columns, Defaults, MapError, MapReport
+from models.map_table import Alike, Columns, Defaults, MapError, MapReport
 from models.messages import Array, Vec3
 
 TOLERANCE_M = 0.005  # corners nearer than this to the line between their neighbours are none
@@ -201,8 +201,8 @@ def _unique(parts: Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return unique
 
 
-def write(origin: Vec3, columns: Columns, description: Array) -> bytes:
-    """The file of a map; one feature a line. Places to 0.1 mm, lengths to 1 mm."""
+def write(origin: Vec3, columns: Columns, description: Array, alike: Alike | None = None) -> bytes:
+    """The file of a map; one feature a line. Places to 0.1 mm, lengths to 1 mm. alike: what can be taken for something else."""
     counts = np.diff(columns.offsets)
     roof_d = np.repeat(columns.base_d - columns.height_m, counts)
     lat, lon, _ = pymap3d.ned2geodetic(columns.vertices[:, 0], columns.vertices[:, 1], roof_d, *origin)
@@ -220,6 +220,9 @@ def write(origin: Vec3, columns: Columns, description: Array) -> bytes:
         properties.name = columns.names.get(i, "")
         properties.colour = colours.to_hex(colours_bgr[i]) if colours_bgr[i][0] >= 0 else ""
         properties.weights = columns.weights.get(i)
+        if alike is not None and alike.count[i]:
+            properties.look_alikes, properties.look_alike_m = int(alike.count[i]), round(float(alike.nearest_m[i]), 1)
+            properties.repeats_m = round(float(alike.repeats_m[i]), 1) if alike.repeats_m[i] < math.inf else 0.0
         lines.append(encode(OurFeature(columns.ids[i], OurPolygon([[*lonlat[a:b], lonlat[a]]]), properties)))
     head = encode({"origin": origin, "version": 1})
     return b'{"type":"FeatureCollection","landfix":' + head + b',"features":[\n' + b",\n".join(lines) + b"\n]}\n"

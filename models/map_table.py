@@ -33,6 +33,16 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
     names: dict[int, str]
 
 
+class Alike(msgspec.Struct, frozen=True, eq=False):
+    """Of N landmarks: how many look like each near by (N,), the nearest of them [m] (N,), inf for none, and the nearest shift [m]
+    at which what is around looks the same too (N,), inf for none.
+    """
+
+    count: NDArray[np.int64]
+    nearest_m: Array
+    repeats_m: Array
+
+
 class Finding(msgspec.Struct, frozen=True):
     """Something about one feature (1 = the first in the file)."""
 

@@ -12,7 +12,7 @@ from estimator.commands.console import Json, Out, note, print_json, print_table,
 if TYPE_CHECKING:
     from estimator.map_check import MapCheck
     from models.landmarks import LandmarkMap
-    from models.map_table import Finding, MapReport
+    from models.map_table import Alike, Finding, MapReport
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
@@ -67,6 +67,7 @@ def build(
     """
     from estimator import map_from_picture, orthophoto
     from estimator.commands.map_options import colours
+    from estimator.map_alike import marked
     from estimator.map_store import load
     from models.landmarks import LandmarkMap
     from models.map_table import Defaults
@@ -89,15 +90,16 @@ def build(
             if picture.is_grey:
                 note(f"{colour_from} is grey, and so are the colours taken from it")
         report(0.8)
+        alike = marked(the_map)
         if len(the_map):
-            out.write_bytes(the_map.to_geojson())
+            out.write_bytes(the_map.to_geojson(alike))
     if json:
         found = the_map.report
         print_json(
             {"out": str(out) if len(the_map) else None, "landmarks": len(the_map), "origin": the_map.origin, "report": found}
         )
     else:
-        _say_built(the_map, out)
+        _say_built(the_map, alike, out)
     if not len(the_map):
         note(f"landfix: {source}: no usable landmark, nothing written")
         raise typer.Exit(1)
@@ -111,13 +113,15 @@ def show(
 ) -> None:
     """Draw a map.
 
-    Outlines in their colours, names where there is room, scale bar, north arrow.
+    Outlines in their colours, names where there is room, scale bar, north arrow; landmarks that look like another one near by
+    have coloured edges.
 
     \b
     Examples:
       landfix map show map.geojson -o map.png
       landfix map show map.geojson -o map.pdf
     """
+    from estimator.map_alike import marked
     from estimator.map_picture import draw
     from estimator.map_store import load
 
@@ -128,7 +132,7 @@ def show(
             note(f"landfix: {map_file}: no usable landmark to draw (landfix map check says why)")
             raise typer.Exit(1)
         try:
-            draw(the_map, map_file.name).savefig(out)
+            draw(the_map, map_file.name, marked(the_map)).savefig(out)
         except ValueError:
             raise typer.BadParameter(f"{out}: pictures end in .png, .pdf or .svg") from None
     if json:
@@ -182,7 +186,7 @@ def _origin(text: str) -> tuple[float, float, float] | None:
     return lat, lon, alt
 
 
-def _say_built(the_map: "LandmarkMap", out: Path) -> None:
+def _say_built(the_map: "LandmarkMap", alike: "Alike | None", out: Path) -> None:
     found = the_map.report
     lat, lon, alt = the_map.origin
     if len(the_map):
@@ -190,6 +194,10 @@ def _say_built(the_map: "LandmarkMap", out: Path) -> None:
     assumed = [f"{name} {count}" for name, count in found.missing.items() if count]
     if assumed:
         note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
+    if alike is None:
+        note("too dense to look for look-alikes; none are marked")
+    elif count := int((alike.count > 0).sum()):
+        note(f"{count} of {len(the_map)} landmarks look like another one near by; they are marked (landfix map check lists them)")
     if found.doubt:
         note(f"landfix: {found.doubt}")
     _left_out(found)
@@ -208,8 +216,7 @@ def _left_out(found: "MapReport | MapCheck") -> None:
 def _findings(kind: str, findings: "tuple[Finding, ...]") -> None:
     for finding in findings[:_MOST_LINES]:
         note(f"{kind}: {finding}")
-    if len(findings) > _MOST_LINES:
-        note(f"{kind}: and {len(findings) - _MOST_LINES} more (--json lists all)")
+    _more(len(findings))
 
 
 def _print_check(map_file: Path, result: "MapCheck") -> None:
@@ -222,12 +229,18 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
     print_table(f"landfix map check {map_file}", rows)
     if result.look_alikes:
         pairs = [(p.a, p.b, f"{p.distance_m:.1f} m", f"{p.similarity:.1%}") for p in result.look_alikes[:_MOST_LINES]]
-        more = (
-            f" (likest {len(pairs)} of {len(result.look_alikes)}; --json lists all)"
-            if len(pairs) < len(result.look_alikes)
-            else ""
-        )
-        print_table(f"look-alikes{more}", pairs, ("landmark", "and", "apart", "similarity"))
+        print_table("look-alikes, the likest first", pairs, ("landmark", "and", "apart", "similarity"))
+        _more(len(result.look_alikes))
+    if result.repeats:
+        shifts = [(r.id, f"{r.shift_m:.1f} m") for r in result.repeats[:_MOST_LINES]]
+        print_table("arrangements that stand there again", shifts, ("around landmark", "shifted by"))
+        _more(len(result.repeats))
     for pair in result.nested[:_MOST_LINES]:
         note(f"one in another: {pair.inner} lies in {pair.outer}")
     _left_out(result)
+
+
+def _more(count: int) -> None:
+    """How much of a table is not shown."""
+    if count > _MOST_LINES:
+        note(f"and {count - _MOST_LINES} more (--json lists all)")

@@ -41,6 +41,7 @@ def command(
     from calib.files import load_rig
     from estimator import config as configuration
     from estimator.commands.map_options import colours
+    from estimator.map_alike import marked
     from estimator.map_learn import LearnConfig, learn
     from vision.learned import KeepConfig
 
@@ -55,7 +56,7 @@ def command(
     with progress(f"learn {source.name}") as report:
         the_map, summary = learn(source, load_rig(rig_file), loaded, how, report)
         if len(the_map):
-            out.write_bytes(the_map.to_geojson())
+            out.write_bytes(the_map.to_geojson(marked(the_map)))
     if summary.torn:
         note(f"landfix: {source} is torn; read up to its last whole record")
     if json:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
-from estimator.map_check import look_alikes
+from estimator.map_alike import look_alikes
 from models.landmarks import Landmark, LandmarkMap
 
 ORIGIN = (47.0, 8.0, 400.0)
