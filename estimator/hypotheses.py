@@ -141,14 +141,18 @@ class Hypotheses:
         return Verdict(seen[0], limit, passed[0], fused[0])
 
     def _agreement(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> float | None:
-        """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again."""
+        """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again.
+
+        Whoever foresaw the reading speaks for that, one who doubts the source himself too: what he takes for true again must
+        not be news that only k pays for. But two who both foresaw it do not call it a falsehood on each other's word.
+        """
         doubt = self.members[k].doubts.get(aid.topic)
         if doubt is None:
             return None
         believed = [
             seen[j].log_likelihood
             for j, other in enumerate(self.members)
-            if j != k and passed[j] and aid.topic not in other.doubts
+            if j != k and passed[j] and (not passed[k] or aid.topic not in other.doubts)
         ]
         return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
 
