@@ -17,12 +17,11 @@ from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision.identify import Prior
+from vision.information import Measured
 from vision.joint import POSE, Solution, System, distances, solve, solve_robustly
-from vision.pose import combine, difference
+from vision.pose import Pose, combine, difference, retract
 
 _MAP_ERRORS, _SLOPES = 3, 2  # of the map: north, east, down; of the ground: north, east
-_WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations are limited to these: still "given", and worth nothing
-_WORTHLESS = 1e-3  # share of the prior's information below which a direction is not believed to say anything
 _CONVERGED = 1e-3  # of the prior's standard deviation
 
 
@@ -54,7 +53,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PointPose:
-    """As PoseEstimate: the points' own pose p_n, R_nb with its covariances, and what it comes to with the prior (joint_*).
+    """As PoseEstimate: the points' own pose p_n, R_nb with its covariances and directions, and joint_* with the prior.
 
     map_errors (1, 6, 3): how the pose is moved by the picture's errors north, east, down, of variance 1; residual (N, 2) px;
     used (N,): points that fit; residual_px: their RMS; factor: measured over expected variance.
@@ -63,6 +62,7 @@ class PointPose:
     p_n: Array
     R_nb: Array
     covariance: Array
+    directions: Array | None
     map_errors: Array
     covariance_rig: Array
     joint_p_n: Array
@@ -81,7 +81,7 @@ class PointPose:
 
 
 def fit_points(
-    rig: StereoRig, points: Points, start: tuple[Array, Array], prior: Prior, map_sigma: tuple[float, float, float],
+    rig: StereoRig, points: Points, start: Pose, prior: Prior, map_sigma: tuple[float, float, float],
     config: PointConfig | None = None,
 ) -> PointPose | str:  # fmt: skip
     """The pose, or why there is none. start: p_n, R_nb.
@@ -109,7 +109,7 @@ def fit_points(
 
 
 def _final(
-    rig: StereoRig, points: Points, pose: tuple[Array, Array], prior: Prior, information: Array,
+    rig: StereoRig, points: Points, pose: Pose, prior: Prior, information: Array,
     map_sigma: tuple[float, float, float], config: PointConfig,
 ) -> PointPose | str:  # fmt: skip
     """The last step, with the covariances as they are; points that do not fit are left out."""
@@ -135,51 +135,27 @@ def _final(
             break
     if factor > config.worst_factor or not np.isfinite(step.dx).all():
         return f"variance factor {factor:.1f}"
-    return _report(kept, step, (p_n, R_nb), prior, used, factor)
+    return _report(kept, step, (p_n, R_nb), prior, information, used, factor)
 
 
 def _report(
-    system: System, step: Solution, pose: tuple[Array, Array], prior: Prior, used: NDArray[np.bool_], factor: float
-) -> PointPose:
-    p_n, R_nb = _moved(*pose, step.dx)
-    image, moved = _covariances(system, step.omega, factor)
+    system: System, step: Solution, pose: Pose, prior: Prior, information: Array, used: NDArray[np.bool_], factor: float
+) -> PointPose | str:
+    measured = Measured.of(step.omega, information)
+    if not measured.rank:
+        return "the points say nothing that the prior does not"
+    delta = difference(*_moved(*pose, step.dx), prior.p_n, prior.q_nb_wxyz)
+    image, moved = measured.covariances(system, step.omega, 1.0)  # as it was solved
+    p_n, R_nb = retract(prior.p_n, prior.q_nb_wxyz, measured.alone(delta, image + moved @ moved.T))
+    image, moved = measured.covariances(system, step.omega, factor)
     map_errors, slopes, rig = np.split(moved, (_MAP_ERRORS, _MAP_ERRORS + _SLOPES), axis=1)
     image = image + slopes @ slopes.T  # another ground in the next picture
-    total = image + map_errors @ map_errors.T + rig @ rig.T
-    delta = difference(p_n, R_nb, prior.p_n, prior.q_nb_wxyz)
-    information: Array = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
-    alone = _alone(delta, total, information)
-    z = _moved(prior.p_n, prior.R_nb, alone)
-    joint_p_n, joint_R_nb, joint = combine(prior, *z, total)
+    by_rig, directions = rig @ rig.T, measured.directions
+    joint = combine(prior, p_n, R_nb, image + map_errors @ map_errors.T + by_rig, directions)
     rms = float(np.sqrt(np.mean(step.residual[used] ** 2)))
     return PointPose(
-        *z, image, map_errors[None], rig @ rig.T, joint_p_n, joint_R_nb, joint, step.residual, used, rms, factor
+        p_n, R_nb, 0.5 * (image + image.T), directions, map_errors[None], by_rig, *joint, step.residual, used, rms, factor
     )  # fmt: skip
-
-
-def _covariances(system: System, omega: Array, factor: float) -> tuple[Array, Array]:
-    """What of the pose's error (6, 6) the points' noise makes, and how shared errors of variance 1 move it (6, P).
-
-    G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
-    """
-    size = len(omega)
-    limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
-    floor = np.array([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
-    limited[range(POSE), range(POSE)] += floor
-    inverse = np.linalg.inv(limited)
-    gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor
-    image = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain) + (inverse[:POSE, :POSE] * floor) @ inverse[:POSE, :POSE]
-    return 0.5 * (image + image.T), np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
-
-
-def _alone(delta: Array, covariance: Array, information: Array) -> Array:
-    """delta + C Lambda_0 delta: the points' pose, from the joint one; directions worth nothing beside the prior keep delta."""
-    low = np.linalg.cholesky(information)
-    values, vectors = np.linalg.eigh(low.T @ covariance @ low)
-    values = np.where(values < 1.0 / _WORTHLESS, values, 0.0)
-    white = vectors @ (values * (vectors.T @ (low.T @ delta)))
-    result: Array = delta + np.linalg.solve(low.T, white)
-    return result
 
 
 def _system(rig: StereoRig, points: Points, p_n: Array, R_nb: Array, map_sigma: tuple[float, float, float]) -> System | None:

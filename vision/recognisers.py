@@ -1,0 +1,179 @@
+"""Which recogniser looks at a picture, by need and by cost.
+
+    landmarks by description   always, where the map has any: pipeline.py
+    registration               where they gave nothing, the map holds a picture, and the prior says where to look: registration.py
+    features                   where the prior is too wide for that: features.py
+
+All of them end in a LandmarkFix; the picture counts as one landmark, named as its file, with the errors of its georeference.
+The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from scipy.special import chdtri
+
+from models import so3
+from models.camera import StereoRig
+from models.landmarks import LandmarkMap
+from models.messages import Array, LandmarkFix, VisionReport, vec3
+from vision.check import picture_flaw
+from vision.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground_picture import GroundPicture
+from vision.identify import Prior
+from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
+from vision.point_pose import PointPose
+from vision.pose import difference
+from vision.rectify import Image
+from vision.registration import NotRegistered, Registered, RegistrationConfig, register
+from vision.sightings import one_eyed
+
+_SAME_99 = 11.345  # chi-square of 3, 99 %
+
+
+class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Of each recogniser, and how long a likely place waits to be confirmed."""
+
+    pipeline: PipelineConfig = PipelineConfig()
+    registration: RegistrationConfig = RegistrationConfig()
+    features: FeatureConfig = FeatureConfig()
+    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for a picture that says the same")] = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class MapPicture:
+    """A georeferenced picture and its keypoints, found once."""
+
+    picture: GroundPicture
+    features: FeatureMap
+
+    @classmethod
+    def of(cls, picture: GroundPicture, config: FeatureConfig | None = None) -> "MapPicture":
+        """Takes about a second for each million pixels."""
+        return cls(picture, FeatureMap.of(picture, config))
+
+
+@dataclass(frozen=True, slots=True)
+class _Likely:
+    """What one picture said of the prior's error: offset_n (3,), its covariance, and the prior's variance then."""
+
+    t_ns: int
+    offset_n: Array
+    covariance: Array
+    prior: Array
+
+
+class Recognisers:
+    """Pictures of one rig over one map. Raises ValueError for a rig whose pictures cannot be rectified."""
+
+    def __init__(
+        self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
+    ) -> None:
+        self._rig, self._known, self._config = rig, known, config or RecogniserConfig()
+        self._pipeline = LandmarkPipeline(rig, landmarks, self._config.pipeline)
+        self._has_landmarks = len(landmarks) > 0
+        self._likely: _Likely | None = None
+
+    def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
+        """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
+        described = self._pipeline.process(left, right, t_ns, prior)
+        if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_picture", "internal"}:
+            return described
+        try:
+            with np.errstate(all="ignore"):
+                seen = self._look(self._known, left, right, t_ns, prior)
+        except Exception as error:  # whatever a picture trips over, the flight goes on
+            seen = _refused(t_ns, "internal", f"{type(error).__name__}: {error}")
+        return _both(described, seen) if self._has_landmarks else seen
+
+    def _look(self, known: MapPicture, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
+        """The picture's turn, with the left camera or, where that gave nothing, with the right one."""
+        use_right = left is None or picture_flaw(left, self._rig.left) is not None
+        image, rig = (right if use_right else left), one_eyed(self._rig, right=use_right)
+        assert image is not None  # the pipeline found one of them good
+        found = register(rig, image, prior, known.picture, self._config.registration)
+        if isinstance(found, NotRegistered):
+            if found.reason != "prior_too_wide":
+                return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
+            return self._by_features(known, rig, image, t_ns, prior)
+        evidence = (
+            f"{known.picture.name}: {found.agreed} of {found.tried} blocks agree, peak {found.ratio:.2f} times the second, "
+            f"correlation {found.correlation:.2f}"
+        )
+        if flaw := _flaw(found.pose, prior):
+            return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", (found.tried, found.agreed))
+        if not (found.is_sure(self._config.registration) or self._is_confirmed(found, t_ns, prior)):
+            return _refused(t_ns, "ambiguous", evidence, (found.tried, found.agreed))
+        self._likely = None
+        return _fixed(t_ns, known.picture.name, found.pose, (found.tried, found.agreed), evidence)
+
+    def _is_confirmed(self, found: Registered, t_ns: int, prior: Prior) -> bool:
+        """Whether an earlier picture said the same of the prior's error; if not, this one waits for the next."""
+        if not found.is_likely(self._config.registration):
+            return False
+        pose, variance = found.pose, np.diag(prior.covariance)[:3]
+        now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance)
+        before, self._likely = self._likely, now
+        if before is None or not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+            return False
+        apart = now.offset_n - before.offset_n
+        drift = np.diag(np.maximum(now.prior - before.prior, 0.0))
+        return bool(apart @ np.linalg.solve(now.covariance + before.covariance + drift, apart) < _SAME_99)
+
+    def _by_features(self, known: MapPicture, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Result:
+        found = recognise(rig, image, prior, known.features, self._config.features)
+        if isinstance(found, NotRecognised):
+            return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
+        evidence, counts = (
+            f"{known.picture.name}: {found.inliers} of {found.matched} features agree",
+            (found.matched, found.inliers),
+        )
+        if flaw := _flaw(found.pose, prior):
+            return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", counts)
+        return _fixed(t_ns, known.picture.name, found.pose, counts, evidence)
+
+
+def _both(described: Result, seen: Result) -> Result:
+    """One report of both: the outcome is the picture's, what became of the regions is kept."""
+    detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; picture: {seen.report.detail}"
+    return replace(seen, report=msgspec.structs.replace(seen.report, detail=detail), regions=described.regions)
+
+
+def _refused(t_ns: int, outcome: str, detail: str, counts: tuple[int, int] = (0, 0)) -> Result:
+    return Result(None, VisionReport(t_ns, t_ns, outcome, detail, *counts))
+
+
+def _fixed(t_ns: int, name: str, pose: PointPose, counts: tuple[int, int], detail: str) -> Result:
+    w, x, y, z = so3.from_matrix(np.ascontiguousarray(pose.R_nb)).tolist()
+    share = counts[1] / counts[0]
+    fix = LandmarkFix(
+        t_ns=t_ns,
+        arrived_ns=t_ns,
+        p_n=vec3(pose.p_n),
+        q_nb_wxyz=(w, x, y, z),
+        covariance=pose.covariance,
+        covariance_common=pose.covariance_common,
+        landmarks=(name,),
+        similarity=share,
+        residual_px=pose.residual_px,
+        landmark_errors=pose.map_errors,
+        covariance_rig=pose.covariance_rig,
+        directions=pose.directions,
+    )
+    return Result(fix, VisionReport(t_ns, t_ns, "fixed", detail, *counts, (name,), (share,), pose.residual_px))
+
+
+def _flaw(pose: PointPose, prior: Prior) -> str:
+    """Why a pose is not believed: not a number, or not where the prior may be."""
+    total = pose.covariance + pose.covariance_common
+    if not (np.isfinite(pose.p_n).all() and np.isfinite(pose.R_nb).all() and np.isfinite(total).all()):
+        return "the fit is not finite"
+    if float(np.linalg.eigvalsh(total)[0]) <= 0.0:
+        return "the fit's covariance is not positive definite"
+    D = np.eye(6) if pose.directions is None else pose.directions
+    e = D @ difference(pose.p_n, np.ascontiguousarray(pose.R_nb), prior.p_n, prior.q_nb_wxyz)
+    distance = float(e @ np.linalg.solve(D @ (prior.covariance + total) @ D.T, e))
+    return "" if distance < chdtri(len(D), 1e-4) else f"the prior excludes it: squared distance {distance:.0f} of {len(D)}"
