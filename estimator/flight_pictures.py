@@ -20,19 +20,21 @@ from numpy.typing import NDArray
 
 from calib.files import save_rig
 from logs.encoding import Encoded
-from logs.pictures import encode_picture
+from logs.pictures import Picture, encode_picture
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 from models.sim.cameras import Cameras
 from models.sim.scenario import EPOCH_NS, Simulation, Truth
-from vision.synthetic import Conditions, Scene, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic import Conditions, Image, Scene, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic.night import counts, night
 
 LEFT, RIGHT = "/left/image", "/right/image"
 
 _LOWEST_M: Final = 0.15  # camera above ground: what a vehicle stands on
 _SWING_S: Final = 37.0  # period of the light's changes
 _CHUNK: Final = 4  # pairs a process draws at a time
+_SPAWNED: Final = multiprocessing.get_context("spawn")  # forks of a process with threads (OpenCV's, the progress bar's) hang
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Flight:
     def __iter__(self) -> Iterator[tuple[int, Encoded]]:
         """(arrival, message): left, right, left, ..."""
         delay_ns = round(self.cameras.delay_s * 1e9)
-        with ProcessPoolExecutor(os.cpu_count(), _context(), _begin, (self,)) as pool:
+        with ProcessPoolExecutor(os.cpu_count(), _SPAWNED, _begin, (self,)) as pool:
             for t_ns, pair in zip(self.t_ns.tolist(), pool.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
                 for message in pair:
                     yield t_ns + delay_ns, message
@@ -69,8 +71,9 @@ class Flight:
         p_n, R_nb, v_n, omega_b = _pose(self.truth, t_ns)
         p_n = np.array([p_n[0], p_n[1], min(p_n[2], -_LOWEST_M - float(self.scene.rig.p_bc[2]))])
         pair = render_pair(self.scene.world, self.scene.rig, p_n, R_nb, self._conditions(since_s, p_n, R_nb, v_n, omega_b), rng)
+        quality = None if cameras.sees == "thermal" else cameras.jpeg_quality or None
         left, right = (
-            encode_picture(t_ns, picture, topic, jpeg_quality=cameras.jpeg_quality or None)
+            encode_picture(t_ns, _sensed(picture, cameras), topic, jpeg_quality=quality)
             for picture, topic in zip(pair, (LEFT, RIGHT), strict=True)
         )
         return left, right
@@ -110,13 +113,23 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
     taken = np.ones(len(exposures), dtype=np.bool_)
     for start, end in cameras.outages_s:
         taken &= (exposures - EPOCH_NS < start * 1e9) | (exposures - EPOCH_NS >= end * 1e9)
-    return Flight(cameras, make_world(w.seed, spec), simulation.truth, seed, exposures[taken])
+    scene = make_world(w.seed, spec)
+    if cameras.sees == "thermal":
+        scene = scene._replace(world=night(scene.world, np.random.default_rng([w.seed, 1])))
+    return Flight(cameras, scene, simulation.truth, seed, exposures[taken])
 
 
 def configuration(simulation: Simulation, map_name: str, rig_name: str) -> str:
     """The flight's configuration, with pictures, map and rig; the files are relative to it."""
     text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = "{RIGHT}"\n')
     return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n'
+
+
+def _sensed(picture: Image, cameras: Cameras) -> Picture:
+    """What this kind of camera makes of the light."""
+    if cameras.sees == "thermal":
+        return counts(picture)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8) if cameras.sees == "grey" else picture
 
 
 def _rig(cameras: Cameras) -> StereoRig:
@@ -129,11 +142,6 @@ def _pose(truth: Truth, t_ns: int) -> tuple[Array, Array, Array, Array]:
     dt = (t_ns - int(truth.t_ns[k])) * 1e-9
     turn = so3.matrix(so3.quat_exp(truth.omega_b[k] * dt))
     return truth.p_n[k] + truth.v_n[k] * dt, truth.R_nb[k] @ turn, truth.v_n[k], truth.omega_b[k]
-
-
-def _context() -> multiprocessing.context.BaseContext:
-    """Forked processes share the textures that are made already; where there is no fork, each makes its own."""
-    return multiprocessing.get_context("fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn")
 
 
 _FLIGHT: list[Flight] = []  # of a drawing process

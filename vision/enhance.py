@@ -29,11 +29,15 @@ def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def stretch(image: Image, clip: float = 0.01) -> NDArray[np.uint8]:
-    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat picture becomes middle grey."""
+def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat picture becomes middle grey.
+
+    margin: room left beyond c and d, as a share of d - c, so that what is a little hotter than nearly all is not cut off.
+    """
     c, d = limits(image, clip)
     if d <= c:
         return np.full(image.shape, 128, dtype=np.uint8)
+    c, d = c - margin * (d - c), d + margin * (d - c)
     levels = np.arange(np.iinfo(image.dtype).max + 1)
     return _look_up(image, np.clip((levels - c) * (255.0 / (d - c)), 0.0, 255.0), np.uint8)
 

@@ -1,12 +1,13 @@
-"""Segmentation: every pixel gets the number of its colour class, 0 for none (thesis sections 4.1, 4.4 and 5.2.2).
+"""Segmentation: every pixel gets the number of its class, 0 for none (thesis sections 4.1, 4.4 and 5.2.2).
 
 HSV, HSI, Lab and YUV all are cylinders around the axis of the greys, so one description serves them: hue (an angle), saturation
-(distance from the axis) and lightness (height). Two ways to classes:
+(distance from the axis) and lightness (height). Three ways to classes:
 
     colours known from the map      double threshold on each of the three, eq. 4.68
     nothing known                   seed segmentation: histogram, good peaks by the peakiness test, thresholds in the valleys
+    one channel (grey, thermal)     double threshold about the level around: what is darker or brighter, whichever it is
 
-Both end as one table over all colours in steps of 4 levels, so a picture costs one look-up per pixel in any colour space.
+The first two end as one table over all colours in steps of 4 levels, so a picture costs one look-up per pixel in any colour space.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ Labels: TypeAlias = NDArray[np.uint8]
 
 _BINS = 64  # per channel of the table, and of lightness in a histogram: steps of 4 levels
 _HUES = 90  # of hue in a histogram: steps of 4 degrees
+_REDUCED = 8  # times smaller than the picture: where the level around is taken
 _LIGHT = 128  # codes: 0..89 a hue, 128..191 a lightness
 
 
@@ -49,6 +51,15 @@ class Seeds:
     least_part: float = 0.002  # of the pixels under a peak
     grey_saturation: float = 0.22
     dark: float = 0.12  # lightness below which there is no hue
+
+
+@dataclass(frozen=True, slots=True)
+class Intensity:
+    """What segmentation by intensity asks of a pixel."""
+
+    sigmas: float = 1.5  # from the level around, in robust standard deviations of the picture about it
+    least: float = 6.0  # levels of 256: less is noise
+    window: float = 1.0 / 3.0  # of the shorter side: what is larger is not a thing but ground
 
 
 def cylinder(bgr: NDArray[np.uint8], space: Space) -> NDArray[np.uint8]:
@@ -114,6 +125,22 @@ def segment_seeds(image: Image, space: Space = "hsv", seeds: Seeds | None = None
     label_of_code = np.zeros(256, dtype=np.uint8)
     label_of_code[:_HUES], label_of_code[_LIGHT : _LIGHT + _BINS] = hues, lights
     return np.asarray(cv2.LUT(codes, label_of_code), dtype=np.uint8)
+
+
+def segment_intensity(image: NDArray[np.uint8], intensity: Intensity | None = None) -> Labels:
+    """Double threshold (eq. 4.68) about the level around, on both sides: 1 darker, 2 brighter, 0 neither.
+
+        |f - b| > t,    b = median over a window,    t = max(sigmas 1.4826 median |f - b|, least)
+
+    For pictures (H, W) whose polarity nobody knows: at night a roof is colder than the ground it stands on or, heated, warmer;
+    and the ground itself is warm here and cold there, so no threshold serves the whole picture.
+    """
+    i = intensity or Intensity()
+    small = cv2.resize(image, None, fx=1.0 / _REDUCED, fy=1.0 / _REDUCED, interpolation=cv2.INTER_AREA)
+    around = cv2.medianBlur(small, max(3, int(i.window * min(small.shape)) | 1))
+    off = image - cv2.resize(around, image.shape[::-1], interpolation=cv2.INTER_LINEAR).astype(np.int16)
+    threshold = max(i.sigmas * 1.4826 * float(np.median(np.abs(off[::4, ::4]))), i.least)
+    return np.asarray((off < -threshold) + 2 * (off > threshold), dtype=np.uint8)
 
 
 def valleys(histogram: Array, seeds: Seeds | None = None, circular: bool = False) -> NDArray[np.int64]:

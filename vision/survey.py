@@ -14,7 +14,7 @@ from vision.correspond import Match, Search, Unmatched, correspond
 from vision.measure import Accuracy, Level, Measured, Unmeasured, measure
 from vision.rectify import Image, Mask, Rectification, rectify
 from vision.regions import Limits, Region, find_regions
-from vision.segment import Labels, Space, classes, colour_table, segment_colours, segment_seeds
+from vision.segment import Labels, Space, classes, colour_table, segment_colours, segment_intensity, segment_seeds
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +69,12 @@ def _measured(match: Match | Unmatched, rectification: Rectification, settings: 
 
 
 def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> list[Region]:
-    """Regions of one rectified 8-bit picture. A grey picture has no colours to look for: seeds."""
+    """Regions of one rectified 8-bit picture. One of one channel has no colours to look for: what is darker or brighter."""
+    image = grey(image) if settings.space == "grey" else image
     smooth = enhance.median(image, settings.median_window) if settings.median_window else image
-    if settings.colours_bgr and image.ndim == 3:
+    if image.ndim == 2:
+        labels = segment_intensity(smooth)
+    elif settings.colours_bgr:
         labels = segment_colours(smooth, _table(settings.colours_bgr, settings.space))
     else:
         labels = segment_seeds(smooth, settings.space)
@@ -79,8 +82,11 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
 
 
 def to_8_bit(image: Image) -> Image:
-    """16-bit pictures stretched over what they use of their range (thesis eq. 4.60); 8-bit ones as they are."""
-    return enhance.stretch(image, 0.001) if image.dtype == np.uint16 else image
+    """16-bit pictures stretched over what they use of their range (thesis eq. 4.60); 8-bit ones as they are.
+
+    One part in a hundred at either end does not count: a fire or the sky would leave all else a few levels.
+    """
+    return enhance.stretch(image, 0.01, 0.25) if image.dtype == np.uint16 else image
 
 
 def grey(image: Image) -> Image:

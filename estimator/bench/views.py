@@ -33,13 +33,13 @@ Roof: TypeAlias = Literal["painted", "pale"]
 EXPERIMENTS: Final[tuple[Experiment, ...]] = ("accuracy", "size", "partial", "description")
 ROOFS: Final[tuple[Roof, ...]] = ("painted", "pale")
 PARTLY: Final = (0.3, 0.7)  # share of a roof that is seen in the experiment "partial"
-PRIOR_SIGMA: Final = np.array([5.0, 5.0, 3.0, *np.radians([0.5, 0.5, 2.0])])
+PRIOR_SIGMA: Final = np.array([3.0, 3.0, 2.0, *np.radians([0.5, 0.5, 2.0])])  # m, rad: some minutes after the last fix
 
 _SPEC: Final = WorldSpec(area_m=150.0, unmapped=0.2, gone=0.05, sigma_m=0.3, height_sigma_m=0.2, outline_sigma_m=0.1)
 _WORDS: Final = ("firebrick", "royalblue", "gold", "darkorange", "green", "purple", "turquoise", "white")
 _SIZES: Final = (0.7, 0.84, 1.0, 1.19, 1.4)  # of one roof, each step a factor of 2^(1/4)
 _SAME_M: Final = (11.0, 7.5)  # length and width of size 1
-_HEIGHTS_M: Final = {"accuracy": (45.0, 80.0), "size": (45.0, 80.0), "partial": (28.0, 55.0), "description": (45.0, 80.0)}
+_HEIGHTS_M: Final = {"accuracy": (45.0, 80.0), "size": (45.0, 80.0), "partial": (35.0, 60.0), "description": (45.0, 80.0)}
 _LEAST: Final = 2  # landmarks of the map that are seen well enough: one alone may always be something else
 _POSES: Final = 8  # tried in a world
 _EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the picture's border

@@ -36,12 +36,14 @@ class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down).
 
+    sees: colour, grey (8 bit), or thermal: by night, 16 bit, which no JPEG holds;
     exposure_s: blurs moving pictures; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
     jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no pictures; dark_s: pictures
     of a covered lens.
     """
 
     rate_hz: Rate = 2.0
+    sees: Literal["colour", "grey", "thermal"] = "colour"
     width: Pixels = 640
     height: Pixels = 480
     focal_px: Positive = 600.0

@@ -1,0 +1,49 @@
+"""The same world by night, as a thermal camera sees it: light is warmth, nothing casts a shadow, colours mean nothing.
+
+Under a clear sky roofs of metal and tiles cool below the ground, those of heated houses stay above it: nobody knows beforehand
+which. Walls and trees are a little warmer than the ground, cars are cold or have just been driven.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.synthetic.camera_effects import Image
+from vision.synthetic.world import Look, Solid, Sun, World
+
+_GROUND: Final = 110.0  # level of the ground in the middle
+_COLD, _HEATED, _WALL, _THING = (0.5, 0.8), (1.25, 1.8), (1.05, 1.25), (0.6, 1.5)  # levels relative to the ground's
+_HEATED_SHARE: Final = 0.4
+_SMOOTH: Final = 0.35  # of the ground's daylight contrast: grass is nearly as warm as stones
+_NO_SUN: Final = Sun(ambient=1.0)
+_ZERO: Final = 7000  # counts of a bolometer at no light
+_COUNTS: Final = 4  # a level and channel
+
+
+def night(world: World, rng: np.random.Generator) -> World:
+    """The world's warmth, drawn roof by roof, in three equal channels."""
+    looks = tuple(_roof(look, rng) for look in world.looks)
+    clutter = tuple(Solid(s.outline_n, s.base_d, s.height_m, _thing(s.look, rng)) for s in world.clutter)
+    ground = replace(world.ground, detail_contrast=_SMOOTH * world.ground.detail_contrast)
+    return World(world.landmarks, looks, clutter, ground, _NO_SUN)
+
+
+def counts(image: Image) -> NDArray[np.uint16]:
+    """What a camera of 14 bits in 16 sends (h, w) of a rendered picture (h, w, 3)."""
+    return np.asarray(_ZERO + _COUNTS * image.sum(axis=2, dtype=np.uint16), dtype=np.uint16)
+
+
+def _roof(look: Look, rng: np.random.Generator) -> Look:
+    level = rng.uniform(*(_HEATED if rng.random() < _HEATED_SHARE else _COLD))
+    return replace(look, roof_bgr=_warmth(level), wall_bgr=_warmth(rng.uniform(*_WALL)), contrast=0.5 * look.contrast, ridge=0.0)
+
+
+def _thing(look: Look, rng: np.random.Generator) -> Look:
+    level = rng.uniform(*_THING)
+    return replace(look, roof_bgr=_warmth(level), wall_bgr=_warmth(level), contrast=0.5 * look.contrast)
+
+
+def _warmth(level: float) -> tuple[float, float, float]:
+    return (_GROUND * level,) * 3
