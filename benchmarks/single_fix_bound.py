@@ -51,7 +51,8 @@ def _corners(edges: ModelEdges) -> Samples:
     count = len(edges.kind)
     points = np.concatenate((edges.start_n, edges.end_n))
     _, first = np.unique(np.round(points, 6), axis=0, return_index=True)
-    return Samples(points[first], (first >= count).astype(float), first % count)
+    t = (first >= count).astype(float)
+    return Samples(points[first], t, first % count, 2.0 * t - 1.0)
 
 
 def _shown(corners: Samples, eye: Eye, view: View) -> NDArray[np.bool_]:

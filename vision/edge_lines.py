@@ -1,6 +1,6 @@
 """Each edge in each picture, reduced to two numbers: how far the picture's line lies off the outline's, and how it is turned.
 
-    r_i = a + b tau_i + noise,   tau = 2 t - 1                                    (offset a and tilt b of the residuals, px)
+    r_i = a + b tau_i + noise,   tau = -1 ... 1 over what is in view of the edge    (offset a and tilt b of the residuals, px)
 
 A straight edge holds no more about the pose than its offset and its tilt, so the fit, its nuisances and its covariance live on
 two numbers per edge instead of dozens of dependent ones.
@@ -40,9 +40,9 @@ class EdgeLines:
     points: Array
 
 
-def fit_lines(offsets: Array, t: Array, edge: Indices, edges: int, least: int) -> EdgeLines:
-    """Robust lines through offsets (N,) px, NaN where none was found; an edge needs `least` points."""
-    return EdgeLines(*_fit_lines(offsets, 2.0 * t - 1.0, edge, edges, least))
+def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int) -> EdgeLines:
+    """Robust lines through offsets (N,) px, NaN where none was found; an edge needs `least` points. tau: as Samples."""
+    return EdgeLines(*_fit_lines(offsets, tau, edge, edges, least))
 
 
 @njit(cache=True)

@@ -115,7 +115,7 @@ class Scene:
                 offsets, usable, variance = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:
                 offsets, usable, variance = _fit(image, edges, samples, seen, p_n, R_nb, eye, config.fit_half_px, farthest_px)
-            line = fit_lines(offsets, samples.t, samples.edge, count, config.least_points)
+            line = fit_lines(offsets, samples.tau, samples.edge, count, config.least_points)
             d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb)
             pose, nuisances = self._rows(d, edges, samples, line, right=eye.right, with_rig=not search_px)
             lines.append(line)

@@ -11,6 +11,7 @@ all that else may be wrong.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -29,11 +30,14 @@ _FEW, _CLOSEST_PX = 7, 3.0  # short edges get so many points, unless they came c
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Points on model edges: points_n (N, 3) m, place t (N,) in 0 ... 1 and edge (N,) index."""
+    """Points on model edges: points_n (N, 3) m, place t (N,) in 0 ... 1 and edge (N,) index; tau (N,): their place in -1 ... 1 of
+    what is in view of the edge.
+    """
 
     points_n: Array
     t: Array
     edge: Indices
+    tau: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,20 +77,53 @@ def eyes(rig: StereoRig) -> tuple[Eye, Eye]:
 def sample_edges(
     edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
 ) -> Samples:
-    """Points on every (wanted) edge about spacing_px apart in the picture of `eye`, at most `most` on an edge."""
+    """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the picture, at most `most` on one."""
     p_nk, R_nk = eye.pose(p_n, R_nb)
     count = len(edges.kind)
-    px = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
-    chosen = np.ones(count, dtype=np.bool_) if wanted is None else wanted
-    return Samples(*_sample(edges.start_n, edges.end_n, px[:count], px[count:], spacing_px, most, chosen))
+    ends_c = (np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk
+    part = _in_view(ends_c[:count], ends_c[count:], _borders(eye.camera))
+    along = edges.end_n - edges.start_n
+    cut = np.concatenate((edges.start_n + part[:, :1] * along, edges.end_n - (1.0 - part[:, 1:]) * along))
+    px = eye.camera.project((cut - p_nk) @ R_nk)
+    chosen = part[:, 0] < part[:, 1] if wanted is None else wanted & (part[:, 0] < part[:, 1])
+    return Samples(*_sample(edges.start_n, edges.end_n, part, px[:count], px[count:], spacing_px, most, chosen))
+
+
+@lru_cache(maxsize=8)
+def _borders(camera: CameraModel) -> Array:
+    """Normals (4, 3) of the planes that hold what is in view: n . x_c >= 0."""
+    u, v = camera.width - 1.0, camera.height - 1.0
+    rim = [(a * u, b * v) for a in (0.0, 0.5, 1.0) for b in (0.0, 0.5, 1.0)]
+    rays = camera.ray(np.array(rim))
+    slope = rays[:, :2] / rays[:, 2:]
+    (left, top), (right, bottom) = slope.min(axis=0), slope.max(axis=0)
+    return np.array([[1.0, 0.0, -left], [-1.0, 0.0, right], [0.0, 1.0, -top], [0.0, -1.0, bottom]])
+
+
+@njit(cache=True)
+def _in_view(start: Array, end: Array, borders: Array) -> Array:
+    """From where to where (E, 2), of 0 ... 1, edges are on the inner side of all borders; nowhere: the first is not smaller."""
+    part = np.empty((len(start), 2))
+    for e in range(len(start)):
+        part[e, 0], part[e, 1] = 0.0, 1.0
+        for b in range(len(borders)):
+            first, last = np.dot(borders[b], start[e]), np.dot(borders[b], end[e])
+            if first < 0.0 and last < 0.0:
+                part[e, 1] = -1.0
+            elif first < 0.0:
+                part[e, 0] = max(part[e, 0], first / (first - last))
+            elif last < 0.0:
+                part[e, 1] = min(part[e, 1], first / (first - last))
+    return part
 
 
 @njit(cache=True)
 def _sample(
-    start: Array, end: Array, start_px: Array, end_px: Array, spacing: float, most: int, wanted: Mask
-) -> tuple[Array, Array, Indices]:
+    start: Array, end: Array, part: Array, start_px: Array, end_px: Array, spacing: float, most: int, wanted: Mask
+) -> tuple[Array, Array, Indices, Array]:
     count = len(start)
     points, place, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
+    tau = np.empty(count * most)
     n = 0
     for e in range(count):
         if not wanted[e]:
@@ -97,11 +134,12 @@ def _sample(
         number = min(max(int(length / spacing + 0.5), min(_FEW, int(length / _CLOSEST_PX)), 2), most)
         aside = min(_CORNER_PX / max(length, 1.0), 0.2)
         for i in range(number):
-            t = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
-            place[n], edge[n] = t, e
+            within = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
+            t = part[e, 0] + (part[e, 1] - part[e, 0]) * within
+            place[n], edge[n], tau[n] = t, e, 2.0 * within - 1.0
             points[n] = start[e] + t * (end[e] - start[e])
             n += 1
-    return points[:n].copy(), place[:n].copy(), edge[:n].copy()
+    return points[:n].copy(), place[:n].copy(), edge[:n].copy(), tau[:n].copy()
 
 
 def view(

@@ -17,7 +17,7 @@ def test_a_line_with_outliers() -> None:
     offsets = 0.7 - 0.4 * (2.0 * T - 1.0) + rng.normal(0.0, 0.05, len(T))
     offsets[::7] += 3.0
     offsets[3] = np.nan
-    lines = fit_lines(offsets, T, EDGE, EDGES, 4)
+    lines = fit_lines(offsets, 2.0 * T - 1.0, EDGE, EDGES, 4)
     assert lines.found.all()
     np.testing.assert_allclose(lines.line, np.tile([0.7, -0.4], (EDGES, 1)), atol=0.09)
     assert (lines.weight[::7] < 0.05).all()
@@ -28,7 +28,7 @@ def test_too_few_points_make_no_line() -> None:
     offsets = np.full(len(T), np.nan)
     offsets[:3] = 0.5
     offsets[POINTS : 2 * POINTS] = 0.5
-    lines = fit_lines(offsets, T, EDGE, EDGES, 4)
+    lines = fit_lines(offsets, 2.0 * T - 1.0, EDGE, EDGES, 4)
     assert lines.found.tolist() == [False, True] + [False] * (EDGES - 2)
     assert not lines.gain[:POINTS].any()
 
@@ -54,7 +54,7 @@ def test_covariance_is_as_large_as_the_errors(white: float, texture: float, neig
     ratios = []
     for _ in range(60):
         offsets = made(rng, white, texture, neighbours, 0.3 * scatter)
-        lines = [fit_lines(each, T, EDGE, EDGES, 4) for each in offsets]
+        lines = [fit_lines(each, 2.0 * T - 1.0, EDGE, EDGES, 4) for each in offsets]
         V = line_covariance(lines, EDGE, kind, np.zeros((2, EDGES)), config)
         a, b = lines[0].line, lines[1].line
         between = V[:, 0, 0, 0, 0] + V[:, 1, 0, 1, 0] - 2.0 * V[:, 0, 0, 1, 0]
@@ -67,7 +67,7 @@ def test_covariance_is_as_large_as_the_errors(white: float, texture: float, neig
 
 def test_what_a_gap_leaves_open_and_base_edges_count_more() -> None:
     rng = np.random.default_rng(3)
-    lines = [fit_lines(each, T, EDGE, EDGES, 4) for each in made(rng, 0.05, 0.05, 0.0, 0.0)]
+    lines = [fit_lines(each, 2.0 * T - 1.0, EDGE, EDGES, 4) for each in made(rng, 0.05, 0.05, 0.0, 0.0)]
     kind = np.repeat([Kind.ROOF, Kind.BASE, Kind.UPRIGHT], EDGES // 3).astype(np.int64)
     opened = np.zeros((2, EDGES))
     opened[:, 0] = 0.25
