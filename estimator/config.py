@@ -23,7 +23,7 @@ from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.strict_toml import ConfigError
-from estimator.vision_requests import VisionConfig
+from estimator.vision_requests import PictureFile, VisionConfig
 from logs.codec import Decoder, ImuMounting, Topics
 from models.imu import Coast, ImuNoise
 
@@ -77,6 +77,19 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = None
     geoid_m: Annotated[float, Meta(ge=-120, le=100, description="m: height of the geoid above the ellipsoid at the origin")] = 0.0
     landmarks: Annotated[str | None, Meta(description="GeoJSON file of the landmarks, relative to the configuration")] = None
+    picture: Annotated[
+        str | None,
+        Meta(description="orthophoto or satellite picture, GeoTIFF or with a world file, relative to the configuration"),
+    ] = None
+    picture_sigma_m: Annotated[float, Meta(ge=0, description="m: how far it may lie from its place, per axis")] = 1.0
+    picture_height_m: Annotated[
+        _Height | None, Meta(description="m: of its ground above the ellipsoid; none: the origin's height")
+    ] = None
+    picture_height_sigma_m: Annotated[float, Meta(ge=0, description="m: how well the height of its ground is known")] = 2.0
+    picture_heights: Annotated[
+        str | None, Meta(description="GeoTIFF or picture with a world file: heights [m] of its ground above the ellipsoid")
+    ] = None
+    picture_epsg: Annotated[int, Meta(ge=0, description="coordinate system of the picture where it does not tell")] = 0
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -144,6 +157,16 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         named = {"calibration": self.rig.file, "map": self.map.landmarks}
         return {name: file for name, file in named.items() if file}
 
+    def map_picture(self, folder: Path) -> PictureFile | None:
+        """The map's picture, where given; paths count from `folder`."""
+        m = self.map
+        if m.picture is None:
+            return None
+        heights = folder / m.picture_heights if m.picture_heights else None
+        return PictureFile(
+            folder / m.picture, m.picture_sigma_m, m.picture_height_m, m.picture_height_sigma_m, heights, m.picture_epsg
+        )
+
     def toml(self) -> str:
         """All keys with their values, defaults included."""
         return strict_toml.encode(self)
@@ -169,12 +192,13 @@ def read(path: Path) -> Config:
 
 
 def with_origin(config: Config, folder: Path) -> Config:
-    """The configuration, whose files count from `folder`, with the origin of its landmarks if it has none. Raises ConfigError."""
-    if config.map.landmarks is None or config.map.origin is not None:
+    """The configuration, whose files count from `folder`, with the origin of its map if it has none. Raises ConfigError."""
+    landmarks, picture = config.map.landmarks, config.map_picture(folder)
+    if config.map.origin is not None or not (landmarks or picture):
         return config
     from estimator.sight_files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
 
-    origin = map_origin(folder / config.map.landmarks)
+    origin = map_origin(folder / landmarks if landmarks else None, picture)
     return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))
 
 

@@ -112,7 +112,9 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
         advice = "units are rad, m, s and sqrt(Hz); data sheets give degrees/hour or ug"
         checks.append(judge(f"imu.{name}", found, warn=not low <= value <= high, advice=advice))
     folder = path.parent if path else Path()
-    named = {"map.landmarks": config.map.landmarks, "rig.file": config.rig.file}
+    known = config.map
+    named = {"map.landmarks": known.landmarks, "map.picture": known.picture, "map.picture_heights": known.picture_heights}
+    named |= {"rig.file": config.rig.file}
     files = [_file(key, folder / given) for key, given in named.items() if given]
     if not failed(files):
         try:

@@ -45,13 +45,21 @@ class Orthophoto(NamedTuple):
 def load(path: Path, epsg: int = 0) -> Orthophoto:
     """The picture of a file; epsg: its system, where the file does not tell. Raises MapError, one line."""
     data = path.read_bytes()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise MapError(f"{path}: not a picture that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
+    image = _decode(path, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    return Orthophoto(_to_8_bit(image), *georeference(path, data, epsg))
+
+
+def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
+    """Numbers (H, W) of a georeferenced raster of one band, as they are; its affine and EPSG code. Raises MapError, one line."""
+    data = path.read_bytes()
+    values = _decode(path, data, cv2.IMREAD_UNCHANGED)
+    if values.ndim != 2:
+        raise MapError(f"{path}: has {values.shape[2]} bands, not one of heights")
+    return values.astype(np.float64), *georeference(path, data, epsg)
+
+
+def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
+    """Affine (2, 3) and EPSG code of a picture file's data; epsg: where the file does not tell. Raises MapError, one line."""
     tags = _tags(data)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
@@ -60,8 +68,19 @@ def load(path: Path, epsg: int = 0) -> Orthophoto:
         )
     epsg = epsg or _epsg(tags)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
-        raise MapError(f"{path}: its coordinate system is not known: give --picture-epsg (4326, 326xx, 327xx or 3857)")
-    return Orthophoto(_to_8_bit(image), affine, epsg)
+        raise MapError(f"{path}: its coordinate system is not known: --picture-epsg or picture_epsg = 4326, 326xx, 327xx or 3857")
+    return affine, epsg
+
+
+def _decode(path: Path, data: bytes, flags: int) -> cv2.typing.MatLike:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise MapError(f"{path}: not a picture that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
+    return image
 
 
 def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:

@@ -18,7 +18,7 @@ from models.camera import StereoRig
 from models.landmarks import LandmarkMap
 from models.messages import VisionReport, VisionRequest
 from vision.identify import Prior
-from vision.pipeline import LandmarkPipeline, PipelineConfig
+from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
 
 _JPEG_QUALITY: Final = 80
 
@@ -33,13 +33,15 @@ class _Look(NamedTuple):
 
 
 class Sight:
-    """Vision, from request and pictures to messages. Each run of requests has a pipeline of its own: its memory begins anew."""
+    """Vision, from request and pictures to messages. Each run of requests has recognisers of its own: memory begins anew."""
 
-    def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
+    def __init__(
+        self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
+    ) -> None:
         cv2.setNumThreads(1)  # the other core flies
-        self._rig, self._landmarks, self._config = rig, landmarks, config
+        self._rig, self._landmarks, self._known, self._config = rig, landmarks, known, config
         self._run: int | None = None
-        self._pipeline = LandmarkPipeline(rig, landmarks, config)
+        self._recognisers = Recognisers(rig, landmarks, known, config)
         self._board = LandmarkBoard(landmarks)
         self._used: set[str] = set()
         self._began_ns: int | None = None
@@ -57,12 +59,12 @@ class Sight:
         """
         if request.run != self._run:
             self._run = request.run
-            self._pipeline = LandmarkPipeline(self._rig, self._landmarks, self._config)
+            self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
             self._board = LandmarkBoard(self._landmarks)
         decoded = [_decoded(shot) for shot in pictures]
         left, right = (picture if not isinstance(picture, str) else None for picture in decoded)
         prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
-        result = self._pipeline.process(left, right, request.t_ns, prior)
+        result = self._recognisers.process(left, right, request.t_ns, prior)
         unread = "".join(f"; {flaw}" for flaw in decoded if isinstance(flaw, str))
         report: VisionReport = msgspec.structs.replace(result.report, detail=result.report.detail + unread)
         used = frozenset(result.fix.landmarks if result.fix else ())

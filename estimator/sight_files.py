@@ -1,31 +1,44 @@
-"""What vision needs from disk: the rig file and the landmark map that the configuration names."""
+"""What vision needs from disk: the rig file, the landmark map and the map's picture that the configuration names."""
 
 from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.files import load_rig
-from estimator import map_store
+from estimator import map_store, picture_store
 from estimator.sight import Sight
 from estimator.strict_toml import ConfigError
+from estimator.vision_requests import PictureFile
+from models.landmarks import LandmarkMap
 from models.map_table import Defaults, MapError
 from models.messages import Vec3
 
 
-def load_sight(rig_file: Path, map_file: Path, origin: Vec3 | None) -> Sight:
+def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None = None) -> Sight:
     """Vision with these files, in the frame at `origin` (None: the map's own). Raises ConfigError, which names the file."""
     try:
-        return Sight(load_rig(rig_file), map_store.load(map_file, Defaults(origin=origin)))
+        if map_file:
+            landmarks = map_store.load(map_file, Defaults(origin=origin))
+        else:
+            landmarks = LandmarkMap.from_landmarks(origin or _picture_origin(picture), [])
+        known = picture_store.load(picture, landmarks.origin) if picture else None
+        return Sight(load_rig(rig_file), landmarks, known)
     except (CalibrationError, MapError, ValueError) as error:
         raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
 
 
-def map_origin(map_file: Path) -> Vec3:
-    """Where the frame of a map lies. Raises ConfigError."""
+def map_origin(map_file: Path | None, picture: PictureFile | None = None) -> Vec3:
+    """Where the frame of a map lies, of its landmarks or else of its picture. Raises ConfigError."""
     try:
-        return map_store.origin(map_file)
+        return map_store.load(map_file).origin if map_file else _picture_origin(picture)
     except MapError as error:
         raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{map_file}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def _picture_origin(picture: PictureFile | None) -> Vec3:
+    if picture is None:
+        raise ConfigError("[map]: neither landmarks nor a picture")
+    return picture_store.origin(picture)

@@ -24,7 +24,7 @@ import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
-from scipy.stats import binom
+from scipy.special import betainc
 
 from models.camera import StereoRig
 from models.messages import Array
@@ -141,7 +141,7 @@ def register(
     agreed = int(np.sum(np.linalg.norm(fit.residual, axis=1) < _AGREES_PX * matched.point_px))
     if agreed < config.least_blocks:
         return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {place.correlation:.2f}")
-    chance = float(binom.sf(agreed - 1, tried, _BY_CHANCE))
+    chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE))  # of so many or more, binomial
     return Registered(fit, tried, agreed, chance, place.ratio, place.correlation)
 
 

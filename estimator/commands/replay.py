@@ -64,10 +64,12 @@ def _sight(config: "Config", folder: Path, source: Path) -> "SightReplay":
     from estimator.sight_files import load_sight
     from estimator.sight_replay import SightReplay
 
-    rig, landmarks = config.rig.file, config.map.landmarks
-    if rig is None or landmarks is None:
-        raise ConfigError("--from-images needs the cameras and a map: give -c FILE with [rig] file and [map] landmarks")
-    sight = load_sight(folder / rig, folder / landmarks, config.map.origin)
+    rig, landmarks, picture = config.rig.file, config.map.landmarks, config.map_picture(folder)
+    if rig is None or not (landmarks or picture):
+        raise ConfigError(
+            "--from-images needs the cameras and a map: give -c FILE with [rig] file and [map] landmarks or [map] picture"
+        )
+    sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, picture)
     return SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
 
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -30,7 +30,7 @@ from estimator.service.zenoh_bus import ZenohBus
 from estimator.service.zenoh_config import ZenohConfig
 from estimator.strict_toml import ConfigError
 from estimator.version import version
-from estimator.vision_requests import Track, VisionConfig
+from estimator.vision_requests import PictureFile, Track, VisionConfig
 from logs import schemas
 from logs.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 from logs.reader import Attachment
@@ -70,6 +70,7 @@ class RunConfig(Protocol):
     @property
     def inputs(self) -> Topics: ...  # noqa: D102
     def files(self) -> dict[str, str]: ...  # noqa: D102
+    def map_picture(self, folder: Path) -> PictureFile | None: ...  # noqa: D102
     def mounting(self) -> ImuMounting: ...  # noqa: D102
     def fusion(self) -> FusionConfig: ...  # noqa: D102
     def decoder(self) -> Decoder: ...  # noqa: D102
@@ -105,7 +106,7 @@ def assembled(
         clock = clock or state_file.clock_of(saved)
         if config.log.enabled and (recovery := recover_in_background(logs)):
             stack.callback(recovery.poll)
-        log = _log(stack, config, clock, attachments, digest)
+        log = _log(stack, config, clock, attachments, _metadata(config, folder, digest))
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
@@ -154,12 +155,13 @@ def assembled(
 def _vision(
     stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox, bus: ZenohBus | None
 ) -> VisionWorker | None:
-    """Vision, where the configuration names cameras and a map."""
-    files, inputs = config.files(), config.inputs
-    if not {"calibration", "map"} <= files.keys():
+    """Vision, where the configuration names cameras and a map, of landmarks or a picture."""
+    files, inputs, picture = config.files(), config.inputs, config.map_picture(folder)
+    if "calibration" not in files or not ("map" in files or picture):
         return None
     sides = {**dict.fromkeys(inputs.left_image, "left"), **dict.fromkeys(inputs.right_image, "right")}
-    where = folder / files["calibration"], folder / files["map"], config.fusion().origin
+    landmarks = folder / files["map"] if "map" in files else None
+    where = folder / files["calibration"], landmarks, config.fusion().origin, picture
     screen = bus.screen(OVERLAY_TOPIC, schemas.COMPRESSED_IMAGE) if bus else None
     stamps, overlay_hz = Stamps(clock, config.clock), config.output.overlay_hz
     worker = VisionWorker(where, config.vision, sides, clock, stamps, track, mailbox.put_own, screen, overlay_hz)
@@ -209,12 +211,26 @@ class _NoLog:
         return {"state": "off"}
 
 
-def _log(stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], digest: str) -> LogWriter | _NoLog:
+def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
+    """What the log says of itself; of the map's picture, too large to be attached, name and checksum. Raises ConfigError."""
+    known = {"version": version(), "config_sha256": digest}
+    picture = config.map_picture(folder)
+    if picture is None:
+        return known
+    try:
+        with picture.path.open("rb") as file:
+            return known | {"picture": picture.path.name, "picture_sha256": file_digest(file, "sha256").hexdigest()}
+    except OSError as error:
+        raise ConfigError(f"{picture.path}: {(error.strerror or 'cannot be read').lower()}") from None
+
+
+def _log(
+    stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], metadata: dict[str, str]
+) -> LogWriter | _NoLog:
     if not config.log.enabled:
         return _NoLog()
     began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
     stem = Path(config.log.folder) / f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
-    metadata = {"version": version(), "config_sha256": digest}
     log = LogWriter(config.log, lambda n: stem.with_name(f"{stem.name}-{n:03d}.mcap"), metadata, attachments)
     stack.callback(log.close)
     return log

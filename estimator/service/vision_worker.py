@@ -19,7 +19,7 @@ from estimator.publish import Pace
 from estimator.service.clock import SECOND_NS, Clock, Stamps
 from estimator.service.ports import Arrival, Screen
 from estimator.strict_toml import ConfigError
-from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
+from estimator.vision_requests import Pair, Pairing, PictureFile, Shot, Track, VisionConfig
 from logs.codec import Encoded, decode_vision_request, encode
 from logs.decoding import LANDMARK_FIX_TOPIC
 from logs.stamps import stamp_of
@@ -31,7 +31,7 @@ _IDLE_S: Final = 0.05
 _WAITING: Final = 8  # pictures
 
 
-def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None) -> None:
+def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None) -> None:
     """The process: answers requests until the pipe is closed. First it sends the cameras' time offset [ns], or why it cannot.
 
     A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
@@ -40,7 +40,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path, origin: Vec3 | None)
     from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
     try:
-        sight = load_sight(rig_file, map_file, origin)
+        sight = load_sight(rig_file, map_file, origin, picture)
     except ConfigError as error:
         pipe.send(str(error))
         return
@@ -60,7 +60,7 @@ class VisionWorker:
 
     def __init__(
         self,
-        files: tuple[Path, Path, Vec3 | None],
+        files: tuple[Path, Path | None, Vec3 | None, PictureFile | None],
         config: VisionConfig,
         sides: dict[str, str],
         clock: Clock,
@@ -70,7 +70,7 @@ class VisionWorker:
         screen: Screen | None = None,
         overlay_hz: float = 0.0,
     ) -> None:
-        """files: cameras, map, origin; sides: topic -> "left" or "right"; screen: where what is seen is drawn, if watched."""
+        """files: cameras, map, origin, picture; sides: topic -> "left" or "right"; screen: where it is drawn, if watched."""
         self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
         self._files, self._config, self._sides = files, config, sides
         self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
