@@ -1,4 +1,4 @@
-"""The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated.
+"""The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
 
 GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
 """
@@ -36,6 +36,7 @@ class DemoResult(msgspec.Struct, frozen=True):
     estimate: str
     picture: str
     overlay: str  # "": there was no fix to draw
+    report: str
     replay: ReplaySummary
     evaluation: Evaluation
 
@@ -52,7 +53,8 @@ def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scena
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
     _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5))
     summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85))
-    evaluation = _evaluate(folder, _part(progress, 0.85, 1.0))
+    evaluation = _evaluate(folder, _part(progress, 0.85, 0.92))
+    report = _report(folder, _part(progress, 0.92, 1.0))
     return DemoResult(
         folder=str(folder),
         log=str(log),
@@ -60,6 +62,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scena
         estimate=str(estimate),
         picture=str(folder / "demo.png"),
         overlay=overlay,
+        report=report,
         replay=summary,
         evaluation=evaluation,
     )
@@ -112,6 +115,15 @@ def _evaluate(folder: Path, progress: Progress) -> Evaluation:
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")
     return assess(evidence, str(estimate), outage_s=_OUTAGE_S)
+
+
+def _report(folder: Path, progress: Progress) -> str:
+    """report.html."""
+    from estimator.report_gallery import illustrations  # noqa: PLC0415  (as above)
+    from logs.report import write  # noqa: PLC0415
+
+    log, page = folder / "estimate.mcap", folder / "report.html"
+    return write(log, page, outage_s=_OUTAGE_S, illustrate=illustrations(log), progress=progress).report
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

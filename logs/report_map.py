@@ -14,9 +14,9 @@ from logs.trajectory import Trajectory
 from models.landmarks import Landmark
 from models.messages import Array
 
-_MOST_POINTS: Final = 3000
+_MOST_POINTS: Final = 2000
 _MOST_PLACES: Final = 3000
-_ELLIPSES: Final = 40
+_ELLIPSES: Final = 30
 _SIGMAS_95_PLANE: Final = 2.447747
 
 
@@ -70,7 +70,7 @@ def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: in
             continue
         values, vectors = np.linalg.eigh(covariance)
         b, a = (_SIGMAS_95_PLANE * np.sqrt(np.clip(values, 0.0, None))).tolist()
-        if a < view_m:
+        if a < 0.3 * view_m:
             turn = float(np.rad2deg(np.arctan2(vectors[1, 1], vectors[0, 1])))
             x, y = estimate.p[row, :2].tolist()
             at = (int(estimate.t_ns[row]) - start_ns) * 1e-9

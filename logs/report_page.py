@@ -94,7 +94,7 @@ def page(m: Material) -> str:
         "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
         "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered))
         or _faint("The health in this log does not tell biases."),
-        "Health": sheet.add(report_plots.health(m.evidence, m.gathered), "three") + web_page.table(_counts(m)),
+        "Health": _health(m, sheet),
         "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
         + web_page.table(_traffic(m))
         + _daemon(m),
@@ -191,7 +191,14 @@ def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
 
 
 def _measurements(m: Material, sheet: _Sheet) -> str:
-    return _beside(evaluation_table.aids(m.evaluation), _refused(m)) + sheet.add(report_plots.innovations(m.evidence), "three")
+    _, header, rows = evaluation_table.aids(m.evaluation)
+    counts = [max(sum(a.reasons.values()) - a.reasons.get("thinned", 0), 0) for a in m.evaluation.aids]
+    note = f"Of more than {report_plots.MOST_POINTS} measurements plots show some, those that fit worst among them."
+    return (
+        _beside(("By source", header, rows), _refused(m))
+        + (_faint(note) if max(counts, default=0) > report_plots.MOST_POINTS else "")
+        + sheet.add(report_plots.innovations(m.evidence), "three")
+    )
 
 
 def _refused(m: Material) -> web_page.Table:
@@ -221,6 +228,11 @@ def _figure(m: Material, s: Shot) -> str:
     kind = "good" if s.good else "usable"
     said = f'<b class="is-{kind}">{text(s.outcome)}</b>{_at(m, s.t_ns)} s, {text(s.words)}'
     return f"<figure>{web_page.image(s.outcome, s.jpeg, 'jpeg')}<figcaption>{said}</figcaption></figure>"
+
+
+def _health(m: Material, sheet: _Sheet) -> str:
+    strip, numbers = report_plots.states_told(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
+    return sheet.add(strip, "one") + sheet.add(numbers) + web_page.table(_counts(m))
 
 
 def _counts(m: Material) -> web_page.Table:

@@ -37,6 +37,7 @@ MODES: Final[dict[str, Colour]] = {
 _SOURCES: Final[dict[str, Colour]] = {"active": "green", "starting": "sky", "stopped": "vermillion"}
 _AXES: Final = ("east", "north", "up")
 _OF_AXES: Final[tuple[Colour, ...]] = ("vermillion", "green", "blue")
+MOST_POINTS: Final = 1000  # of one colour
 _COMPONENTS: Final = {3: ("north", "east", "down"), 6: ("north", "east", "down", "about north", "about east", "about down")}
 _COLOURS: Final[tuple[Colour, ...]] = ("vermillion", "green", "blue", "purple", "orange", "sky")
 
@@ -141,11 +142,22 @@ def innovations(evidence: Evidence) -> Charts:
         if aid.innovation:
             by_source.setdefault((aid.topic, aid.kind), []).append(aid)
     charts: Charts = {}
-    for number, ((topic, kind), group) in enumerate(sorted(by_source.items())):
+    for number, ((topic, kind), members) in enumerate(sorted(by_source.items())):
+        fused, others = _split(members)
+        group = [*thinned(fused), *thinned(others)]
         charts[f"innovation{number}"] = _innovation(f"{topic} {kind}: innovation / its sigma", group, _start(evidence))
         charts[f"ratio{number}"] = _ratio(f"{topic} {kind}: squared distance / gate", group, _start(evidence))
         charts[f"nis{number}"] = _nis(f"{topic} {kind}: NIS / degrees of freedom", group, _start(evidence))
     return charts
+
+
+def thinned(aids: list[AidStatus]) -> list[AidStatus]:
+    """At most MOST_POINTS: of equal parts of them the first and the one that fits worst."""
+    if len(aids) <= MOST_POINTS:
+        return aids
+    parts = [part.tolist() for part in np.array_split(np.arange(len(aids)), MOST_POINTS // 2)]
+    kept = {row for part in parts for row in (part[0], max(part, key=lambda row: aids[row].test_ratio))}
+    return [aids[row] for row in sorted(kept)]
 
 
 def _innovation(title: str, group: list[AidStatus], start_ns: int) -> Chart:
@@ -173,7 +185,8 @@ def _ratio(title: str, group: list[AidStatus], start_ns: int) -> Chart:
 
 def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
     fused = [a for a in group if a.reason is Reason.FUSED]
-    values = [float(metrics.nis(np.array([a.innovation]), np.array([a.innovation_sigma]))[0]) / len(a.innovation) for a in fused]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = [float(np.mean(np.square(np.divide(a.innovation, a.innovation_sigma)))) for a in fused]
     size = max(len(a.innovation) for a in group)
     low, high = metrics.chi2_band(size)
     parts: list[Line | Band | Points] = [_marks("fused", "blue", "dot", fused, start_ns, values)]
@@ -204,20 +217,25 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     }
 
 
-def health(evidence: Evidence, gathered: Gathered) -> Charts:
-    """Mode and sources as stripes; attitude sigma and age of the last absolute fix as plots."""
+def states_told(evidence: Evidence, gathered: Gathered) -> Charts:
+    """Mode and sources as stripes."""
     start_ns, end_ns = _start(evidence), int(evidence.estimate.t_ns[-1])
     rows = {
         name: _stays(stretches, MODES if name == "mode" else _SOURCES, start_ns, end_ns)
         for name, stretches in gathered.states.items()
     }
-    charts: Charts = {"states": StripChart("Mode and sources", rows)} if rows else {}
+    return {"states": StripChart("Mode and sources", rows)} if rows else {}
+
+
+def health(evidence: Evidence, gathered: Gathered) -> Charts:
+    """Attitude sigma and age of the last absolute fix."""
+    charts: Charts = {}
     if gathered.numbers is not None:
         for name, title, unit in (
             ("absolute_age_s", "Since an absolute position was fused", "s"),
             ("attitude_sigma_deg", "Attitude, 1 sigma of the worst axis", "deg"),
         ):
-            told = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), start_ns)
+            told = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(evidence))
             charts[name] = TimeChart(title, unit, [told], height=165)
     return charts
 
@@ -282,8 +300,8 @@ def _stays(stretches: list[Stretch], colours: dict[str, Colour], start_ns: int, 
 def _events(evidence: Evidence) -> list[Points]:
     """When absolute fixes were used, and when they were not."""
     absolute = [a for a in evidence.aids if a.kind in {"gnss_position", "pose"}]
-    used = [a for a in absolute if a.reason in {Reason.FUSED, Reason.ALIGNING}]
-    others = [a for a in absolute if a.reason not in {Reason.FUSED, Reason.ALIGNING}]
+    used = thinned([a for a in absolute if a.reason in {Reason.FUSED, Reason.ALIGNING}])
+    others = thinned([a for a in absolute if a.reason not in {Reason.FUSED, Reason.ALIGNING}])
     events = [Points("fix used", "green", "tick", _times(used, _start(evidence)), [None] * len(used), [a.topic for a in used])]
     if others:
         events.append(

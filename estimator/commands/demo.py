@@ -22,7 +22,7 @@ def command(
 
     A multirotor over a village that a map knows. GPS is cut off, what the stereo camera sees takes over, then the lens is dark
     for twenty seconds. Writes input.mcap (sensors, pictures, truth), demo.toml with rig.yaml and map.geojson (configuration),
-    estimate.mcap, and the pictures demo.png (flight) and overlay.png (the map drawn into what the camera saw).
+    estimate.mcap, the pictures demo.png (flight) and overlay.png (the map drawn into what the camera saw), and report.html.
 
     \b
     Examples:
@@ -38,7 +38,7 @@ def command(
         return
     print_summary(result.replay, Path(result.estimate))
     _print_verdict(result.evaluation)
-    typer.echo(f"\npictures: {result.picture}  {result.overlay}\nmore: landfix evaluate {result.estimate} --outage 5")
+    typer.echo(f"\npictures: {result.picture}  {result.overlay}\nreport: {result.report}  (open it in a browser)")
 
 
 def _print_verdict(evaluation: "Evaluation") -> None:

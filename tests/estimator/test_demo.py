@@ -40,7 +40,7 @@ dark_s = [[40.0, 46.0]]
 painted = 0.7
 unmapped = 0.15
 """
-FLOWN = ["demo.png", "demo.toml", "estimate.mcap", "input.mcap"]
+FLOWN = ["demo.png", "demo.toml", "estimate.mcap", "input.mcap", "report.html"]
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from logs import cdr_fast, schemas
 from logs.codec import encode, encode_input, encode_slow, encode_truth
+from logs.reader import LogReader
 from logs.recorder import Recorder
 from models import so3
 from models.frames import Origin
@@ -91,6 +92,19 @@ def write(path: Path, flight: Flight) -> None:
             encode(Reset(EPOCH_NS + 10**9, EPOCH_NS + 10**9, 1, (3.0, 4.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, np.pi / 180)))[0],
             t_ns,
         )
+
+
+def rewritten(
+    source: Path, out: Path, *, without: tuple[str, ...] = (), extra: tuple[tuple[str, str, bytes, int], ...] = ()
+) -> Path:
+    """The log without some topics and with other messages behind it."""
+    with LogReader(source) as reader, Recorder(out) as recorder:
+        for r in reader:
+            if r.topic not in without:
+                recorder.write(r.topic, r.schema, r.data, r.log_time_ns)
+        for topic, schema, data, t_ns in extra:
+            recorder.write(topic, schema, data, t_ns)
+    return out
 
 
 def write_vision(path: Path, sequence: Path) -> None:

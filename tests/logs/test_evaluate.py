@@ -15,11 +15,10 @@ from logs.evaluation_table import print_table
 from logs.evidence import HealthPoint, read
 from logs.metrics import nees
 from logs.reader import LogError, LogReader
-from logs.recorder import Recorder
 from logs.trajectory import decode
 from models.messages import AidStatus, GnssFix, Reason
 from tests.logs import flight_log
-from tests.logs.flight_log import EPOCH_NS, Flight, geodetic, truth_at
+from tests.logs.flight_log import EPOCH_NS, Flight, geodetic, rewritten, truth_at
 
 S = 1_000_000_000
 
@@ -34,19 +33,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def honest(log: Path) -> Evaluation:
     return evaluate(log)
-
-
-def rewritten(
-    source: Path, out: Path, *, without: tuple[str, ...] = (), extra: tuple[tuple[str, str, bytes, int], ...] = ()
-) -> Path:
-    """The log without some topics and with other messages behind it."""
-    with LogReader(source) as reader, Recorder(out) as recorder:
-        for r in reader:
-            if r.topic not in without:
-                recorder.write(r.topic, r.schema, r.data, r.log_time_ns)
-        for topic, schema, data, t_ns in extra:
-            recorder.write(topic, schema, data, t_ns)
-    return out
 
 
 def test_extent(honest: Evaluation) -> None:
