@@ -23,6 +23,7 @@ from estimator.commands import (
     report,
     run,
     simulate,
+    tune,
 )
 from estimator.commands import import_ as import_command
 from estimator.commands import map_ as map_command
@@ -96,6 +97,7 @@ app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
 app.command("report")(report.command)
 app.command("overlay")(overlay.command)
+app.command("tune")(tune.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
 app.add_typer(map_command.app, name="map")

@@ -1,0 +1,124 @@
+"""landfix tune."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.console import ConfigFile, Json, note, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from estimator.tune import Gain, Summary, TunedKey, TuneResult
+
+
+class TuneError(ValueError):
+    """Nothing to tune with; one line for a person."""
+
+
+def command(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Logs to tune on: sensors and absolute fixes.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="TUNED.toml", help="Configuration to write.")],
+    config: ConfigFile = None,
+    hold_out: Annotated[
+        list[Path] | None, typer.Option("--hold-out", metavar="LOG.mcap", help="Not tuned on, only judged by; may be repeated.")
+    ] = None,
+    truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; none: the fixes that are held back.")] = "",
+    vary: Annotated[str, typer.Option(metavar="KEY,KEY", help="Keys to turn, such as imu.gyro_noise; default: all noise.")] = "",
+    gates: Annotated[bool, typer.Option("--gates", help="Turn gate_probability and false_share too.")] = False,
+    outage_s: Annotated[float, typer.Option("--outage", metavar="SECONDS", min=1, help="Fixes are held back so long.")] = 10.0,
+    coarse: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the coarse search.")] = 16,
+    fine: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the fine search, at most.")] = 40,
+    jobs: Annotated[int | None, typer.Option(metavar="N", min=1, help="Processes [default: one per core].")] = None,
+    scheduler: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler, such as tcp://10.0.0.5:8786 (landfix[cluster]).")
+    ] = "",
+    json: Json = False,
+) -> None:
+    """Find the noise parameters that predict best what the filter was not shown.
+
+    Fixes are held back in windows of 10 s, and the estimate is scored by how probable it had called each of them: a covariance
+    too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would cost:
+    where that is nothing, the logs do not tell it. Judge by logs that were held out.
+
+    \b
+    Examples:
+      landfix tune monday.mcap tuesday.mcap -c vehicle.toml -o tuned.toml
+      landfix tune monday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap --gates
+      landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
+    """
+    from estimator.config import load
+    from estimator.tune import TuneConfig, Tuner
+    from estimator.tune_keys import chosen, written
+    from estimator.tune_score import sources
+
+    text = load(config).toml()
+    names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
+    if again := set(names) & set(held_out):
+        raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
+    keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates)
+    with _workers(jobs, scheduler) as executor, progress(f"tune {len(keys)} keys") as report:
+        tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), executor, report)
+        result = tuner.run(held_out)
+    out.write_text(written(config.read_text(encoding="utf-8") if config else "", result.values), encoding="utf-8")
+    if json:
+        print_json(result)
+    else:
+        _print(result, out)
+
+
+@contextmanager
+def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
+    """Processes on this machine, or those of a cluster."""
+    if not scheduler:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise TuneError("--scheduler needs dask.distributed: pip install 'landfix[cluster]'") from None
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise TuneError(f"{scheduler}: no scheduler answers ({' '.join(str(error).split())[:100]})") from None
+    with client:
+        yield client.get_executor()
+
+
+def _print(result: "TuneResult", out: Path) -> None:
+    """What a person reads."""
+    rows = [_row("before", result.before), _row("tuned", result.after)]
+    if result.held_out_before and result.held_out_after:
+        rows += [_row("held out, before", result.held_out_before), _row("held out, tuned", result.held_out_after)]
+    header = ("", "windows", "score per fix", "NIS/dof", "inside 95 %", "position RMS")
+    print_table(f"{len(result.logs)} logs, {result.evaluations} evaluations", rows, header)
+    typer.echo(
+        f"gain per fix: {_gain(result.gain)}" + (f"; held out: {_gain(result.held_out_gain)}" if result.held_out_gain else "")
+    )
+    typer.echo("")
+    header = ("key", "before", "tuned", "half would gain", "double would gain", "")
+    print_table("Parameters", [_key(key) for key in result.keys], header)
+    typer.echo(f"\nwritten: {out}")
+    if result.held_out_gain and result.held_out_gain.mean < 0.0:
+        note("landfix: the held-out logs are worse for it: these logs are too few, or not like those")
+
+
+def _row(name: str, s: "Summary") -> tuple[str, ...]:
+    radius = f"{s.position_rms_m:.2f} m"
+    return name, str(s.windows), f"{s.score:.2f}", f"{s.nis_per_dof:.2f}", f"{s.inside95:.0%}", radius
+
+
+def _key(key: "TunedKey") -> tuple[str, ...]:
+    verdict = "at its bound" if key.at_bound else "" if key.determined else "poorly determined"
+    return key.name, f"{key.before:.3g}", f"{key.after:.3g}", _gain(key.half), _gain(key.double), verdict
+
+
+def _gain(gain: "Gain") -> str:
+    return f"{gain.mean:+.2f} ± {gain.error:.2f}"

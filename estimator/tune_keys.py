@@ -1,0 +1,97 @@
+"""What `landfix tune` may turn: keys of the configuration, how far, and how they are written back.
+
+Every key is searched on a logarithmic scale; of a gate's probability it is what it lets be lost, 1 - p.
+"""
+
+import re
+from collections.abc import Collection, Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from estimator.config import Config, ConfigError
+
+Values = dict[str, float]
+
+
+class Key(NamedTuple):
+    """A key and its bounds; needs: what must be in a log for it to matter ("" always)."""
+
+    name: str
+    low: float
+    high: float
+    needs: str = ""
+
+
+_NOISE: Final = (
+    Key("imu.gyro_noise", 2e-5, 5e-2),
+    Key("imu.accel_noise", 2e-4, 3.0),
+    Key("imu.gyro_walk", 1e-7, 1e-2),
+    Key("imu.accel_walk", 1e-6, 1e-1),
+    Key("pose_fix.noise_scale", 0.2, 5.0, "pose_fix"),
+    Key("landmark_fix.noise_scale", 0.2, 5.0, "landmark_fix"),
+    Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),
+)
+_GATES: Final = tuple(
+    Key(f"{source}.{name}", low, high, source)
+    for source in ("pose_fix", "landmark_fix", "gnss")
+    for name, low, high in (("gate_probability", 0.99, 1.0 - 1e-7), ("false_share", 1e-3, 0.3))
+)
+KEYS: Final = {key.name: key for key in (*_NOISE, *_GATES)}
+
+
+def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = False) -> list[Key]:
+    """The keys to turn: those named, else all noise parameters that the sources have use for, and their gates if wanted.
+
+    Raises ConfigError for a name that is no such key.
+    """
+    names = list(named)
+    if unknown := [name for name in names if name not in KEYS]:
+        raise ConfigError(f"--vary {unknown[0]}: cannot be tuned; there are {', '.join(KEYS)}")
+    if names:
+        return [KEYS[name] for name in names]
+    return [key for key in (*_NOISE, *(_GATES if gates else ())) if not key.needs or key.needs in sources]
+
+
+def value_of(config: Config, key: Key) -> float:
+    """What the configuration says."""
+    section, _, name = key.name.partition(".")
+    return float(getattr(getattr(config, section), name))
+
+
+def to_search(key: Key, value: float) -> float:
+    """log10 of the value, of a probability's complement; inside the bounds."""
+    value = float(np.clip(value, key.low, key.high))
+    return float(np.log10(1.0 - value if key.name.endswith("probability") else value))
+
+
+def from_search(key: Key, place: float) -> float:
+    """The value at a place of the search, to three digits."""
+    power = float(f"{10.0**place:.3g}")
+    value = 1.0 - power if key.name.endswith("probability") else power
+    return float(np.clip(value, key.low, key.high))
+
+
+def bounds(key: Key) -> tuple[float, float]:
+    """Of the search."""
+    low, high = sorted((to_search(key, key.low), to_search(key, key.high)))
+    return low, high
+
+
+def written(text: str, values: Values) -> str:
+    """A TOML text with these keys set, everything else (comments too) as it was."""
+    lines = text.splitlines()
+    for name, value in values.items():
+        section, _, key = name.partition(".")
+        start = next((k for k, line in enumerate(lines) if re.match(rf"\s*\[\s*{section}\s*\]", line)), None)
+        if start is None:
+            lines += ([""] if lines and lines[-1] else []) + [f"[{section}]", f"{key} = {value!r}"]
+            continue
+        end = next((k for k in range(start + 1, len(lines)) if re.match(r"\s*\[", lines[k])), len(lines))
+        at = next((k for k in range(start + 1, end) if re.match(rf"\s*{key}\s*=", lines[k])), None)
+        if at is None:
+            lines.insert(start + 1, f"{key} = {value!r}")
+        else:
+            comment = lines[at][lines[at].index("#") :] if "#" in lines[at] else ""
+            lines[at] = f"{key} = {value!r}" + (f"  {comment}" if comment else "")
+    return "\n".join(lines) + "\n"
