@@ -10,11 +10,13 @@ import typer
 from estimator.commands.console import Json, note, print_json, print_table
 
 if TYPE_CHECKING:
+    from estimator.vision_requests import PictureFile
     from models.camera import StereoRig
     from models.landmarks import LandmarkMap
-    from models.messages import Array
+    from models.messages import Array, LandmarkFix
     from vision.identify import Prior
     from vision.pipeline import Result
+    from vision.recognisers import MapPicture
     from vision.rectify import Image
 
 
@@ -25,54 +27,100 @@ class LocateError(ValueError):
 def command(
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the cameras (YAML or XML).")],
-    map_file: Annotated[Path, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")],
     prior: Annotated[
         str,
         typer.Option(
             metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Where the vehicle is believed to be: deg, m above the ellipsoid, deg."
         ),
     ],
+    map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
     right: Annotated[Path | None, typer.Argument(metavar="[RIGHT]", help="Right picture, taken at the same time.")] = None,
     prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
+    ] = None,
+    picture_sigma_m: Annotated[float, typer.Option(min=0, help="How far it may lie from its place, per axis.")] = 1.0,
+    picture_height_m: Annotated[
+        float | None, typer.Option(help="Of its ground above the ellipsoid; else the height of the map's origin.")
+    ] = None,
+    picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="How well the height of its ground is known.")] = 2.0,
+    picture_heights: Annotated[
+        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or picture with a world file: heights above the ellipsoid [m].")
+    ] = None,
+    picture_epsg: Annotated[
+        int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
+    ] = 0,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
     """Say where the vehicle is: one fix from one stereo pair, or from one picture.
 
-    Regions are measured and looked up in the map near the prior; the fix is that of the pictures, "with the prior" what both
-    give together. Every region says what became of it. Exit code 1 where there is no fix.
+    Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
+    orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.
+    Exit code 1 where there is no fix.
 
     \b
     Examples:
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
+      landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from calib.files import load_rig
     from estimator.commands.picture_source import pictures
-    from estimator.map_store import load as load_map
-    from vision.pipeline import LandmarkPipeline
+    from estimator.vision_requests import PictureFile
+    from vision.recognisers import Recognisers
 
     believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")
     sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
-    rig, landmarks = load_rig(rig_file), load_map(map_file)
-    if not len(landmarks):
-        raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
+    if map_file is None and picture is None:
+        raise typer.BadParameter("a map is needed: --map, --picture, or both")
+    rig = load_rig(rig_file)
+    known = None
+    if picture is not None:
+        known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
+    landmarks, map_picture = _map(map_file, known)
     images = [None if path is None else next(pictures([str(path)], "", 1)).image for path in (left, right)]
     start = _prior(landmarks, believed, sigma)
     try:
-        pipeline = LandmarkPipeline(rig, landmarks)
+        recognisers = Recognisers(rig, landmarks, map_picture)
     except ValueError as error:
         raise LocateError(f"{rig_file}: {error}") from None
-    result = pipeline.process(images[0], images[1], 0, start)
+    result = recognisers.process(images[0], images[1], 0, start)
     if out is not None and images[0] is not None:
         _write_overlay(out, images[0], rig, landmarks, start, result)
     if json:
-        print_json(_as_json(landmarks, result))
+        print_json(_as_json(landmarks, start, result))
     else:
-        _print(landmarks, result)
+        _print(landmarks, start, result)
     if result.fix is None:
         raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
+
+
+def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
+    """Landmarks, none without a file of them, and the map's picture in the same frame."""
+    from estimator import map_store, picture_store
+    from models.landmarks import LandmarkMap
+
+    if map_file is not None:
+        landmarks = map_store.load(map_file)
+        if not len(landmarks) and known is None:
+            raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
+    else:
+        assert known is not None
+        landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
+    return landmarks, picture_store.load(known, landmarks.origin) if known else None
+
+
+def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
+    """Fix and prior fused: p_n, R_nb, covariance (6, 6)."""
+    import numpy as np
+
+    from models import so3
+    from vision.pose import combine
+
+    common = 0.0 if fix.covariance_common is None else fix.covariance_common
+    return combine(prior, np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)), fix.covariance + common, fix.directions)
 
 
 def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
@@ -121,15 +169,15 @@ def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance
     }
 
 
-def _as_json(landmarks: "LandmarkMap", result: "Result") -> dict[str, Any]:
+def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict[str, Any]:
     import msgspec
     import numpy as np
 
     from models import so3
 
-    fix, pose, report = result.fix, result.pose, result.report
+    fix, report = result.fix, result.report
     answer: dict[str, Any] = {"outcome": report.outcome, "detail": report.detail, "fix": None, "with_prior": None}
-    if fix is not None and pose is not None:
+    if fix is not None:
         common = np.zeros((6, 6)) if fix.covariance_common is None else fix.covariance_common
         answer["fix"] = {
             **_pose_json(landmarks, np.array(fix.p_n), np.array(fix.q_nb_wxyz), fix.covariance + common),
@@ -138,14 +186,14 @@ def _as_json(landmarks: "LandmarkMap", result: "Result") -> dict[str, Any]:
             "similarity": fix.similarity,
             "residual_px": fix.residual_px,
         }
-        q = so3.from_matrix(np.ascontiguousarray(pose.joint_R_nb))
-        answer["with_prior"] = _pose_json(landmarks, pose.joint_p_n, q, pose.joint_covariance)
+        p_n, R_nb, covariance = _joint(prior, fix)
+        answer["with_prior"] = _pose_json(landmarks, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)), covariance)
     answer["regions"] = [msgspec.structs.asdict(region) for region in result.regions]
     return answer
 
 
-def _print(landmarks: "LandmarkMap", result: "Result") -> None:
-    answer = _as_json(landmarks, result)
+def _print(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> None:
+    answer = _as_json(landmarks, prior, result)
     if result.regions:
         rows = [
             (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)
@@ -156,7 +204,7 @@ def _print(landmarks: "LandmarkMap", result: "Result") -> None:
         if pose is not None:
             print_table(title, _pose_rows(pose))
     if result.fix is not None:
-        note(f"{result.report.detail}; outlines fit to {result.fix.residual_px:.2f} px")
+        note(f"{result.report.detail}; they fit to {result.fix.residual_px:.2f} px")
 
 
 def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
@@ -179,8 +227,8 @@ def _write_overlay(
     from vision.overlay import draw_overlay, outline_residuals
     from vision.survey import to_8_bit
 
-    picture, pose = to_8_bit(image), result.pose
-    p_n, R_nb = (prior.p_n, prior.R_nb) if pose is None else (pose.joint_p_n, pose.joint_R_nb)
+    picture = to_8_bit(image)
+    p_n, R_nb = (prior.p_n, prior.R_nb) if result.fix is None else _joint(prior, result.fix)[:2]
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     near = landmarks.near(float(p_nc[0]), float(p_nc[1]), 300.0)
     used = result.fix.landmarks if result.fix is not None else ()
