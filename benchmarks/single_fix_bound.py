@@ -29,7 +29,7 @@ def bound(view: View) -> Array:
             seen = _along(corners, eye, view, axis)
             d = derivatives(edges, corners, seen, eye, rig, view.p_n, view.R_nb)
             mapped = np.zeros((len(mark), *sigma.shape))
-            mapped[np.arange(len(mark)), mark] = d.mapped * sigma[mark]
+            mapped[np.arange(len(mark)), mark] = d.mapped[:, :4] * sigma[mark]
             own, zero = d.own * _sigmas(eye.camera.covariance), np.zeros_like(d.own)
             halves = [zero, own] if eye.right else [own, zero]
             rig_part = [d.bc * _sigmas(rig.covariance_bc), d.rc * _sigmas(rig.covariance_rc)]

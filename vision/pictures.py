@@ -21,6 +21,11 @@ class Pictures:
         """Whether the one good picture is the right one."""
         return self.left is None
 
+    @property
+    def one_channel(self) -> bool:
+        """Whether the pictures have no colour."""
+        return any(image is not None and image.ndim == 2 for image in (self.left, self.right))
+
 
 def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures | str:
     """The usable pictures, or why there is none."""

@@ -71,6 +71,8 @@ class LandmarkPipeline:
         near = self._near(prior)
         if not near:
             return nothing(t_ns, "no_landmark_near", pictures.remark)
+        if pictures.one_channel:  # thermal or grey: what a colour looks like there is not known, not even its polarity
+            near = [msgspec.structs.replace(mark, colour_bgr=None) for mark in near]
         predicted = None if self._config.path == "segment" else self._predicted(pictures, near, t_ns, prior)
         if predicted is not None:
             return predicted

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models.landmarks import Landmark
@@ -18,6 +19,9 @@ from vision.votes import aim
 
 Indices = NDArray[np.int64]
 _GAP_PX, _UPRIGHT_PX, _EDGE_PX = 1.5, 3.0, 2.0  # nearer feet of walls, shorter corners, shorter edges are left out
+_CHAIN_PX = 8.0  # shorter edges are joined with their neighbours,
+_BEND = 0.5  # unless they turn by more than 60 degrees (cosine)
+_UPRIGHT = int(Kind.UPRIGHT)
 _MOST_ON_EDGE = 24
 _LEAST = 4
 _LEAST_CHROMA = 30.0  # grey values; a paler map colour has no side
@@ -57,39 +61,61 @@ def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, re
     if len(samples.t) > most:
         samples = sample_edges(edges, eye, *pose, len(samples.t) / most, _MOST_ON_EDGE)
     seen = view(edges, samples, eye, *pose, body)
-    length = _length(seen.px, samples, len(edges.kind))
     gap = np.abs(edge_gaps(edges, samples, seen, eye, *pose))
-    count = np.bincount(samples.edge, minlength=len(edges.kind))
-    wanted = (length * count > np.where(edges.kind == Kind.UPRIGHT, _UPRIGHT_PX, _EDGE_PX)) & (
-        (edges.kind != Kind.BASE) | (gap > _GAP_PX)
-    )
+    length, direction = _in_picture(edges, eye, pose)
+    chain = chains(edges.landmark, edges.kind, length, direction)
+    total = np.bincount(chain, length)[chain]
+    wanted = (total > np.where(edges.kind == Kind.UPRIGHT, _UPRIGHT_PX, _EDGE_PX)) & ((edges.kind != Kind.BASE) | (gap > _GAP_PX))
     chosen = seen.usable & eye.camera.contains(seen.px, -reach_px) & wanted[samples.edge]
     if chosen.sum() < _LEAST:
         return None
-    return _chosen(edges, samples, chosen, length, landmarks, p_nk)
+    count = np.bincount(chain[samples.edge], minlength=len(total))
+    return _chosen(edges, samples, chosen, chain, np.bincount(chain, length, len(total)) / np.maximum(count, 1), landmarks, p_nk)
+
+
+def _in_picture(edges: ModelEdges, eye: Eye, pose: Pose) -> tuple[Array, Array]:
+    """Length (E,) px and direction (E, 2) of the edges in the picture; 0 where an end is behind the camera."""
+    p_nk, R_nk = eye.pose(*pose)
+    ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
+    step = np.nan_to_num(ends[len(edges.kind) :] - ends[: len(edges.kind)])
+    length = np.linalg.norm(step, axis=1)
+    return length, step / np.maximum(length, 1e-9)[:, None]
+
+
+@njit(cache=True)
+def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) -> Indices:
+    """Which chain (E,) each edge belongs to: neighbours of one landmark and kind, joined until they are long enough to have a
+    direction, unless they turn by much. A curve is a polygon of edges that are too short to be told apart.
+    """
+    chain = np.zeros(len(kind), np.int64)
+    begin, total = 0, 0.0
+    for e in range(len(kind)):
+        new = e == 0
+        if not new:
+            cosine = direction[e, 0] * direction[begin, 0] + direction[e, 1] * direction[begin, 1]
+            same = landmark[e] == landmark[begin] and kind[e] == kind[begin] and kind[e] != _UPRIGHT
+            new = not same or total >= _CHAIN_PX or cosine < _BEND
+        if new:
+            begin, total = e, 0.0
+        total += length[e]
+        chain[e] = chain[e - 1] + 1 if new and e > 0 else chain[max(e - 1, 0)]
+    return chain
 
 
 def _chosen(
-    edges: ModelEdges, samples: Samples, chosen: NDArray[np.bool_], length: Array, landmarks: Sequence[Landmark], p_nk: Array
-) -> Voters:
+    edges: ModelEdges, samples: Samples, chosen: NDArray[np.bool_], chain: Indices, length: Array,
+    landmarks: Sequence[Landmark], p_nk: Array,
+) -> Voters:  # fmt: skip
     edge = samples.edge[chosen]
-    ids, first = np.unique(edge, return_index=True)
+    chain_ids, first = np.unique(chain[edge], return_index=True)
+    ids = edge[first]
     mark = edges.landmark[ids]
     chroma = np.array([_chroma(m) for m in landmarks])[mark] * (edges.kind[ids] == Kind.ROOF)[:, None]
     depth = np.array([m.roof_d for m in landmarks]) - p_nk[2]
     return Voters(
         samples.points_n[chosen], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], np.append(first, len(edge)),
-        mark, length[ids], chroma, depth,
+        mark, length[chain_ids], chroma, depth,
     )  # fmt: skip
-
-
-def _length(px: Array, samples: Samples, count: int) -> Array:
-    """Picture length (E,) that one point of each edge stands for: the mean distance of neighbours."""
-    step = np.linalg.norm(px[1:] - px[:-1], axis=1)
-    good = (samples.edge[1:] == samples.edge[:-1]) & np.isfinite(step)
-    edge = samples.edge[1:][good]
-    total = np.bincount(edge, step[good], minlength=count)
-    return np.asarray(total / np.maximum(np.bincount(edge, minlength=count), 1))
 
 
 def _chroma(mark: Landmark) -> Array:

@@ -1,10 +1,11 @@
 """How well outlines lie on edges of a picture, for many shifts at once.
 
-    c_e = || sum_i g_i . n_i || / sum_i (||g_i|| + floor),      support = sum_e l_e c_e^2
+    c_e = sum_{i != j} (g_i . n_i) . (g_j . n_j) / sum_{i != j} |g_i| |g_j|,      support = sum_e l_e c_e
 
-g_i: gradient (all channels) at point i of an edge e, n_i its normal, l_e the edge's length in view. The sum over an edge is taken
-before its length: a step has the same sign and colour all along, texture has not. Contrast drops out, so a shadow's rim has no
-more votes than a pale roof. An edge whose roof side is less of the map's colour than the other side loses most of its vote.
+g_i: gradients of all channels at point i of an edge e, n_i its normal, l_e the edge's length in view. Pairs of points are
+compared: a step has the same sign and colour all along, so c is near 1; texture has not, and as no point is compared with itself its c is
+near 0 however few points there are. Contrast drops out: a shadow's rim has no more votes than a pale roof. An edge whose roof
+side is less of the map's colour than the other side loses most of its vote.
 """
 
 import numpy as np
@@ -51,6 +52,7 @@ def vote(
             t = sv[b]
             for e in range(len(mark)):
                 g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
+                own, own_total = 0.0, 0.0
                 for i in range(first[e], first[e + 1]):
                     z = row[i, 2] + t * row[i, 5]
                     scale = 1.0 / z
@@ -61,18 +63,20 @@ def vote(
                     here = field[int(v), int(u)]
                     if here[6] < 0.0:
                         continue
-                    nu, nv = row[i, 6], row[i, 7]
-                    g0 += here[0] * nu + here[3] * nv
-                    g1 += here[1] * nu + here[4] * nv
-                    g2 += here[2] * nu + here[5] * nv
-                    total += here[6]
+                    nu, nv, size = row[i, 6], row[i, 7], here[6] + floor
+                    h0, h1, h2 = here[0] * nu + here[3] * nv, here[1] * nu + here[4] * nv, here[2] * nu + here[5] * nv
+                    g0 += h0
+                    g1 += h1
+                    g2 += h2
+                    own += h0 * h0 + h1 * h1 + h2 * h2
+                    total += size
+                    own_total += size * size
                     count += 1
                 if count < _LEAST_POINTS:
                     continue
                 m, n = mark[e], count * length[e]
-                total += count * floor
-                share = (g0 * g0 + g1 * g1 + g2 * g2) / (total * total)
-                if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0:
+                share = (g0 * g0 + g1 * g1 + g2 * g2 - own) / (total * total - own_total)
+                if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0 and share > 0.0:
                     share *= _WRONG_SIDE
                 support[m, a, b] += n * share
                 seen[m, a, b] += n
