@@ -3,9 +3,10 @@
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each picture,   s ~ N(0, I) the same in all of them
 
 F_i: pose (a slow error of GNSS is the same along the whole flight), mounting, lens, depth as the rig's calibration gives it.
-A picture says little about depth; the flight does, for the rays of one roof meet in one point:
+A pair of pictures says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
+flight does, for the rays of one roof meet in one point:
 
-    l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + d_i d_i^T,  d_i of F_i: depth
+    l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
     cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
 
 so that what repeats is never averaged away, however often a roof is seen. l_0: roofs stand a few metres above the ground.
@@ -38,7 +39,7 @@ class MappingConfig(msgspec.Struct, frozen=True):
     """How looks become landmarks. roof_m: of a roof above ground, before anything is measured; centre_px, side_px: of a region;
 
     fresh_share: of the pose's variance that is new in each picture, the rest is the same in all; drift_m: by which it changes
-    along a flight; gate: probability inside it.
+    along a flight; uneven: part of the rig's error of disparity that differs over the picture; gate: probability inside it.
     """
 
     roof_m: float = 4.0
@@ -48,6 +49,7 @@ class MappingConfig(msgspec.Struct, frozen=True):
     log_size_floor: float = 0.08
     fresh_share: float = 0.1
     drift_m: float = 0.3
+    uneven: float = 0.3
     gate: float = 0.999
 
 
@@ -56,7 +58,7 @@ class Look:
     """A region in one picture. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
 
     p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
-    log_sigma (2,) of them; pixel_m: a pixel there; S_inverse (3, 3): (R + d d^T)^-1.
+    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): what the ray alone tells, without its length, 1 / m^2.
     """
 
     frame: int
@@ -70,7 +72,7 @@ class Look:
     log_sigma: Array
     pixel_m: float
     colour_bgr: tuple[float, float, float]
-    S_inverse: Array
+    sight: Array
 
     def outline_at(self, down: float) -> Array:
         """(K, 2) north, east of the outline on the level plane there, anticlockwise seen from above."""
@@ -97,20 +99,23 @@ def look(
         own, shared = _BLIND_M / float(np.linalg.norm(x_c)), 0.0
     else:
         x_c *= measured.distance_m
-        own, shared = measured.disparity_sigma_px / measured.disparity_px, measured.rig_sigma_px / measured.disparity_px
+        own = float(np.hypot(measured.disparity_sigma_px, config.uneven * measured.rig_sigma_px)) / measured.disparity_px
+        shared = measured.rig_sigma_px / measured.disparity_px
     z, pixel_m = p_nc + R_nc @ x_c, down / rig.left.fx
     F_pose = np.hstack((np.eye(3), -so3.skew(z - prior.p_n))) @ _root(prior.covariance)
     along = R_nc @ x_c
-    spread = (config.centre_px * float(np.linalg.norm(x_c)) / rig.left.fx) ** 2 * np.eye(3)
-    R = spread + own**2 * np.outer(along, along) + config.fresh_share * F_pose @ F_pose.T
+    across = (config.centre_px * float(np.linalg.norm(x_c)) / rig.left.fx) ** 2 * np.eye(
+        3
+    ) + config.fresh_share * F_pose @ F_pose.T
+    R = across + own**2 * np.outer(along, along)
     F = np.hstack((np.sqrt(1.0 - config.fresh_share) * F_pose, _of_rig(x_c, prior.R_nb, R_nc, rig), shared * along[:, None]))
     level = rays / rays[:, 2:]
     points = np.ascontiguousarray(level[:, :2] * down)
     d = polygon.describe(points if polygon.area(points) > 0.0 else points[::-1].copy(), np.array([0, len(points)]))[0]
     sides = d[[polygon.WIDTH, polygon.LENGTH]]
     sigma = np.hypot(config.log_size_floor, np.sqrt(2.0) * config.side_px * pixel_m / sides)
-    S_inverse: Array = np.linalg.inv(R + shared**2 * np.outer(along, along)).astype(np.float64)
-    return Look(frame, z, R, F, shared * along, p_nc, level, np.log(sides), sigma, pixel_m, region.colour_bgr, S_inverse)
+    sight = np.asarray(np.linalg.inv(across + (_BLIND_M / float(along @ along) ** 0.5) ** 2 * np.outer(along, along)))
+    return Look(frame, z, R, F, shared * along, p_nc, level, np.log(sides), sigma, pixel_m, region.colour_bgr, sight)
 
 
 def _of_rig(x_c: Array, R_nb: Array, R_nc: Array, rig: StereoRig) -> Array:
@@ -133,7 +138,7 @@ def _root(covariance: Array) -> Array:
 
 @dataclass(slots=True)
 class Track:
-    """What is taken for one thing, and where it is so far: information (3, 3) and vector (3,)."""
+    """What is taken for one thing, and where its rays meet so far: information (3, 3) and vector (3,)."""
 
     information: Array
     vector: Array
@@ -142,9 +147,8 @@ class Track:
 
     def add(self, one: Look) -> None:
         """One more look at it."""
-        weight = one.S_inverse
-        self.information = self.information + weight
-        self.vector = self.vector + weight @ one.z
+        self.information = self.information + one.sight
+        self.vector = self.vector + one.sight @ one.z
         self.looks.append(one)
         self.log_sides = np.median([k.log_sides for k in self.looks], axis=0)
 
@@ -191,19 +195,23 @@ class Mapper:
 
     def place(self, track: Track) -> Place:
         """Where a thing is, and how surely."""
-        C = np.linalg.inv(track.information)
-        weights = [C @ one.S_inverse for one in track.looks]
-        l_n = C @ track.vector
+        inverses = [np.linalg.inv(one.R + len(track.looks) * np.outer(one.depth, one.depth)) for one in track.looks]
+        C = np.linalg.inv(self._prior + np.sum(inverses, axis=0))
+        weights = [C @ S_inverse for S_inverse in inverses]
+        l_n = C @ self._prior @ [0.0, 0.0, self._roof_d] + sum(W @ one.z for W, one in zip(weights, track.looks, strict=True))
         own = C @ self._prior @ C + sum(W @ one.R @ W.T for W, one in zip(weights, track.looks, strict=True))
         residuals = [one.z - l_n for one in track.looks]
-        square = sum(float(r @ one.S_inverse @ r) for r, one in zip(residuals, track.looks, strict=True))
-        chi2 = square / max(2 * len(track.looks) - 3, 1)
+        square = sum(float(r @ S_inverse @ r) for r, S_inverse in zip(residuals, inverses, strict=True))
+        numbers = sum(3 if one.depth.any() else 2 for one in track.looks)
+        chi2 = square / max(numbers - 3, 1)
         F = np.sum([W @ one.F for W, one in zip(weights, track.looks, strict=True)], axis=0)
         return Place(l_n, max(chi2, 1.0) * own, F, chi2)
 
     def same(self, a: Track, b: Track) -> bool:
         """Whether two tracks may be one thing; what repeats moves both alike."""
         off, sides = a.place - b.place, a.log_sides - b.log_sides
+        if float(np.hypot(off[0], off[1])) > np.exp(max(a.log_sides[0], b.log_sides[0])):  # no part in common
+            return False
         S = self.place(a).own + self.place(b).own + self.config.drift_m**2 * np.eye(3)
         sigma = np.minimum(a.looks[0].log_sigma, b.looks[0].log_sigma)
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
@@ -217,23 +225,18 @@ class Mapper:
         cost[:, len(self.tracks) :] = gate
         places = np.array([track.place for track in self.tracks])
         for i, one in enumerate(looks):
-            near = np.flatnonzero(np.hypot(*(places - one.z)[:, :2].T) < self._reach(one))
-            for j in near.tolist():
+            sight = (one.z - one.p_nc) / (one.z[2] - one.p_nc[2])
+            at = one.p_nc + sight * (places[:, 2:] - one.p_nc[2])
+            for j in np.flatnonzero(np.hypot(*(places - at)[:, :2].T) < np.exp(one.log_sides[1])).tolist():
                 cost[i, j] = self._distance(one, self.tracks[j], places[j])
         rows, columns = linear_sum_assignment(cost)
         chosen = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if j < len(self.tracks) and cost[i, j] < gate}
         self._keep_joint(looks, chosen)
         return [chosen.get(i, -1) for i in range(len(looks))]
 
-    def _reach(self, one: Look) -> float:
-        """Farther off than this a track is another thing, whatever the covariances say."""
-        across = np.linalg.norm(one.z[:2] - one.p_nc[:2]) / max(one.z[2] - one.p_nc[2], 1.0)
-        height = min(float(np.sqrt(one.R[2, 2] + one.depth[2] ** 2)), self.config.roof_sigma_m)
-        return float(np.exp(one.log_sides[0]) + 3.0 * across * height)
-
     def _distance(self, one: Look, track: Track, place: Array) -> float:
         """Squared Mahalanobis distance in place and sides (two of the place's three, for rays say nothing of their lengths)."""
-        S = np.linalg.inv(track.information) + one.R + one.F @ one.F.T
+        S = np.linalg.inv(track.information) + np.linalg.inv(one.sight) + one.F @ one.F.T
         off, sides = one.z - place, one.log_sides - track.log_sides
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
@@ -246,7 +249,7 @@ class Mapper:
             V = F @ F.T
             for k, (i, j) in enumerate(pairs):
                 rows = slice(3 * k, 3 * k + 3)
-                V[rows, rows] += looks[i].R + np.linalg.inv(self.tracks[j].information)
+                V[rows, rows] += np.linalg.inv(looks[i].sight) + np.linalg.inv(self.tracks[j].information)
             weighted = np.linalg.solve(V, off)
             if float(off @ weighted) < _quantile(self.config.gate, 2 * len(pairs)):
                 return
