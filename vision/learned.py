@@ -100,9 +100,8 @@ def _landmark(name: str, track: Track, place: Place, ground_d: float, config: Ke
     if polygon.area(outline) < config.least_m2:
         return f"smaller than {config.least_m2:g} m2"
     height_sigma = float(np.sqrt(place.covariance[2, 2]))
-    own_height_sigma = float(np.sqrt(place.own[2, 2]))  # the ground shares the rest
     height = ground_d - roof_d
-    on_ground = height < config.painted_sigma * max(own_height_sigma, 0.3)
+    on_ground = height < config.painted_sigma * height_sigma
     blue, green, red = np.median([one.colour_bgr for one in track.looks], axis=0).round().astype(int).tolist()
     return Landmark.of(
         name,
@@ -112,12 +111,12 @@ def _landmark(name: str, track: Track, place: Place, ground_d: float, config: Ke
         (blue, green, red),
         float(np.sqrt(0.5 * np.trace(place.covariance[:2, :2]))),
         height_sigma,
-        _outline_sigma(track, outline, outlines, own_height_sigma, pixel_m),
+        _outline_sigma(track, outline, outlines, float(np.sqrt(place.own[2, 2])), pixel_m),
     )
 
 
 def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_sigma_m: float, pixel_m: float) -> float:
-    """By how much the whole outline may be larger: edges seen wrong, scatter of the sizes, and a roof nearer than believed."""
+    """By how much the whole outline may be larger: edges seen wrong, scatter of the sizes, a roof nearer to all the cameras."""
     size, perimeter = polygon.area(outline), float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
     scatter = float(np.std([polygon.area(o) for o in outlines])) / perimeter / np.sqrt(len(outlines))
     distance = float(np.median([track.place[2] - one.p_nc[2] for one in track.looks]))

@@ -92,30 +92,50 @@ def look(
     down = ground_d - config.roof_m - float(p_nc[2])
     if not np.isfinite(rays).all() or rays[:, 2].min() < _SHALLOW or down < 1.0:
         return None
-    middle, _ = centroid_and_size(np.ascontiguousarray(region.outline))
-    x_c = rig.left.ray(middle[None])[0]
-    if measured is None or np.hypot(measured.disparity_sigma_px, measured.rig_sigma_px) > _VAGUE * measured.disparity_px:
-        x_c *= down / float((R_nc @ x_c)[2])
-        own, shared = _BLIND_M / float(np.linalg.norm(x_c)), 0.0
-    else:
-        x_c *= measured.distance_m
-        own = float(np.hypot(measured.disparity_sigma_px, config.uneven * measured.rig_sigma_px)) / measured.disparity_px
-        shared = measured.rig_sigma_px / measured.disparity_px
-    z, pixel_m = p_nc + R_nc @ x_c, down / rig.left.fx
-    F_pose = np.hstack((np.eye(3), -so3.skew(z - prior.p_n))) @ _root(prior.covariance)
+    rays /= rays[:, 2:]
+    x_c, own, shared = _arm(region, measured, rig, down, R_nc[2], config)
     along = R_nc @ x_c
-    across = (config.centre_px * float(np.linalg.norm(x_c)) / rig.left.fx) ** 2 * np.eye(
-        3
-    ) + config.fresh_share * F_pose @ F_pose.T
-    R = across + own**2 * np.outer(along, along)
-    F = np.hstack((np.sqrt(1.0 - config.fresh_share) * F_pose, _of_rig(x_c, prior.R_nb, R_nc, rig), shared * along[:, None]))
-    level = rays / rays[:, 2:]
-    points = np.ascontiguousarray(level[:, :2] * down)
-    d = polygon.describe(points if polygon.area(points) > 0.0 else points[::-1].copy(), np.array([0, len(points)]))[0]
-    sides = d[[polygon.WIDTH, polygon.LENGTH]]
-    sigma = np.hypot(config.log_size_floor, np.sqrt(2.0) * config.side_px * pixel_m / sides)
-    sight = np.asarray(np.linalg.inv(across + (_BLIND_M / float(along @ along) ** 0.5) ** 2 * np.outer(along, along)))
-    return Look(frame, z, R, F, shared * along, p_nc, level, np.log(sides), sigma, pixel_m, region.colour_bgr, sight)
+    distance = float(np.linalg.norm(along))
+    F_pose = np.hstack((np.eye(3), -so3.skew(p_nc + along - prior.p_n))) @ _root(prior.covariance)
+    fresh = (config.centre_px * distance / rig.left.fx) ** 2 * np.eye(3) + config.fresh_share * F_pose @ F_pose.T
+    lasting = np.sqrt(1.0 - config.fresh_share) * F_pose
+    sides, pixel_m = _sides(rays * down), down / rig.left.fx
+    return Look(
+        frame=frame,
+        z=p_nc + along,
+        R=fresh + own**2 * np.outer(along, along),
+        F=np.hstack((lasting, _of_rig(x_c, prior.R_nb, R_nc, rig), shared * along[:, None])),
+        depth=shared * along,
+        p_nc=p_nc,
+        rays=rays,
+        log_sides=np.log(sides),
+        log_sigma=np.hypot(config.log_size_floor, np.sqrt(2.0) * config.side_px * pixel_m / sides),
+        pixel_m=pixel_m,
+        colour_bgr=region.colour_bgr,
+        sight=np.asarray(np.linalg.inv(fresh + (_BLIND_M / distance) ** 2 * np.outer(along, along))),
+    )
+
+
+def _arm(
+    region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
+) -> tuple[Array, float, float]:
+    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where nothing tells it."""
+    middle, _ = centroid_and_size(np.ascontiguousarray(region.outline))
+    ray = rig.left.ray(middle[None])[0]
+    if measured is None or np.hypot(measured.disparity_sigma_px, measured.rig_sigma_px) > _VAGUE * measured.disparity_px:
+        distance = down / float(down_c @ ray)
+        return distance * ray, _BLIND_M / distance, 0.0
+    own = float(np.hypot(measured.disparity_sigma_px, config.uneven * measured.rig_sigma_px)) / measured.disparity_px
+    return measured.distance_m * ray, own, measured.rig_sigma_px / measured.disparity_px
+
+
+def _sides(points: Array) -> Array:
+    """Width and length (2,) of an outline (K, 3) on a level plane."""
+    outline = np.ascontiguousarray(points[:, :2])
+    if polygon.area(outline) < 0.0:
+        outline = np.ascontiguousarray(outline[::-1])
+    described: Array = polygon.describe(outline, np.array([0, len(outline)]))[0]
+    return described[[polygon.WIDTH, polygon.LENGTH]]
 
 
 def _of_rig(x_c: Array, R_nb: Array, R_nc: Array, rig: StereoRig) -> Array:
