@@ -28,8 +28,10 @@ _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4
 _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
 _REACH_SIGMA: Final = 4.0
-_FEATURE_PX = 0.7  # of a keypoint's place in its picture
+_FEATURE_PX = 0.5  # of a keypoint's place in its picture
+_DOUBLED_PX = 0.25  # OpenCV seeks in the doubled picture and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
 _FEWEST = 8  # inliers that are worth fitting a pose to
+_POINTS = PointConfig(least=_FEWEST, freedom=8.0, expected=1.0)
 _GATE = 13.8  # chi-square of 2, 99.9 %
 
 
@@ -115,7 +117,7 @@ def recognise(
     pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
     for _ in range(2):  # to the matches that agreed, then to all that do
         points = _points(rig, pose, px[agree], x_n[agree], sigma_px, picture)
-        fit = fit_points(rig, points, pose, prior, picture.shared_sigma, PointConfig(least=_FEWEST))
+        fit = fit_points(rig, points, pose, prior, picture.shared_sigma, _POINTS)
         if isinstance(fit, str):
             return NotRecognised("no_pose", f"{fit}, of {len(mine)} matches")
         pose, best = (fit.joint_p_n, fit.joint_R_nb), _judged(fit, points, len(mine), rig, config)
@@ -139,7 +141,7 @@ def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
     found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(image, None)
     if not len(found):
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([k.pt for k in found], dtype=np.float64), descriptors.astype(np.float32)
+    return np.array([k.pt for k in found], dtype=np.float64) - _DOUBLED_PX, descriptors.astype(np.float32)
 
 
 def _matches(mine: NDArray[np.float32], theirs: NDArray[np.float32], ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,0 +1,132 @@
+"""Which recogniser looks, and what it takes to be believed."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from models import so3
+from models.landmarks import LandmarkMap
+from models.messages import Array
+from tests.vision import ground_scene as scene
+from vision import recognisers
+from vision.features import FeatureMap
+from vision.identify import Prior
+from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
+from vision.rectify import Image
+from vision.registration import RegistrationConfig
+
+SECOND = 1_000_000_000
+SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
+NOTHING = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [])
+
+
+@pytest.fixture(scope="module")
+def known() -> MapPicture:
+    return MapPicture.of(scene.map_picture(scene.drawing(1), sigma_m=0.5))
+
+
+def _seen(seed: int, sigma: Array = SIGMA) -> tuple[Array, Prior, Image, Image]:
+    """Place, prior, left picture, and what the right camera sees."""
+    rng = np.random.default_rng(seed)
+    p_n, R_nb, prior = scene.flight(rng, sigma)
+    beside = R_nb @ scene.R_BC @ np.array([0.3, 0.0, 0.0])
+    left, right = (scene.shot(scene.drawing(1), p, R_nb, rng) for p in (p_n, p_n + beside))
+    return p_n, prior, left, right
+
+
+def test_a_good_prior_gets_a_registration(known: MapPicture) -> None:
+    p_n, prior, left, right = _seen(1)
+    result = Recognisers(scene.RIG, NOTHING, known).process(left, right, 7, prior)
+    assert result.fix is not None
+    assert (result.fix.t_ns, result.fix.landmarks, result.report.outcome) == (7, ("ortho",), "fixed")
+    assert "blocks" in result.report.detail
+    assert result.fix.covariance_common is not None
+    assert result.fix.landmark_errors is not None
+    L = result.fix.landmark_errors[0]
+    np.testing.assert_allclose(L @ L.T, result.fix.covariance_common)
+    e = result.fix.p_n - p_n
+    total = (result.fix.covariance + result.fix.covariance_common)[:3, :3]
+    assert e @ np.linalg.solve(total, e) < 21.1
+    assert result.report.candidates / result.report.regions == pytest.approx(result.fix.similarity)
+
+
+def test_a_wide_prior_gets_features(known: MapPicture) -> None:
+    p_n, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.2]))
+    result = Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, prior)
+    assert result.fix is not None
+    assert "features" in result.report.detail
+    assert np.linalg.norm(result.fix.p_n - p_n) < 2.0
+
+
+def test_the_right_camera_alone(known: MapPicture) -> None:
+    p_n, prior, _, right = _seen(3)
+    fixes = [Recognisers(scene.RIG, NOTHING, known).process(left, right, 7, prior).fix for left in (None, np.zeros_like(right))]
+    for fix in fixes:
+        assert fix is not None
+        assert np.linalg.norm(fix.p_n - p_n) < 1.0, "taken for the left camera it would be off by more in its own frame"
+
+
+def test_no_picture_or_no_prior_is_the_pipelines_word(known: MapPicture) -> None:
+    _, prior, left, _ = _seen(4)
+    both = Recognisers(scene.RIG, NOTHING, known)
+    assert both.process(None, None, 7, prior).report.outcome == "no_picture"
+    assert both.process(np.zeros_like(left), None, 7, prior).report.outcome == "no_picture"
+    lost = Prior(prior.p_n * np.nan, prior.q_nb_wxyz, prior.covariance)
+    assert both.process(left, None, 7, lost).report.outcome == "no_prior"
+    assert Recognisers(scene.RIG, NOTHING).process(left, None, 7, prior).report.outcome == "no_landmark_near"
+
+
+def test_a_place_outside_the_picture_is_said(known: MapPicture) -> None:
+    _, prior, left, _ = _seen(5)
+    far = Prior(prior.p_n + np.array([2000.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
+    assert Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, far).report.outcome == "outside"
+
+
+def test_defects_do_not_end_the_flight(known: MapPicture, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(recognisers, "register", broken)
+    _, prior, left, _ = _seen(1)
+    report = Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, prior).report
+    assert (report.outcome, report.detail) == ("internal", "RuntimeError: broken")
+
+
+def _unsure() -> RecogniserConfig:
+    """One picture is never enough."""
+    return RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
+
+
+def test_a_likely_place_waits_for_a_picture_that_says_the_same(known: MapPicture) -> None:
+    _, prior, left, _ = _seen(1)
+    waiting = Recognisers(scene.RIG, NOTHING, known, _unsure())
+    first, second = (waiting.process(left, None, t * SECOND, prior) for t in (1, 2))
+    assert (first.fix, first.report.outcome) == (None, "ambiguous")
+    assert second.fix is not None
+    assert waiting.process(left, None, 3 * SECOND, prior).fix is None, "a fix begins anew"
+
+
+@pytest.mark.parametrize(("seconds", "moved"), [(10.0, 0.0), (-1.0, 0.0), (1.0, 6.0)])
+def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapPicture, seconds: float, moved: float) -> None:
+    _, prior, left, _ = _seen(1)
+    waiting = Recognisers(scene.RIG, NOTHING, known, _unsure())
+    waiting.process(left, None, 20 * SECOND, prior)
+    later = Prior(prior.p_n + np.array([moved, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
+    assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
+
+
+def test_a_prior_that_excludes_the_place_is_believed(known: MapPicture) -> None:
+    """Heading known to 2 degrees and 40 off: features still match, and the pose is not believed."""
+    _, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.03]))
+    turned = so3.multiply(so3.from_euler(0.0, 0.0, 0.7), prior.q_nb_wxyz)
+    result = Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, Prior(prior.p_n, turned, prior.covariance))
+    assert result.fix is None
+
+
+def test_the_same_requests_give_the_same_bytes(known: MapPicture) -> None:
+    answers = []
+    for _ in range(2):
+        again = Recognisers(scene.RIG, NOTHING, MapPicture(known.picture, FeatureMap.of(known.picture)), _unsure())
+        results = [again.process(_seen(s)[2], None, s * SECOND, _seen(s)[1]) for s in (1, 2, 3)]
+        answers.append([(msgspec.json.encode(r.report), r.fix.covariance.tobytes() if r.fix else b"") for r in results])
+    assert answers[0] == answers[1]
