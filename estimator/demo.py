@@ -13,9 +13,9 @@ from estimator import simulate as simulated
 from estimator.config import Config, load
 from estimator.replay import replay
 from estimator.tally import ReplaySummary
-from logs.evaluate import assess, find_outages
+from logs.evaluate import find_outages
 from logs.evaluation import Evaluation
-from logs.evidence import read
+from logs.report import Written, compose, gather
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
@@ -53,8 +53,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scena
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
     _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5))
     summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85))
-    evaluation = _evaluate(folder, _part(progress, 0.85, 0.92))
-    report = _report(folder, _part(progress, 0.92, 1.0))
+    written = _report(folder, _part(progress, 0.85, 1.0))
     return DemoResult(
         folder=str(folder),
         log=str(log),
@@ -62,9 +61,9 @@ def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scena
         estimate=str(estimate),
         picture=str(folder / "demo.png"),
         overlay=overlay,
-        report=report,
+        report=written.report,
         replay=summary,
-        evaluation=evaluation,
+        evaluation=written.evaluation,
     )
 
 
@@ -102,28 +101,21 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     return summary, str(sheet) if drawn else ""
 
 
-def _evaluate(folder: Path, progress: Progress) -> Evaluation:
-    """What it was worth, and demo.png."""
+def _report(folder: Path, progress: Progress) -> Written:
+    """What it was worth: demo.png and report.html."""
+    from estimator.report_gallery import illustrations  # noqa: PLC0415
     from logs import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
 
     estimate = folder / "estimate.mcap"
-    evidence = read(estimate, progress=progress)
+    evidence, gathered = gather(estimate, progress=progress)
     outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
     figure = plots.overview(evidence, outages["all"])
     gps_off_s = (outages["/gnss"][0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
     figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")
-    return assess(evidence, str(estimate), outage_s=_OUTAGE_S)
-
-
-def _report(folder: Path, progress: Progress) -> str:
-    """report.html."""
-    from estimator.report_gallery import illustrations  # noqa: PLC0415  (as above)
-    from logs.report import write  # noqa: PLC0415
-
-    log, page = folder / "estimate.mcap", folder / "report.html"
-    return write(log, page, outage_s=_OUTAGE_S, illustrate=illustrations(log), progress=progress).report
+    report, illustrate = folder / "report.html", illustrations(estimate)
+    return compose(evidence, gathered, str(estimate), report, outage_s=_OUTAGE_S, illustrate=illustrate)
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

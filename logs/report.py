@@ -51,10 +51,30 @@ def write(
     progress: Callable[[float], None] | None = None,
 ) -> Written:
     """Write the report of a log to `out`. Raises LogError where there is no estimate, or `out` cannot be written."""
+    return compose(*gather(log, truth_topic, progress), log.name, out, outage_s=outage_s, illustrate=illustrate)
+
+
+def gather(
+    log: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float], None] | None = None
+) -> tuple[Evidence, Gathered]:
+    """What a report is made of, in one pass over the log. Raises LogError."""
     gathered = Gathered()
     evidence = read(log, truth_topic, progress, most=_MOST, see=gathered.see)
     gathered.close()
-    evaluation = assess(evidence, log.name, outage_s=outage_s)
+    return evidence, gathered
+
+
+def compose(
+    evidence: Evidence,
+    gathered: Gathered,
+    name: str,
+    out: Path,
+    *,
+    outage_s: float | None = None,
+    illustrate: Illustrate = no_illustrations,
+) -> Written:
+    """Write the report of what was gathered to `out`. Raises LogError where it cannot be written."""
+    evaluation = assess(evidence, name, outage_s=outage_s)
     outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"]
     found = findings(evaluation, evidence, gathered)
     material = Material(evidence, gathered, evaluation, outages, found, illustrate(evidence, gathered))

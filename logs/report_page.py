@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib import resources
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -63,6 +64,11 @@ class Material:
         return int(self.evidence.estimate.t_ns[0])
 
     @property
+    def name(self) -> str:
+        """Of the log."""
+        return Path(self.evaluation.log).name
+
+    @property
     def level(self) -> Level:
         """The worst of the findings."""
         return max((f.level for f in self.findings), default=Level.FINE)
@@ -111,7 +117,7 @@ def page(m: Material) -> str:
         ' <span class="faint">drag in a plot to zoom in time, double-click to see all</span></nav>'
         f'{sections}<script type="application/json" id="drawing">{_inert(drawing)}</script>'
     )
-    return web_page.page(f"landfix: {m.evaluation.log}", body, _file("report.css"), _file("report.js"))
+    return web_page.page(f"landfix: {m.name}", body, _file("report.css"), _file("report.js"))
 
 
 def _inert(json: str) -> str:
@@ -149,7 +155,7 @@ def _head(m: Material) -> str:
     tiles = "".join(f'<div class="tile"><b>{text(value)}</b><span>{text(name)}</span></div>' for name, value in _tiles(m))
     thinned = f" Errors are computed from every {m.evidence.every}th estimate." if m.evidence.every > 1 else ""
     return (
-        f'<h1>{text(e.log)}</h1><p class="faint">First estimate {text(began)} UTC{text(made)}.{thinned}</p>'
+        f'<h1>{text(m.name)}</h1><p class="faint">First estimate {text(began)} UTC{text(made)}.{thinned}</p>'
         f"<p>{web_page.verdict(m.level.word, m.level.colour)}</p><ul class='reasons'>{reasons}</ul>"
         f"<p>{text(summary(e, m.gathered))}</p><div class='tiles'>{tiles}</div>"
     )

@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 from estimator.cli import app
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ["demo", "replay", "evaluate", "simulate", "import", "recover", "doctor", "calibrate"]
+COMMANDS = ["demo", "replay", "evaluate", "report", "simulate", "import", "recover", "doctor", "calibrate"]
 
 
 def run(*args: object) -> Result:
@@ -180,3 +180,16 @@ def test_evaluate_compares_several_logs_and_goes_on_where_one_is_none(estimate: 
     assert len(json.loads(run("evaluate", estimate, estimate, "--json").stdout)) == 2
     assert run("evaluate", estimate, "--markdown").stdout.startswith("| run | s |")
     assert run("evaluate", estimate, "--csv", "--json").exit_code == 2
+
+
+def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "report.html"
+    text = run("report", estimate, "-o", out).stdout
+    assert text.startswith(f"{estimate}: ")
+    assert "inside the promised 95 % radius" in text
+    assert f"report: {out}" in text
+    assert "gyroscope bias" in out.read_text()
+    written = json.loads(run("report", estimate, "-o", out, "--no-pictures", "--json").stdout)
+    assert written["size"] == out.stat().st_size
+    assert "holds no /landfix/odometry" in fails("report", flight, "-o", out)
+    assert "no_such_rig.yaml" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")

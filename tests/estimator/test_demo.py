@@ -91,6 +91,16 @@ def test_of_a_flight_with_cameras_map_rig_and_overlay_are_written_too(seen: demo
     assert (config.map.landmarks, config.rig.file) == ("map.geojson", "rig.yaml")
 
 
+def test_the_report_shows_what_the_cameras_saw_and_why_there_was_no_fix(seen: demonstration.DemoResult) -> None:
+    page = Path(seen.report).read_text()
+    assert 8 <= page.count("data:image/jpeg;base64,") <= 13
+    assert ">fused</b>" in page
+    assert ">no picture</b>" in page
+    assert "left: black" in page
+    assert '"used":true' in page  # landmarks on the map
+    assert "gyroscope bias" in page
+
+
 def test_what_the_cameras_see_carries_on_without_gps_but_not_in_the_dark(seen: demonstration.DemoResult) -> None:
     assert seen.replay.internal_errors == 0
     assert 12 <= seen.replay.fixes["/landfix/fix"]["fused"] <= 22  # of 28 pairs 6 are dark
