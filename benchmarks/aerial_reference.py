@@ -49,7 +49,7 @@ class SiftReference:
         self._ortho = ortho
 
     def locate(self, photo: Picture, camera: CameraModel) -> Reference | None:
-        """The camera's pose, None where fewer than 30 points agree. Camera without distortion."""
+        """The camera's pose, None where fewer than 30 points agree."""
         reduced = cv2.GaussianBlur(photo, (0, 0), 0.8)
         key, descriptor = self._sift.detectAndCompute(reduced, None)
         matcher = cv2.BFMatcher()
@@ -60,7 +60,8 @@ class SiftReference:
         px = np.array([key[m.queryIdx].pt for m in good])
         x_n = _at(self._ortho.points_n, np.array([self._key[m.trainIdx].pt for m in good]))
         use = np.isfinite(x_n[:, 0])
-        return _pose(x_n[use], px[use], camera)
+        straight_px = camera.undistort(px[use]) * np.diag(camera.matrix)[:2] + camera.matrix[:2, 2]
+        return _pose(x_n[use], straight_px, camera)
 
 
 def _at(points_n: Array, px: Array) -> Array:
