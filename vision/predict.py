@@ -18,6 +18,7 @@ from models.landmarks import Landmark
 from models.messages import Array
 from vision import verify
 from vision.coarse import Candidate, CoarseConfig, Search, limit_px
+from vision.detail import as_seen
 from vision.identify import Prior
 from vision.motion import Motion, motion, straight
 from vision.pictures import Pictures
@@ -183,8 +184,8 @@ def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float) 
         beside = np.maximum(np.maximum(low - size, -high), 0.0).max()
         if beside < limit_px:
             inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0))
-            ranked.append((-float(inside), float(beside), number))
-    return [near[number] for _, _, number in sorted(ranked)]
+            ranked.append((-float(inside), float(beside), number, c.fx / float(np.median(x_c[:, 2]))))
+    return [as_seen(near[number], px_per_m) for _, _, number, px_per_m in sorted(ranked)]
 
 
 def _chosen(best: Candidate, trusted: Mask, most: int) -> list[int]:
