@@ -245,6 +245,7 @@ def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
         landmark_errors=axes.world_rows(errors.reshape(len(names), 6, -1)) if len(errors) and names else None,
         covariance_rig=axes.world_covariance(rig) if rig.any() else None,
         directions=axes.world_columns(directions.reshape(-1, 6)) if len(directions) else None,
+        readings=message.readings if len(message.readings) else None,
         topic=topic,
     )
 

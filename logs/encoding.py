@@ -244,6 +244,7 @@ def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
         "landmark_errors": np.zeros(0) if fix.landmark_errors is None else axes.world_rows(fix.landmark_errors).ravel(),
         "covariance_rig": (np.zeros((6, 6)) if fix.covariance_rig is None else axes.world_covariance(fix.covariance_rig)).ravel(),
         "directions": np.zeros(0) if fix.directions is None else axes.world_columns(fix.directions).ravel(),
+        "readings": np.zeros(0) if fix.readings is None else fix.readings,
     }
 
 

@@ -51,8 +51,10 @@ float64[] landmark_errors
 # The rest, which is the rig's.
 float64[36] covariance_rig
 # The combinations of pose error (x y z rx ry rz, in map) that were measured: rows of six, orthonormal where a radian counts as
-# 50 m. The covariances count for what these let through; otherwise the pose is what was believed before. Empty: all six.
+# 50 m; empty: the pose itself was. What they read, from the pose above, m; it then is the optimum of what was believed before and
+# what was seen, and the covariances count for what the rows let through.
 float64[] directions
+float64[] readings
 """,
     AID_STATUS: """\
 # What became of one measurement; sent again with a higher revision when the decision changes.
@@ -143,12 +145,13 @@ for _name, _text in LANDFIX_MSGS.items():
     STORE.register(get_types_from_msg(_text, _name))
 
 
-_LATER: Final = {LANDMARK_FIX: b"directions"}  # last field of a type, a sequence, that its first version did not have
+_LATER: Final = {LANDMARK_FIX: (b"directions", 8)}  # a field that a type's first version did not have; bytes of all since, empty
 
 
 def missing_end(name: str, text: bytes) -> bytes:
-    """What a message whose type was once defined by `text` lacks to be one of today's: an empty sequence or nothing."""
-    return bytes(4) if name in _LATER and _LATER[name] not in text else b""
+    """What a message whose type was once defined by `text` lacks to be one of today's: empty sequences at its end, or nothing."""
+    field, size = _LATER.get(name, (b"", 0))
+    return bytes(size) if size and field not in text else b""
 
 
 def is_known(name: str) -> bool:

@@ -114,15 +114,15 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartialPose:
-    """r combinations of the position and attitude of the body, nu = D (z (-) x), metres; D (r, 6), noise (r, r).
+    """r combinations of the position and attitude of the body, D (x_true (-) z) = y + v, metres; D (r, 6), y (r,), noise (r, r).
 
-    In the other directions z_n, q_nb_wxyz are only where the pictures were linearised; the truth may be as far from there as the
-    filter believes afterwards.
+    z_n, q_nb_wxyz: where the pictures were linearised; the truth may be as far from there as the filter believes afterwards.
     """
 
     z_n: Array
     q_nb_wxyz: Array
     directions: Array
+    readings: Array
     noise: Array
     kind: str = "pose"
 
@@ -132,24 +132,22 @@ class PartialPose:
         return np.arange(len(self.directions))
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """See Measurement."""
+        """nu = D (z (-) x) + y. See Measurement."""
         nu, h = _pose(x, self.z_n, self.q_nb_wxyz)
-        return self.directions @ nu, self.directions @ h
+        return self.directions @ nu + self.readings, self.directions @ h
 
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
         """Covariance (r, r) of what the linear model leaves out, at the state x with P (n, n); nu, H and S of this reading.
 
         Poses that look the same are x exp(t zeta): moved by d and turned by theta, of which d - theta x d / 2 is linear in t. So
-        D_p (theta x d) / 2 is left out; d and theta are what this reading leaves open, z (-) x - K nu and its covariance.
+        D_p (theta x d) / 2 is left out; d and theta are what the truth may be off z, x (+) K nu (-) z and its covariance.
         """
         off, to_pose = _pose(x, self.z_n, self.q_nb_wxyz)
         cross = to_pose @ cov[:_N] @ h.T
         gain = np.linalg.solve(s, cross.T).T
-        e = off - gain @ nu
-        e = e - self.directions.T @ (self.directions @ e) / DIRECTION_SCALE**2  # what contradicts the reading is no bend
         left = to_pose @ cov[:_N, :_N] @ to_pose.T - gain @ cross.T
         position = self.directions[:, _MOVED]
-        return np.asarray(0.25 * position @ _cross_moment(e, left) @ position.T, dtype=np.float64)
+        return np.asarray(0.25 * position @ _cross_moment(off - gain @ nu, left) @ position.T, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,12 +84,12 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
-    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured, None for all six. In the others
-    the pose is what was believed before, and the covariances count for nothing:
+    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured, None where the pose itself was;
+    readings: y (r,) m, what they read from the pose that is told, the optimum of what was believed before and what was seen:
 
-        D (x_true (-) x_fix) = v,   v ~ N(0, D (covariance + covariance_common) D^T)
+        D (x_true (-) x_fix) = y + v,   v ~ N(0, D (covariance + covariance_common) D^T)
 
-    The rows are orthonormal where a radian counts as RADIAN_M metres; v is in metres.
+    The rows are orthonormal where a radian counts as RADIAN_M metres. Across them the covariances count for nothing.
     """
 
     t_ns: int
@@ -104,6 +104,7 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     landmark_errors: Array | None = None
     covariance_rig: Array | None = None
     directions: Array | None = None
+    readings: Array | None = None
     topic: str = "/landfix/fix"
 
 

@@ -19,6 +19,7 @@ from vision.joint import POSE, System
 
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations of a whole fix are limited to these: still "given", and worth nothing
 _LEAST_SHARE = 1e-3  # of the prior's information: below it a direction is not measured
+_STRAIGHT_SHARE = 0.5  # below it in any, a fix is told along its directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +43,19 @@ class Measured:
         return cls(prior, low, vectors[:, ::-1], values[::-1], int((values >= _LEAST_SHARE).sum()))
 
     @property
-    def directions(self) -> Array | None:
-        """D (r, 6), orthonormal where a radian counts as RADIAN_M metres (LandmarkFix); None for all six."""
-        if self.rank == POSE:
-            return None
+    def whole(self) -> bool:
+        """Whether the pictures alone tell a pose near where they were linearised."""
+        return bool(self.share[-1] >= _STRAIGHT_SHARE)
+
+    def told_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
+        """D (r, 6), orthonormal where a radian counts as RADIAN_M metres, and y = D C Lambda_0 delta (r,), as in LandmarkFix.
+
+        delta (6,): of the joint optimum; y is what the directions read from there, so that with the prior it stays the optimum.
+        """
         rows = self.basis[:, : self.rank].T @ self.low.T
         q, _ = np.linalg.qr((rows / DIRECTION_SCALE).T)
-        return np.asarray(q.T * DIRECTION_SCALE, dtype=np.float64)
+        directions = np.asarray(q.T * DIRECTION_SCALE, dtype=np.float64)
+        return directions, directions @ (covariance @ (self.prior @ delta))
 
     def covariances(self, system: System, omega: Array, factor: float) -> tuple[Array, Array]:
         """What of the pose's error (6, 6) comes from the pictures, and how errors of map and rig, of variance 1, move it (6, P).

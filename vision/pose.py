@@ -35,6 +35,7 @@ Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _NEAR = 0.5  # of the first fit's reach: if most offsets are below, no further search is needed
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
+_STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
 
 
 class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -75,6 +76,8 @@ class PoseEstimate:
     p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every picture; covariance_common (6, 6): the part
     that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, M): how the errors of each landmark,
     of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and pictures.
+    directions (r, 6), readings (r,): where the pictures leave a direction open, what they measured and from where p_n, R_nb, the
+    joint optimum, it reads (LandmarkFix); None: p_n, R_nb.
     residual_px: RMS of the edges' offsets; factor: measured over expected variance of the residuals; found: share of
     the outline in view that was found; edges: lines used, over all pictures; shift_m: (L, M) estimated map errors
     (MapError); cost: chi-square of all residuals and of the prior's.
@@ -85,6 +88,7 @@ class PoseEstimate:
     covariance: Array
     covariance_common: Array
     directions: Array | None
+    readings: Array | None
     landmark_errors: Array
     covariance_rig: Array
     joint_p_n: Array
@@ -207,7 +211,21 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
     if seen.share < config.least_fitted:
         return NoPose("not_found", f"{seen.share:.0%} of the outline in view at the end")
     system, step = _final_step(fit, seen, config)
+    for _ in range(_MORE_LOOKS):
+        if _bend_px(seen, step.dx) < _STRAIGHT_PX:
+            break
+        fit.move(step)
+        seen = fit.look(config.look, farthest_px=farthest)
+        if refusal := _not_enough(seen, config):
+            return refusal
+        system, step = _final_step(fit, seen, config)
     return _report(fit, seen, system, step, config)
+
+
+def _bend_px(seen: Look, dx: Array) -> float:
+    """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
+    px_m = float(np.linalg.norm(seen.H[:, :, 0, :3][seen.found], axis=1).max())
+    return 0.5 * px_m * float(np.linalg.norm(np.cross(dx[3:], dx[:3])))
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
@@ -265,14 +283,18 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     fit.move(step)
     delta = fit.delta()
     image, moved = measured.covariances(system, step.omega, 1.0)  # as it was solved
-    p_n, R_nb = retract(fit.p0, fit.q0, measured.alone(delta, image + moved @ moved.T))
+    p_n, R_nb, directions, readings = fit.p_n, fit.R_nb, None, None
+    if measured.whole:
+        p_n, R_nb = retract(fit.p0, fit.q0, measured.alone(delta, image + moved @ moved.T))
+    else:
+        directions, readings = measured.told_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
-    common, directions = moved @ moved.T, measured.directions
+    common = moved @ moved.T
     by_landmark, by_rig = _told_apart(moved, fit.scene)
     image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
-    joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions)
+    joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions, readings)
     return PoseEstimate(
-        p_n, R_nb, _symmetric(image), _symmetric(common), directions,
+        p_n, R_nb, _symmetric(image), _symmetric(common), directions, readings,
         by_landmark, _symmetric(by_rig @ by_rig.T), joint_p_n, joint_R_nb, joint,
         float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
         chi2 + float(delta @ fit.information @ delta),
@@ -303,16 +325,18 @@ def retract(p_n: Array, q_nb: Array, step: Array) -> Pose:
 
 
 def combine(
-    prior: Prior, p_n: Array, R_nb: Array, covariance: Array, directions: Array | None = None
+    prior: Prior, p_n: Array, R_nb: Array, covariance: Array, directions: Array | None = None, readings: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior; directions D: as in LandmarkFix.
+    """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior; directions D, readings y: as LandmarkFix.
 
-    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0);   in part: K = P_0 D^T (D (P_0 + C) D^T)^-1 D in the place of P C^-1
+    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0);   along D: x0 (+) K (D (z (-) x0) + y), K = P_0 D^T (D (P_0 + C) D^T)^-1
     """
     P0, q0 = np.asarray(prior.covariance, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-    if directions is None:
+    off = difference(p_n, R_nb, prior.p_n, q0)
+    if directions is None or readings is None:
         gain = np.linalg.solve(P0 + covariance, P0).T
+        step = gain @ off
     else:
-        gain = np.linalg.solve(directions @ (P0 + covariance) @ directions.T, directions @ P0).T @ directions
-    step = gain @ difference(p_n, R_nb, prior.p_n, q0)
+        along = np.linalg.solve(directions @ (P0 + covariance) @ directions.T, directions @ P0).T
+        gain, step = along @ directions, along @ (directions @ off + readings)
     return *retract(prior.p_n, q0, step), _symmetric(P0 - gain @ P0)

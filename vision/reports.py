@@ -10,7 +10,7 @@ import numpy as np
 from models import so3
 from models.messages import Array, LandmarkFix, Quat, VisionReport, vec3
 from vision.identify import Prior
-from vision.pose import PoseEstimate
+from vision.pose import PoseEstimate, difference
 
 INSIDE_9999: Final = 27.856  # chi-square of 6, 99.99 %
 
@@ -57,6 +57,7 @@ def fix_of(pose: PoseEstimate, t_ns: int, landmarks: tuple[str, ...], similarity
         landmark_errors=pose.landmark_errors,
         covariance_rig=pose.covariance_rig,
         directions=pose.directions,
+        readings=pose.readings,
     )
 
 
@@ -83,7 +84,12 @@ def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:
         return "the fit is not finite"
     if float(np.linalg.eigvalsh(total)[0]) <= 0.0:
         return "the fit's covariance is not positive definite"
-    distance = squared_distance(pose.p_n, pose.R_nb, prior.p_n, prior.q_nb_wxyz, prior.covariance + total)
+    if pose.directions is None or pose.readings is None:
+        distance = squared_distance(pose.p_n, pose.R_nb, prior.p_n, prior.q_nb_wxyz, prior.covariance + total)
+    else:
+        D = pose.directions
+        nu = D @ difference(pose.p_n, pose.R_nb, prior.p_n, prior.q_nb_wxyz) + pose.readings
+        distance = float(nu @ np.linalg.solve(D @ (prior.covariance + total) @ D.T, nu))
     if distance > INSIDE_9999:
         return f"the prior excludes it: squared distance {distance:.0f}, 99.99 % are below {INSIDE_9999:.0f}"
     return ""

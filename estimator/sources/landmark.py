@@ -1,15 +1,14 @@
 """Fixes on our own landmarks: of the whole pose, or of those combinations of position and attitude that the pictures show.
 
-nu = D (z (-) x),   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how the errors that repeat move its pose)
+nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
-from estimator.sources.pose import PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
+from estimator.sources.pose import FARTHEST_M, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
 from models import so3
 from models.measurements import DIRECTION_SCALE, PartialPose
@@ -26,14 +25,13 @@ def landmark_aid(fix: LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if fix.directions is None:
         return pose_aid(fix, config)
     directions = np.asarray(fix.directions, dtype=float)
-    if refusal := _directions_refusal(directions):
+    readings = np.zeros(directions.shape[:1]) if fix.readings is None else np.asarray(fix.readings, dtype=float)
+    if refusal := _directions_refusal(directions, readings):
         return refusal
-    if len(directions) == len(_ALL):
-        return pose_aid(msgspec.structs.replace(fix, directions=None), config)
-    return _partial_aid(fix, directions, config)
+    return _partial_aid(fix, directions, readings, config)
 
 
-def _partial_aid(fix: LandmarkFix, directions: Array, config: PoseConfig) -> Aid | Refusal:
+def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: PoseConfig) -> Aid | Refusal:
     covariance = np.asarray(fix.covariance, dtype=float)
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
@@ -52,8 +50,8 @@ def _partial_aid(fix: LandmarkFix, directions: Array, config: PoseConfig) -> Aid
         slow_errors = (*slow_errors, lasting(fix.topic, covariance, config))
         noise = noise * (1.0 - config.lasting_share)
     p_n, q = pose
-    z = PartialPose(p_n, so3.normalise(q), directions, noise)
-    content = (p_n.tobytes(), q.tobytes(), covariance.tobytes(), directions.tobytes())
+    z = PartialPose(p_n, so3.normalise(q), directions, readings, noise)
+    content = (p_n.tobytes(), q.tobytes(), covariance.tobytes(), directions.tobytes(), readings.tobytes())
     return Aid(
         t_ns=fix.t_ns,
         arrived_ns=fix.arrived_ns,
@@ -69,8 +67,8 @@ def _partial_aid(fix: LandmarkFix, directions: Array, config: PoseConfig) -> Aid
     )
 
 
-def _directions_refusal(directions: Array) -> Refusal | None:
-    """Why these are no directions."""
+def _directions_refusal(directions: Array, readings: Array) -> Refusal | None:
+    """Why these are no directions, or no readings of them."""
     if directions.ndim != 2 or directions.shape[1] != 6 or len(directions) > 6:
         return Refusal(Reason.MALFORMED, f"directions of shape {directions.shape}, not (r, 6)")
     if not len(directions):
@@ -80,6 +78,12 @@ def _directions_refusal(directions: Array) -> Refusal | None:
     rows = directions / DIRECTION_SCALE
     if np.abs(rows).max() > 1.0 + _ROUNDING or np.abs(rows @ rows.T - np.eye(len(rows))).max() > _ROUNDING:
         return Refusal(Reason.MALFORMED, "directions are not orthonormal")
+    if readings.shape != (len(directions),):
+        return Refusal(Reason.MALFORMED, f"{readings.size} readings of {len(directions)} directions")
+    if not np.isfinite(readings).all():
+        return Refusal(Reason.NOT_FINITE, "readings")
+    if np.abs(readings).max() > FARTHEST_M:
+        return Refusal(Reason.IMPLAUSIBLE, "readings of more than 1000 km")
     return None
 
 

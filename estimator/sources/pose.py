@@ -25,7 +25,7 @@ from models.messages import Array, LandmarkFix, PoseFix, Reason
 from models.state import X
 
 _NOT_GIVEN = np.array([9e4] * 3 + [10.0] * 3)  # m^2, rad^2
-_FARTHEST_M = 1e6
+FARTHEST_M = 1e6
 _PERMANENT_S = 1e9  # time constant of an error that does not change
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 6  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
@@ -109,7 +109,7 @@ def pose_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], *, with_attitu
     p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz)
     if not np.isfinite(p_n[given[:3]]).all() or (with_attitude and not np.isfinite(q).all()):
         return Refusal(Reason.NOT_FINITE, "pose")
-    if np.abs(p_n[given[:3]]).max(initial=0.0) > _FARTHEST_M:
+    if np.abs(p_n[given[:3]]).max(initial=0.0) > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
     norm = math.hypot(*q.tolist()) if with_attitude else 1.0
     if not math.isclose(norm, 1.0, abs_tol=1e-2):

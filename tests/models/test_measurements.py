@@ -72,7 +72,9 @@ def _models(x: Array) -> dict[str, Measurement]:
     for attitude in ("full", "tilt", "yaw"):
         models[f"attitude {attitude} alone"] = _pose(x, attitude, [])
     for count in (1, 3, 5):
-        models[f"{count} directions"] = PartialPose(x[X.P].copy(), x[X.Q].copy(), _directions(count), _noise(count))
+        models[f"{count} directions"] = PartialPose(
+            x[X.P].copy(), x[X.Q].copy(), _directions(count), np.zeros(count), _noise(count)
+        )
     return models
 
 
@@ -180,8 +182,9 @@ def test_directions_are_combinations_of_the_whole_pose() -> None:
     q = so3.multiply(so3.quat_exp(np.array([0.1, 0.2, 0.3])), x[X.Q])
     whole_nu, whole_h = Pose(np.ones(3), q, np.eye(6), ALL).evaluate(x, GYRO)
     d = _directions(4)
-    nu, h = PartialPose(np.ones(3), q, d, np.eye(4)).evaluate(x, GYRO)
-    np.testing.assert_allclose(nu, d @ whole_nu, atol=1e-12)
+    y = np.array([0.1, -0.2, 0.3, -0.4])
+    nu, h = PartialPose(np.ones(3), q, d, y, np.eye(4)).evaluate(x, GYRO)
+    np.testing.assert_allclose(nu, d @ whole_nu + y, atol=1e-12)
     np.testing.assert_allclose(h, d @ whole_h, atol=1e-12)
 
 
@@ -189,7 +192,7 @@ def _sees_point(x: Array, away: Array) -> PartialPose:
     """Where a point `away` from the vehicle is in body axes: -R^T (dp - [away]x dtheta)."""
     rows = np.hstack((np.eye(3), -so3.skew(away)))
     _, _, v = np.linalg.svd(rows / DIRECTION_SCALE, full_matrices=False)
-    return PartialPose(x[X.P].copy(), x[X.Q].copy(), v * DIRECTION_SCALE, 1e-4 * np.eye(3))
+    return PartialPose(x[X.P].copy(), x[X.Q].copy(), v * DIRECTION_SCALE, np.zeros(3), 1e-4 * np.eye(3))
 
 
 @pytest.mark.parametrize("turn_rad", [0.05, 0.3, 0.6])
@@ -227,15 +230,16 @@ def test_bend_knows_what_is_not_known() -> None:
     np.testing.assert_allclose(b, expected, atol=0.1 * float(np.trace(expected)))
 
 
-def test_what_contradicts_the_reading_is_no_bend() -> None:
-    """100 m off where it was measured, and sure of it: the gate must see that."""
+def test_what_contradicts_the_reading_hardly_bends() -> None:
+    """100 m and 10 degrees off where it was measured, and sure of it: the gate must see that."""
     x = _identity()
     z = _sees_point(x, np.array([0.0, 0.0, 40.0]))
     there = x.copy()
-    there[X.P] = (0.0, 0.0, 100.0)
+    there[X.P], there[X.Q] = (60.0, 0.0, 80.0), so3.from_euler(math.radians(10.0), 0.0, 0.0)
     nu, h = z.evaluate(there, GYRO)
     known = 1e-6 * np.eye(E.SIZE)
-    assert z.bend(there, known, nu, h, h @ known @ h.T + z.noise).sum() < 1e-3
+    s = h @ known @ h.T + z.noise
+    assert mahalanobis(nu, s + z.bend(there, known, nu, h, s))[0] > 60.0
 
 
 def _random(m: int, n: int, seed: int) -> tuple[Array, Array, Array]:

@@ -67,14 +67,18 @@ def test_without_directions_it_is_the_pose_fix_it_was_to_the_bit() -> None:
     assert isinstance(aid.measurement(None), Pose)
 
 
-def test_six_directions_are_the_whole_pose() -> None:
-    z = _aid(_fix(directions=np.diag(DIRECTION_SCALE)[::-1])).measurement(None)
-    assert isinstance(z, Pose)
-    np.testing.assert_array_equal(z.noise, COVARIANCE)
+def test_six_directions_are_the_whole_pose_told_from_elsewhere() -> None:
+    rows, y = np.diag(DIRECTION_SCALE), np.array([0.1, -0.2, 0.3, 0.5, -1.0, 1.5])
+    z = _measurement(_fix(directions=rows, readings=y))
+    nu, _ = z.evaluate(STATE, np.zeros(3))
+    np.testing.assert_allclose(nu[:3], [1.1, 1.8, 3.3])
+    np.testing.assert_allclose(nu[3:], y[3:], atol=1e-12)
+    np.testing.assert_allclose(z.noise, DIRECTION_SCALE * COVARIANCE * DIRECTION_SCALE[:, None])
 
 
-def test_directions_are_part_of_what_tells_two_fixes_apart() -> None:
-    assert _aid(_fix()).order != _aid(_fix(directions=ROWS[:3])).order
+def test_directions_and_readings_are_part_of_what_tells_two_fixes_apart() -> None:
+    orders = [_aid(fix).order for fix in (_fix(), _fix(directions=ROWS[:3]), _fix(readings=np.full(4, 0.1)))]
+    assert len(set(orders)) == 3
 
 
 @pytest.mark.parametrize(
@@ -131,6 +135,11 @@ def test_noise_scale_multiplies_sigma() -> None:
         ({"directions": ROWS[[0, 0]]}, Reason.MALFORMED),
         ({"directions": 1e200 * ROWS}, Reason.MALFORMED),
         ({"directions": ROWS / DIRECTION_SCALE}, Reason.MALFORMED),  # orthonormal in metres and radians
+        ({"directions": np.float64(1.0)}, Reason.MALFORMED),
+        ({"readings": np.zeros(3)}, Reason.MALFORMED),
+        ({"readings": np.zeros((4, 1))}, Reason.MALFORMED),
+        ({"readings": np.array([0.0, math.nan, 0.0, 0.0])}, Reason.NOT_FINITE),
+        ({"readings": np.array([0.0, 2e6, 0.0, 0.0])}, Reason.IMPLAUSIBLE),
         ({"covariance": np.eye(3)}, Reason.MALFORMED),
         ({"covariance": np.full((6, 6), math.nan)}, Reason.NOT_FINITE),
         ({"covariance": 1e300 * np.eye(6)}, Reason.NOT_FINITE),
