@@ -22,6 +22,7 @@ from vision.ground_picture import GroundPicture, pyramid
 from vision.ground_view import make_grid
 from vision.identify import Prior
 from vision.point_pose import PointConfig, PointPose, Points, fit_points
+from vision.pose import PoseEstimate
 from vision.rectify import Image
 
 _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4}  # FLANN's randomised k-d trees
@@ -84,7 +85,7 @@ class NotRecognised:
 class Recognised:
     """A pose, how many features matched, and how many of them it explains."""
 
-    pose: PointPose
+    pose: PoseEstimate
     matched: int
     inliers: int
 
@@ -120,7 +121,7 @@ def recognise(
         fit = fit_points(rig, points, pose, prior, picture.shared_sigma, _POINTS)
         if isinstance(fit, str):
             return NotRecognised("no_pose", f"{fit}, of {len(mine)} matches")
-        pose, best = (fit.joint_p_n, fit.joint_R_nb), _judged(fit, points, len(mine), rig, config)
+        pose, best = (fit.estimate.joint_p_n, fit.estimate.joint_R_nb), _judged(fit, points, len(mine), rig, config)
         agree = np.flatnonzero(_distances(rig, pose, px, x_n, sigma_px, picture) < _GATE)
     assert best is not None
     return best
@@ -133,7 +134,7 @@ def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config
     spread = float(cv2.contourArea(hull)) / (rig.left.width * rig.left.height)
     if inliers < max(config.least, config.least_share * matched) or spread < config.least_spread:
         return NotRecognised("few_inliers", f"{inliers} of {matched} matches, on {spread:.0%} of the picture")
-    return Recognised(fit, matched, inliers)
+    return Recognised(fit.estimate, matched, inliers)
 
 
 def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:

@@ -19,10 +19,11 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.information import Measured
 from vision.joint import POSE, Solution, System, distances, solve, solve_robustly
-from vision.pose import Pose, combine, difference, retract
+from vision.pose import Pose, PoseEstimate, combine, difference, retract
 
 _MAP_ERRORS, _SLOPES = 3, 2  # of the map: north, east, down; of the ground: north, east
 _CONVERGED = 1e-3  # of the prior's standard deviation
+_SURPRISE = 22.5  # chi-square (6) against the prior from which on the points are doubted
 
 
 class PointConfig(msgspec.Struct, frozen=True):
@@ -53,31 +54,14 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PointPose:
-    """As PoseEstimate: the points' own pose p_n, R_nb with its covariances and directions, and joint_* with the prior.
+    """estimate: the pose; its landmark_errors (1, 6, 3): how errors of the map north, east, down, of variance 1, move it.
 
-    map_errors (1, 6, 3): how the pose is moved by the picture's errors north, east, down, of variance 1; residual (N, 2) px;
-    used (N,): points that fit; residual_px: their RMS; factor: measured over expected variance.
+    residual (N, 2) px; used (N,): points that fit.
     """
 
-    p_n: Array
-    R_nb: Array
-    covariance: Array
-    directions: Array | None
-    map_errors: Array
-    covariance_rig: Array
-    joint_p_n: Array
-    joint_R_nb: Array
-    joint_covariance: Array
+    estimate: PoseEstimate
     residual: Array
     used: NDArray[np.bool_]
-    residual_px: float
-    factor: float
-
-    @property
-    def covariance_common(self) -> Array:
-        """L L^T + rig."""
-        L: Array = self.map_errors[0]
-        return L @ L.T + self.covariance_rig
 
 
 def fit_points(
@@ -144,18 +128,28 @@ def _report(
     measured = Measured.of(step.omega, information)
     if not measured.rank:
         return "the points say nothing that the prior does not"
-    delta = difference(*_moved(*pose, step.dx), prior.p_n, prior.q_nb_wxyz)
+    p_n, R_nb = _moved(*pose, step.dx)
+    delta = difference(p_n, R_nb, prior.p_n, prior.q_nb_wxyz)
     image, moved = measured.covariances(system, step.omega, 1.0)  # as it was solved
-    p_n, R_nb = retract(prior.p_n, prior.q_nb_wxyz, measured.alone(delta, image + moved @ moved.T))
+    directions, readings = None, None
+    if measured.whole:
+        p_n, R_nb = retract(prior.p_n, prior.q_nb_wxyz, measured.alone(delta, image + moved @ moved.T))
+    else:
+        directions, readings = measured.told_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     map_errors, slopes, rig = np.split(moved, (_MAP_ERRORS, _MAP_ERRORS + _SLOPES), axis=1)
     image = image + slopes @ slopes.T  # another ground in the next picture
-    by_rig, directions = rig @ rig.T, measured.directions
-    joint = combine(prior, p_n, R_nb, image + map_errors @ map_errors.T + by_rig, directions)
+    image, by_rig = 0.5 * (image + image.T), rig @ rig.T
+    common = map_errors @ map_errors.T + by_rig
+    image = image * max(measured.surprise(delta, image + common, _SURPRISE), 1.0)
+    joint = combine(prior, p_n, R_nb, image + common, directions, readings)
     rms = float(np.sqrt(np.mean(step.residual[used] ** 2)))
-    return PointPose(
-        p_n, R_nb, 0.5 * (image + image.T), directions, map_errors[None], by_rig, *joint, step.residual, used, rms, factor
+    cost = float(distances(system, step.residual).sum() + delta @ information @ delta)
+    estimate = PoseEstimate(
+        p_n, R_nb, image, common, directions, readings, map_errors[None], by_rig, *joint, rms, factor, float(used.mean()),
+        int(used.sum()), np.zeros((1, _MAP_ERRORS)), cost,
     )  # fmt: skip
+    return PointPose(estimate, step.residual, used)
 
 
 def _system(rig: StereoRig, points: Points, p_n: Array, R_nb: Array, map_sigma: tuple[float, float, float]) -> System | None:

@@ -14,21 +14,19 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from scipy.special import chdtri
 
-from models import so3
 from models.camera import StereoRig
 from models.landmarks import LandmarkMap
-from models.messages import Array, LandmarkFix, VisionReport, vec3
+from models.messages import Array, VisionReport
 from vision.check import picture_flaw
 from vision.features import FeatureConfig, FeatureMap, NotRecognised, recognise
 from vision.ground_picture import GroundPicture
 from vision.identify import Prior
-from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
-from vision.point_pose import PointPose
-from vision.pose import difference
+from vision.pipeline import LandmarkPipeline, PipelineConfig
+from vision.pose import PoseEstimate
 from vision.rectify import Image
 from vision.registration import NotRegistered, Registered, RegistrationConfig, register
+from vision.reports import Result, fix_of, pose_flaw
 from vision.sightings import one_eyed
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
@@ -103,7 +101,7 @@ class Recognisers:
             f"{known.picture.name}: {found.agreed} of {found.tried} blocks agree, peak {found.ratio:.2f} times the second, "
             f"correlation {found.correlation:.2f}"
         )
-        if flaw := _flaw(found.pose, prior):
+        if flaw := pose_flaw(found.pose, prior):
             return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", (found.tried, found.agreed))
         if not (found.is_sure(self._config.registration) or self._is_confirmed(found, t_ns, prior)):
             return _refused(t_ns, "ambiguous", evidence, (found.tried, found.agreed))
@@ -131,7 +129,7 @@ class Recognisers:
             f"{known.picture.name}: {found.inliers} of {found.matched} features agree",
             (found.matched, found.inliers),
         )
-        if flaw := _flaw(found.pose, prior):
+        if flaw := pose_flaw(found.pose, prior):
             return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", counts)
         return _fixed(t_ns, known.picture.name, found.pose, counts, evidence)
 
@@ -146,34 +144,7 @@ def _refused(t_ns: int, outcome: str, detail: str, counts: tuple[int, int] = (0,
     return Result(None, VisionReport(t_ns, t_ns, outcome, detail, *counts))
 
 
-def _fixed(t_ns: int, name: str, pose: PointPose, counts: tuple[int, int], detail: str) -> Result:
-    w, x, y, z = so3.from_matrix(np.ascontiguousarray(pose.R_nb)).tolist()
+def _fixed(t_ns: int, name: str, pose: PoseEstimate, counts: tuple[int, int], detail: str) -> Result:
     share = counts[1] / counts[0]
-    fix = LandmarkFix(
-        t_ns=t_ns,
-        arrived_ns=t_ns,
-        p_n=vec3(pose.p_n),
-        q_nb_wxyz=(w, x, y, z),
-        covariance=pose.covariance,
-        covariance_common=pose.covariance_common,
-        landmarks=(name,),
-        similarity=share,
-        residual_px=pose.residual_px,
-        landmark_errors=pose.map_errors,
-        covariance_rig=pose.covariance_rig,
-        directions=pose.directions,
-    )
-    return Result(fix, VisionReport(t_ns, t_ns, "fixed", detail, *counts, (name,), (share,), pose.residual_px))
-
-
-def _flaw(pose: PointPose, prior: Prior) -> str:
-    """Why a pose is not believed: not a number, or not where the prior may be."""
-    total = pose.covariance + pose.covariance_common
-    if not (np.isfinite(pose.p_n).all() and np.isfinite(pose.R_nb).all() and np.isfinite(total).all()):
-        return "the fit is not finite"
-    if float(np.linalg.eigvalsh(total)[0]) <= 0.0:
-        return "the fit's covariance is not positive definite"
-    D = np.eye(6) if pose.directions is None else pose.directions
-    e = D @ difference(pose.p_n, np.ascontiguousarray(pose.R_nb), prior.p_n, prior.q_nb_wxyz)
-    distance = float(e @ np.linalg.solve(D @ (prior.covariance + total) @ D.T, e))
-    return "" if distance < chdtri(len(D), 1e-4) else f"the prior excludes it: squared distance {distance:.0f} of {len(D)}"
+    report = VisionReport(t_ns, t_ns, "fixed", detail, *counts, (name,), (share,), pose.residual_px)
+    return Result(fix_of(pose, t_ns, (name,), share), report, pose=pose)

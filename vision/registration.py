@@ -32,7 +32,8 @@ from vision.correspond import sobel
 from vision.ground_picture import Float, GroundPicture, pyramid
 from vision.ground_view import Camera, Grid, Mask, camera_view, make_grid, map_view
 from vision.identify import Prior
-from vision.point_pose import PointConfig, PointPose, Points, fit_points
+from vision.point_pose import PointConfig, Points, fit_points
+from vision.pose import PoseEstimate
 from vision.rectify import Image
 
 _BLUR_PX = 1.0
@@ -80,7 +81,7 @@ class Registered:
     peak of the search.
     """
 
-    pose: PointPose
+    pose: PoseEstimate
     tried: int
     agreed: int
     chance: float
@@ -135,14 +136,14 @@ def register(
         found = fit_points(rig, matched.points, pose, prior, picture.shared_sigma, _POINTS)
         if isinstance(found, str):
             return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}")
-        fit, pose = found, (found.joint_p_n, found.joint_R_nb)
+        fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
     assert fit is not None
     tried = matched.tried
     agreed = int(np.sum(np.linalg.norm(fit.residual, axis=1) < _AGREES_PX * matched.point_px))
     if agreed < config.least_blocks:
         return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {place.correlation:.2f}")
     chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE))  # of so many or more, binomial
-    return Registered(fit, tried, agreed, chance, place.ratio, place.correlation)
+    return Registered(fit.estimate, tried, agreed, chance, place.ratio, place.correlation)
 
 
 def structure(view: Float) -> Float:

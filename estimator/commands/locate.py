@@ -120,7 +120,9 @@ def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
     from vision.pose import combine
 
     common = 0.0 if fix.covariance_common is None else fix.covariance_common
-    return combine(prior, np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)), fix.covariance + common, fix.directions)
+    return combine(
+        prior, np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)), fix.covariance + common, fix.directions, fix.readings
+    )
 
 
 def _numbers(text: str, count: int, option: str, example: str) -> list[float]:

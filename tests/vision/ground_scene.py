@@ -10,6 +10,7 @@ from models.camera import CameraModel, StereoRig
 from models.messages import Array
 from vision.ground_picture import GroundPicture, Heights
 from vision.identify import Prior
+from vision.pose import PoseEstimate, difference
 from vision.rectify import Image
 
 FINE_M = 0.2  # the drawing's pixel
@@ -73,3 +74,13 @@ def flight(rng: np.random.Generator, sigma: Array) -> tuple[Array, Array, Prior]
     error = rng.normal(0.0, sigma)
     q0 = so3.normalise(so3.multiply(so3.quat_exp(error[3:]), q))
     return p_n, so3.matrix(q), Prior(p_n + error[:3], q0, np.diag(sigma**2))
+
+
+def chi_square(pose: PoseEstimate, p_n: Array, R_nb: Array) -> float:
+    """Squared Mahalanobis distance of a measurement from the truth, scaled as if of six degrees of freedom."""
+    e = difference(p_n, R_nb, pose.p_n, so3.from_matrix(np.ascontiguousarray(pose.R_nb)))
+    total = pose.covariance + pose.covariance_common
+    if pose.directions is None or pose.readings is None:
+        return float(e @ np.linalg.solve(total, e))
+    nu = pose.directions @ e - pose.readings
+    return float(nu @ np.linalg.solve(pose.directions @ total @ pose.directions.T, nu)) * 6.0 / len(nu)

@@ -9,7 +9,6 @@ from models.messages import Array
 from tests.vision import ground_scene as scene
 from vision.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
 from vision.identify import Prior
-from vision.pose import difference
 from vision.rectify import Image
 
 _WIDE = np.array([60.0, 60.0, 15.0, 0.03, 0.03, 0.2])
@@ -30,10 +29,8 @@ def test_it_needs_no_good_prior_and_its_covariance_is_true() -> None:
         found = recognise(scene.RIG, image, prior, known)
         assert isinstance(found, Recognised)
         assert found.inliers >= FeatureConfig().least
-        fit = found.pose
-        e = difference(p_n, R_nb, fit.p_n, so3.from_matrix(np.ascontiguousarray(fit.R_nb)))
-        assert np.linalg.norm(e[:3]) < 1.5
-        squared.append(float(e @ np.linalg.solve(fit.covariance + fit.covariance_common, e)))
+        assert np.linalg.norm(found.pose.joint_p_n - p_n) < 1.5
+        squared.append(scene.chi_square(found.pose, p_n, R_nb))
     assert max(squared) < 27.9
     assert 0.25 < np.mean(squared) / 6.0 < 1.5
 
@@ -85,4 +82,4 @@ def test_pixels_of_other_size(reduction: int) -> None:
     known = FeatureMap.of(scene.map_picture(ground, reduction))
     found = recognise(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, known)
     assert isinstance(found, Recognised)
-    assert np.linalg.norm(found.pose.p_n - p_n) < 1.5
+    assert np.linalg.norm(found.pose.joint_p_n - p_n) < 1.5

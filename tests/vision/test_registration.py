@@ -40,8 +40,7 @@ def test_every_pose_is_found_and_its_covariance_is_true(season: int) -> None:
         e = _error(p_n, R_nb, fit.joint_p_n, fit.joint_R_nb)
         assert np.linalg.norm(e[:2]) < 0.8
         squared.append(float(e @ np.linalg.solve(fit.joint_covariance, e)))
-        e = _error(p_n, R_nb, fit.p_n, fit.R_nb)
-        alone.append(float(e @ np.linalg.solve(fit.covariance + fit.covariance_common, e)))
+        alone.append(scene.chi_square(fit, p_n, R_nb))
     for values in (squared, alone):
         assert max(values) < chi2.ppf(1.0 - 1e-4, 6)
         assert 0.25 < np.mean(values) / 6.0 < 1.3  # a mean of 1 is exact; above is the worse side
@@ -77,7 +76,7 @@ def test_an_error_of_the_georeference_is_common_and_not_more() -> None:
     np.testing.assert_allclose((b.pose.p_n - a.pose.p_n)[:2], (0.7, -0.4), atol=0.15)
     assert not a.pose.covariance_common[:2, :2].any()
     np.testing.assert_allclose(b.pose.covariance_common[:2, :2], 0.25 * np.eye(2), atol=0.02)
-    L = b.pose.map_errors[0]
+    L = b.pose.landmark_errors[0]
     np.testing.assert_allclose(L @ L.T + b.pose.covariance_rig, b.pose.covariance_common, atol=1e-12)
 
 
