@@ -1,7 +1,7 @@
 """How well does a configuration predict what it was not shown? The score that `landfix tune` maximises, of one log.
 
-Absolute fixes are held back in windows, outages that never were. Each held fix z of covariance R is compared with the estimate
-that was published for its time, of covariance P:
+Absolute fixes are held back in windows, outages that never were, each fix once. Each, z of covariance R, is compared with the
+estimate x that was published for its time, of covariance P:
 
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
@@ -35,7 +35,7 @@ _SETTLE_S: Final = 15.0  # after the first absolute fix nothing is held back
 _NEAR_NS: Final = 200_000_000  # an estimate further away says nothing of that time
 _FALSE: Final = math.log(0.05)
 _LOG_BOX: Final = np.log(2.0 * np.array([FALSE_POSITION_M] * 3 + [FALSE_ATTITUDE_RAD] * 3))
-_TRUTH: Final = np.diag([0.03**2] * 3 + [np.deg2rad(0.3) ** 2] * 3)  # m^2, rad^2: of a truth that tells none
+_TRUTH: Final = np.diag([0.01**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)  # m^2, rad^2: of a truth that tells none
 _TRUTH_EVERY_NS: Final = 500_000_000
 _INSIDE95: Final = 7.814728  # chi-square, 3 degrees of freedom
 _GIVEN_M2: Final = 9e4
@@ -81,26 +81,43 @@ def score(job: Job) -> list[Window]:
     config = with_values(parse(job.config), job.values)
     messages, truth = _read(job.log, job.config, job.truth)
     begin_ns = min((m.t_ns for m in messages if isinstance(m, Absolute)), default=0) + round(_SETTLE_S * 1e9)
-    period_ns = round(job.outage_s * 1e9)
-
-    def phase(t_ns: int) -> int:
-        """Number of the stretch of time; odd ones are windows, negative ones are before the first."""
-        return (t_ns - begin_ns) // period_ns
-
-    def held_back(m: Input) -> bool:
-        return isinstance(m, Absolute | GnssVelocity) and phase(m.t_ns) > 0 and phase(m.t_ns) % 2 == 1
-
-    late_ns = round(config.gnss.delay_s * 1e9)
-    held: list[Absolute] = [_at_validity(m, late_ns) for m in messages if isinstance(m, Absolute) and held_back(m)]
-    wanted: Sequence[Absolute] = held if truth is None else [z for z in _truths(truth) if phase(z.t_ns) >= 0]
-    if not wanted:
+    windows: list[Window] = []
+    for fold in (0, 1):
+        rows: dict[int, list[_Comparison]] = {}
+        stretch = _Stretches(begin_ns, round(job.outage_s * 1e9), fold)
+        shown = [m for m in messages if not stretch.held_back(m)]
+        wanted = _wanted(messages, truth, stretch, round(config.gnss.delay_s * 1e9))
+        for z, estimate in zip(wanted, _estimates(config, shown, [z.t_ns for z in wanted]), strict=True):
+            rows.setdefault(stretch.number(z.t_ns), []).append(_compare(z, estimate, config))
+        windows += [_window(_SETTLE_S + k * job.outage_s, rows[k]) for k in sorted(rows)]
+    if not windows:
         raise LogError(f"{job.log}: no absolute fix to hold back (it is too short, or has none on the topics of [inputs])")
-    wanted = sorted(wanted, key=lambda z: z.t_ns)
-    estimates = _estimates(config, [m for m in messages if not held_back(m)], [z.t_ns for z in wanted])
-    rows: dict[int, list[_Comparison]] = {}
-    for z, estimate in zip(wanted, estimates, strict=True):
-        rows.setdefault(phase(z.t_ns), []).append(_compare(z, estimate, config))
-    return [_window(begin, some) for begin, some in ((k * job.outage_s + _SETTLE_S, rows[k]) for k in sorted(rows))]
+    return windows
+
+
+class _Stretches(NamedTuple):
+    """Time in equal stretches from begin_ns on; of a fold every other one is a window, so each is one in one of two folds."""
+
+    begin_ns: int
+    period_ns: int
+    fold: int
+
+    def number(self, t_ns: int) -> int:
+        """Of the stretch."""
+        return (t_ns - self.begin_ns) // self.period_ns
+
+    def held_back(self, m: Input) -> bool:
+        """Whether the filter is not shown it."""
+        k = self.number(m.t_ns)
+        return isinstance(m, Absolute | GnssVelocity) and k >= 0 and k % 2 == self.fold
+
+
+def _wanted(messages: Sequence[Input], truth: Trajectory | None, stretch: _Stretches, gnss_late_ns: int) -> list[Absolute]:
+    """What the estimate is compared with, in order of validity: the truth everywhere, or the fixes that are held back."""
+    if truth is not None:
+        return [z for z in _truths(truth) if z.t_ns >= stretch.begin_ns]
+    held = [_at_validity(m, gnss_late_ns) for m in messages if isinstance(m, Absolute) and stretch.held_back(m)]
+    return sorted(held, key=lambda z: z.t_ns)
 
 
 def sources(log: str, config: str) -> frozenset[str]:

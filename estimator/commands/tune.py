@@ -41,8 +41,8 @@ def command(
     """Find the noise parameters that predict best what the filter was not shown.
 
     Fixes are held back in windows of 10 s, and the estimate is scored by how probable it had called each of them: a covariance
-    too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would cost:
-    where that is nothing, the logs do not tell it. Judge by logs that were held out.
+    too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would
+    cost: where that is nothing, the logs do not tell it. Judge by logs that were held out.
 
     \b
     Examples:
