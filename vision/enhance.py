@@ -1,4 +1,4 @@
-"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole picture and by blocks, gamma, log.
+"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole picture and by blocks, fog, gamma, log.
 
 All take uint8 or uint16, grey or BGR. The stretches give uint8: a thermal camera's 16 bits become 8 here.
 """
@@ -60,6 +60,18 @@ def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range:
     if image.ndim == 3:
         c, d = c[..., None], d[..., None]
     return np.clip((image - c) * (255.0 / (d - c)), 0, 255).round().astype(np.uint8)
+
+
+def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
+    """r - dark, in each channel (Chavez 1988): what fog adds to every pixel, and with it what it took of the colours.
+
+    dark: the level below which one pixel in a hundred lies, nine tenths of it. Only where that level is more than `least` of the
+    median: on a clear day the darkest pixels are the shadows, and those are not fog. (H, W, 3).
+    """
+    dark, middle = np.percentile(image[::_SAMPLE, ::_SAMPLE].reshape(-1, 3), (1.0, 50.0), axis=0)
+    if dark.mean() < least * middle.mean():
+        return image
+    return np.asarray(cv2.subtract(image, np.append(0.9 * dark, 0.0)), dtype=np.uint8)
 
 
 def gamma(image: Image, exponent: float) -> Image:

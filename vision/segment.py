@@ -34,11 +34,14 @@ _LIGHT = 128  # codes: 0..89 a hue, 128..191 a lightness
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far a pixel may be from a colour: light and haze change saturation and lightness much, hue little."""
+    """How far a pixel may be from a colour: light changes lightness much, haze saturation, neither changes hue.
+
+    What each width costs and is worth: benchmarks/weather.py.
+    """
 
     hue_deg: float = 18.0
     saturation_ratio: float = 2.2  # between 1/2.2 and 2.2 times
-    lightness_ratio: float = 2.2
+    lightness_ratio: float = 6.0  # two stops and a half: a shadow, or a camera that exposes for something else
     grey_saturation: float = 0.22  # below it a colour counts as grey: hue means nothing
     grey_lightness_ratio: float = 1.35
 

@@ -75,7 +75,7 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
     if image.ndim == 2:
         labels = segment_intensity(smooth)
     elif settings.colours_bgr:
-        labels = segment_colours(smooth, _table(settings.colours_bgr, settings.space))
+        labels = segment_colours(enhance.unveil(smooth), _table(settings.colours_bgr, settings.space))
     else:
         labels = segment_seeds(smooth, settings.space)
     return find_regions(image, labels, settings.limits, valid)

@@ -26,6 +26,8 @@ TITLES: Final[dict[str, str]] = {
 }
 LEAST_KEY_POINTS: Final = 500  # in a picture; with fewer the comparison would be unfair to feature matching
 
+TIMED: Final = 4  # one sample in so many
+
 
 class Trial(msgspec.Struct, frozen=True):
     """One sample: how much of the roof was in view, key points, pictures drawn before that had too few, answers by method."""
@@ -125,5 +127,7 @@ def _trial(which: tuple[Experiment, Roof, int, int]) -> Trial:
         sample = draw(experiment, roof, seed, number, redrawn)
         looked = look(sample.left)
         if len(looked.points) >= LEAST_KEY_POINTS:
-            return Trial(experiment, roof, number, sample.seen, len(looked.points), redrawn, ask(sample, looked))
+            return Trial(
+                experiment, roof, number, sample.seen, len(looked.points), redrawn, ask(sample, looked, number % TIMED == 0)
+            )
     raise AssertionError

@@ -1,5 +1,6 @@
 """Image enhancement against the thesis' equations."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -76,3 +77,28 @@ def test_gamma_and_log(dtype: type) -> None:
         assert s.dtype == dtype
         np.testing.assert_allclose(s, expected, atol=0.51)
     np.testing.assert_array_equal(enhance.negative(image), full - image)
+
+
+def test_fog_is_taken_off_and_a_clear_picture_left_alone() -> None:
+    """Of colours under fog, c t + v (1 - t), hue and saturation come back to what they were without it."""
+    rng = np.random.default_rng(5)
+    colours = np.array([(40, 50, 190), (170, 80, 40), (60, 160, 60), (12, 12, 12)], np.float64)
+    clear = colours[rng.integers(0, 4, (60, 80))].astype(np.uint8)
+    foggy = (0.35 * clear + 0.65 * np.array([205.0, 198.0, 190.0])).astype(np.uint8)
+    np.testing.assert_array_equal(enhance.unveil(clear), clear)
+    seen, veiled, true = (cv2.cvtColor(x, cv2.COLOR_BGR2HSV)[..., 1].astype(float) for x in (enhance.unveil(foggy), foggy, clear))
+    bright = clear.max(axis=2) > 100
+    assert np.median(veiled[bright] / true[bright]) < 0.5
+    assert 0.7 < np.median(seen[bright] / true[bright]) < 1.05
+
+
+def test_a_stretch_with_room_cuts_nothing_that_is_a_little_hotter() -> None:
+    """One pixel in a hundred burns: the others keep most of the levels, and what is 20 % hotter than they are is not cut off."""
+    levels = np.linspace(7000, 8000, 40_000).astype(np.uint16).reshape(200, 200)
+    levels[:20, :15] = 60_000
+    levels[50:60, 50:60] = 8200
+    stretched = enhance.stretch(levels, 0.01, 0.25)
+    assert np.ptp(stretched[100:].astype(int)) > 0.3 * 255
+    assert stretched[55, 55] < 255
+    assert int(stretched[55, 55]) > int(stretched[199, 199]) + 15
+    assert enhance.stretch(levels, 0.01)[55, 55] == 255

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vision.segment import Seeds, Space, classes, colour_table, cylinder, segment_colours, segment_seeds, valleys
+from vision.segment import (
+    Seeds,
+    Space,
+    classes,
+    colour_table,
+    cylinder,
+    segment_colours,
+    segment_intensity,
+    segment_seeds,
+    valleys,
+)
 
 RED, BLUE, GREEN, GREY = (40.0, 50.0, 190.0), (170.0, 80.0, 40.0), (60.0, 160.0, 60.0), (150.0, 150.0, 150.0)
 SPACES: list[Space] = ["hsv", "hsi", "lab", "yuv"]
@@ -125,3 +135,22 @@ def test_a_circular_histogram_has_no_end() -> None:
     found = valleys(h, circular=True)
     assert len(found) == 2
     assert not any(v < 20 or v > 236 for v in found)
+
+
+def test_a_thing_is_found_whether_darker_or_brighter_on_ground_of_any_level() -> None:
+    """A slope of 120 levels across the picture, things 25 levels off it: no one threshold would serve."""
+    rng = np.random.default_rng(2)
+    ground = np.linspace(60.0, 180.0, 320)[None, :] + rng.normal(0.0, 5.0, (240, 320))
+    truth = np.zeros((240, 320), int)
+    for k, (u, v) in enumerate([(40, 50), (130, 150), (200, 60), (270, 170)]):
+        truth[v : v + 30, u : u + 40] = 1 + k % 2
+    image = np.clip(ground + np.choose(truth, (0.0, -25.0, 25.0)), 0, 255).astype(np.uint8)
+    labels = segment_intensity(cv2.medianBlur(image, 5))
+    for side in (1, 2):
+        assert (labels[truth == side] == side).mean() > 0.9
+    assert (labels[truth == 0] == 0).mean() > 0.8
+
+
+def test_an_empty_picture_has_no_things_however_faint_its_noise() -> None:
+    noise = np.random.default_rng(3).normal(100.0, 1.0, (240, 320)).astype(np.uint8)
+    assert not segment_intensity(noise).any()

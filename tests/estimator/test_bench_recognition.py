@@ -1,0 +1,158 @@
+"""landfix bench recognition: what its samples are, how answers are judged, what a user sees."""
+
+import dataclasses
+import json
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from estimator.bench import recognisers, views
+from estimator.bench.partly_seen import shares
+from estimator.bench.recognition import Trial, below, row
+from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
+from estimator.cli import app
+from models import colours
+from vision.synthetic.render import render_labels
+
+
+@cache
+def sample(experiment: Experiment = "accuracy", roof: Roof = "painted", number: int = 1) -> Sample:
+    return views.draw(experiment, roof, 5, number)
+
+
+@pytest.mark.parametrize(("k", "n", "expected"), [(0, 200, 0.01487), (0, 1, 0.95), (3, 200, 0.03831), (7, 7, 1.0)])
+def test_bound_of_a_share(k: int, n: int, expected: float) -> None:
+    """Of Clopper and Pearson; for none of n it is 1 - 0.05^(1/n)."""
+    assert below(k, n) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_sample_follows_from_its_numbers() -> None:
+    again, other = views.draw("accuracy", "painted", 5, 1), views.draw("accuracy", "painted", 5, 2)
+    np.testing.assert_array_equal(sample().left, again.left)
+    assert sample().target == again.target
+    assert not np.array_equal(sample().left, other.left)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("roof", ROOFS)
+def test_what_is_asked_for_is_there(experiment: Experiment, roof: Roof) -> None:
+    s = sample(experiment, roof)
+    assert s.target in s.scene.map
+    mark = next(k for k, m in enumerate(s.scene.world.landmarks) if m.id == s.target)
+    labels = render_labels(s.scene.world, s.scene.rig.left, *s.scene.rig.camera_pose(s.p_n, s.R_nb))
+    assert (labels == mark).sum() > 300
+    assert (s.reference is None) == (experiment == "description")
+    error = s.prior.p_n - s.p_n
+    assert 0.0 < np.abs(error / views.PRIOR_SIGMA[:3]).max() < 5.0
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_partial_views_show_30_to_70_percent_and_no_landmark_better(number: int) -> None:
+    s = sample("partial", "painted", number)
+    seen = {name: share for name, share in shares(s.scene.world, s.scene.rig, s.p_n, s.R_nb).items() if name in s.scene.map}
+    assert 0.3 <= s.seen <= 0.7
+    assert seen[s.target] == pytest.approx(s.seen, abs=0.02)
+    assert max(seen.values()) <= 0.72
+    assert sum(share >= 0.28 for share in seen.values()) >= 2
+
+
+def test_share_of_a_whole_roof_is_one() -> None:
+    s = sample()
+    assert shares(s.scene.world, s.scene.rig, s.p_n, s.R_nb)[s.target] == pytest.approx(1.0, abs=0.06)
+
+
+def test_one_texture_comes_in_five_sizes() -> None:
+    s = sample("size", "pale")
+    assert len(set(s.scene.world.looks)) == 1
+    sizes = {round(m.length_m / 11.0, 2) for m in s.scene.map}
+    assert sizes <= {0.7, 0.84, 1.0, 1.19, 1.4}
+    assert len(sizes) >= 4
+
+
+def test_descriptions_know_colours_by_word_or_not_at_all() -> None:
+    words = {colours.parse(w) for w in ("firebrick", "royalblue", "gold", "darkorange", "green", "purple", "turquoise", "white")}
+    assert {m.colour_bgr for m in sample("description", "painted").scene.map} <= words
+    assert {m.colour_bgr for m in sample("description", "pale").scene.map} == {None}
+
+
+def test_a_right_answer_is_recognised_and_a_false_truth_makes_it_wrong() -> None:
+    s = sample()
+    good = recognisers.landfix(s)
+    assert good.verdict == "recognised"
+    assert good.error_m is not None
+    assert 0.0 < good.error_m < 2.0
+    assert good.cpu_ms is not None
+    assert good.cpu_ms > 1.0
+    moved = dataclasses.replace(s, p_n=s.p_n + np.array([6.0, -5.0, 0.0]))
+    assert recognisers.landfix(moved, timed=False).verdict == "wrong"
+
+
+def test_naming_a_landmark_that_is_gone_is_wrong_and_naming_others_is_not_enough() -> None:
+    s = sample()
+    bare = dataclasses.replace(s.scene.world, landmarks=(), looks=())
+    assert recognisers.landfix(dataclasses.replace(s, scene=s.scene._replace(world=bare)), timed=False).verdict == "wrong"
+    assert recognisers.landfix(dataclasses.replace(s, target="nobody"), timed=False).verdict == "silent"
+
+
+def test_the_thesis_method_is_judged_by_the_place_it_says() -> None:
+    s = views.draw("accuracy", "painted", 0, 23)
+    assert recognisers.thesis(s, timed=False).verdict == "recognised"
+    assert recognisers.thesis(dataclasses.replace(s, p_n=s.p_n + np.array([5.0, 0.0, 0.0])), timed=False).verdict == "wrong"
+
+
+def test_sift_and_flann_find_the_place_by_its_ground() -> None:
+    s = sample()
+    looked = recognisers.look(s.left)
+    assert len(looked.points) >= 500
+    assert s.reference is not None
+    found = recognisers.sift_and_flann(s, looked, surroundings=True)
+    assert found.verdict == "recognised"
+    assert found.error_m is not None
+    assert found.error_m < 2.0
+    elsewhere = dataclasses.replace(s.reference, centre_px=s.reference.centre_px + 60.0)
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=elsewhere), looked, True).verdict == "wrong"
+    strange = dataclasses.replace(s, reference=sample(number=2).reference)
+    assert recognisers.sift_and_flann(strange, looked, True).verdict == "silent"
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), looked, True).verdict == "silent"
+
+
+def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
+    """A box half hidden in a scene, a wall seen askew, a street in other light are found; a box is not found on the wall."""
+    folder = landfix_data / "images/opencv_feature_pairs"
+    pairs = [("box.png", "box_in_scene.png"), ("graf1.png", "graf3.png"), ("leuvenA.jpg", "leuvenB.jpg")]
+    looked = {name: recognisers.look(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
+    for reference, picture in pairs:
+        assert recognisers.homography(looked[reference], looked[picture]) is not None
+    assert recognisers.homography(looked["box.png"], looked["graf1.png"]) is None
+
+
+def test_a_row_counts_verdicts() -> None:
+    verdicts: tuple[recognisers.Verdict, ...] = ("recognised", "wrong", "silent", "recognised")
+    answers = [recognisers.Answer(v, 10.0 * k, float(k)) for k, v in enumerate(verdicts)]
+    trials = [Trial("size", "pale", k, 1.0, 900, 0, {"landfix": a}) for k, a in enumerate(answers)]
+    counted = row("size", "pale", "landfix", trials)
+    assert (counted.samples, counted.recognised, counted.wrong) == (4, 2, 1)
+    assert counted.error_m_p50 == 1.5
+    assert counted.wrong_below == pytest.approx(0.7514, abs=1e-3)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    options = ["--samples", "1", "--experiment", "accuracy", "--roof", "painted", "--jobs", "1"]
+    result = CliRunner().invoke(app, ["bench", "recognition", *options, "--json", "--plot", str(tmp_path / "plot.png")])
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert [r["method"] for r in found["rows"]] == list(recognisers.METHODS)
+    assert found["key_points_least"] >= 500
+    drawn = cv2.imread(str(tmp_path / "plot.png"))
+    assert drawn is not None
+    assert drawn.shape[1] > 800
+
+
+def test_names_that_are_not_known() -> None:
+    result = CliRunner().invoke(app, ["bench", "recognition", "--experiment", "speed"])
+    assert result.exit_code == 2
+    assert "accuracy, size, partial, description" in result.stderr
