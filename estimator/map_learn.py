@@ -58,8 +58,8 @@ class LearnConfig(msgspec.Struct, frozen=True):
 class LearnSummary(msgspec.Struct, frozen=True):
     """What was learned. pictures: looked at; skipped, left_out: pictures and things that were not used, by reason;
 
-    seen: in how many pictures each landmark; common_sigma_m: horizontal and vertical error of the map as a whole, part of every
-    landmark's own.
+    seen: in how many pictures each landmark; common_sigma_m: horizontal and vertical error of the map as a whole, which no
+    landmark's own sigma contains.
     """
 
     landmarks: int
@@ -99,8 +99,8 @@ def learn(
         reasons = ", ".join(f"{count} x {reason}" for reason, count in skipped.most_common()) or "there is none"
         raise LearnError(f"{log}: no picture could be used: {reasons}")
     found = learned(mapper, ground_d, how.keep)
-    the_map = LandmarkMap.from_landmarks(origin.lla, found.landmarks)
     common = float(np.sqrt(0.5 * np.trace(found.common[:2, :2]))), float(np.sqrt(found.common[2, 2]))
+    the_map = LandmarkMap.from_landmarks(origin.lla, found.landmarks, common)
     seen = {mark.id: count for mark, count in zip(found.landmarks, found.seen, strict=True)}
     ground_alt = origin.to_geodetic((0.0, 0.0, ground_d))[2]
     return the_map, LearnSummary(

@@ -100,7 +100,10 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
     report = the_map.report
     lacking = {**report.missing, "colour": int(np.sum(colours[:, 0] < 0))}
     return LandmarkMap(
-        the_map.origin, msgspec.structs.replace(columns, colour_bgr=colours), msgspec.structs.replace(report, missing=lacking)
+        the_map.origin,
+        msgspec.structs.replace(columns, colour_bgr=colours),
+        msgspec.structs.replace(report, missing=lacking),
+        the_map.common_sigma_m,
     )
 
 

@@ -94,18 +94,24 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
 class LandmarkMap:
     """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index.
 
-    report: what was found while reading the file it comes from.
+    report: what was found while reading the file it comes from; common_sigma_m: by how much all of it may be shifted, horizontal
+    and vertical standard deviation, beside what each landmark says of itself.
     """
 
-    def __init__(self, origin: Vec3, columns: Columns, report: MapReport | None = None) -> None:
+    def __init__(
+        self, origin: Vec3, columns: Columns, report: MapReport | None = None, common_sigma_m: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         self.origin = origin
         self.columns = columns
         self.report = report or MapReport(len(columns.ids))
+        self.common_sigma_m = common_sigma_m
         self.description = polygon.describe(columns.vertices, columns.offsets)  # (N, 8), columns as named in models/outline.py
         self._index = _Grid(self.description)
 
     @classmethod
-    def from_landmarks(cls, origin: Vec3, landmarks: Iterable[Landmark]) -> Self:
+    def from_landmarks(
+        cls, origin: Vec3, landmarks: Iterable[Landmark], common_sigma_m: tuple[float, float] = (0.0, 0.0)
+    ) -> Self:
         """A map of these landmarks; equal ids raise ValueError."""
         several = list(landmarks)
         if len({landmark.id for landmark in several}) < len(several):
@@ -124,7 +130,7 @@ class LandmarkMap:
             weights={i: landmark.weights for i, landmark in enumerate(several) if landmark.weights != WEIGHTS},
             names={i: landmark.name for i, landmark in enumerate(several) if landmark.name},
         )
-        return cls(origin, columns)
+        return cls(origin, columns, common_sigma_m=common_sigma_m)
 
     @classmethod
     def from_geojson(cls, data: bytes, defaults: Defaults | None = None) -> Self:
@@ -133,7 +139,7 @@ class LandmarkMap:
 
     def to_geojson(self, alike: Alike | None = None) -> bytes:
         """The file, with the description of each landmark written in, and what looks like it, where that is given."""
-        return map_file.write(self.origin, self.columns, self.description, alike)
+        return map_file.write(self.origin, self.columns, self.description, self.common_sigma_m, alike)
 
     def __len__(self) -> int:
         return len(self.columns.ids)

@@ -76,6 +76,7 @@ class _Feature(msgspec.Struct):
 
 class _Own(msgspec.Struct):
     origin: Vec3 | None = None
+    common_sigma_m: tuple[_Sigma, _Sigma] = (0.0, 0.0)
 
 
 class File(msgspec.Struct):

@@ -77,8 +77,12 @@ class MapError(ValueError):
 
 
 class Defaults(msgspec.Struct, frozen=True):
-    """What features do not say themselves: height of the roof, horizontal standard deviation; the origin, where known."""
+    """What features do not say themselves: height of the roof, horizontal standard deviation.
+
+    Of the whole map, where it is known: the origin, and by how much all of it may be shifted, horizontal and vertical sigma.
+    """
 
     height_m: float = 6.0
     sigma_m: float = 0.5
     origin: tuple[float, float, float] | None = None
+    common_sigma_m: tuple[float, float] | None = None

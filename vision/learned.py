@@ -34,7 +34,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
 class Learned:
     """landmarks, in how many pictures each was seen, and the tracks left out by reason.
 
-    common (3, 3): covariance of an error that moves the whole map, part of each landmark's own.
+    common (3, 3): covariance of the error that moves the whole map; it is no part of each landmark's own.
     """
 
     landmarks: list[Landmark]
@@ -47,10 +47,14 @@ def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -
     """The landmarks of all looks so far; ground_d: down of the ground, which is flat."""
     config = config or KeepConfig()
     tracks = sorted(_united(mapper), key=lambda track: -len(track.looks))
-    marks, seen, places, left_out = list[Landmark](), list[int](), list[Place](), Counter[str]()
-    for track in tracks:
-        place = mapper.place(track)
-        mark = _flaw(track, place, config) or _landmark(f"L{len(marks) + 1}", track, place, ground_d, config)
+    places = [mapper.place(track) for track in tracks]
+    flaws = [_flaw(track, place, config) for track, place in zip(tracks, places, strict=True)]
+    sound = [place.F for place, flaw in zip(places, flaws, strict=True) if not flaw]
+    shared = np.mean(sound, axis=0) if sound else np.zeros((3, 1))
+    marks, seen, left_out = list[Landmark](), list[int](), Counter[str]()
+    for track, place, flaw in zip(tracks, places, flaws, strict=True):
+        apart = place.own + (place.F - shared) @ (place.F - shared).T + mapper.config.drift_m**2 * np.eye(3)
+        mark = flaw or _landmark(f"L{len(marks) + 1}", track, place, apart, ground_d, config)
         if isinstance(mark, Landmark) and any(_overlap(mark, other) for other in marks):
             mark = "on another one that was seen more often"
         if isinstance(mark, str):
@@ -58,8 +62,6 @@ def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -
         else:
             marks.append(mark)
             seen.append(len(track.looks))
-            places.append(place)
-    shared = np.mean([place.F for place in places], axis=0) if places else np.zeros((3, 1))
     return Learned(marks, seen, dict(left_out), shared @ shared.T)
 
 
@@ -89,8 +91,8 @@ def _flaw(track: Track, place: Place, config: KeepConfig) -> str:
     return ""
 
 
-def _landmark(name: str, track: Track, place: Place, ground_d: float, config: KeepConfig) -> Landmark | str:
-    """The landmark of a track, or why there is none."""
+def _landmark(name: str, track: Track, place: Place, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
+    """The landmark of a track, or why there is none. apart (3, 3): covariance of what is not common to the whole map."""
     roof_d = float(place.place_n[2])
     outlines = [one.outline_at(roof_d) for one in track.looks]
     pixel_m = float(np.median([one.pixel_m for one in track.looks]))
@@ -99,9 +101,8 @@ def _landmark(name: str, track: Track, place: Place, ground_d: float, config: Ke
         return "its outlines have nothing in common"
     if polygon.area(outline) < config.least_m2:
         return f"smaller than {config.least_m2:g} m2"
-    height_sigma = float(np.sqrt(place.covariance[2, 2]))
     height = ground_d - roof_d
-    on_ground = height < config.painted_sigma * height_sigma
+    on_ground = height < config.painted_sigma * float(np.sqrt(place.covariance[2, 2]))
     blue, green, red = np.median([one.colour_bgr for one in track.looks], axis=0).round().astype(int).tolist()
     return Landmark.of(
         name,
@@ -109,8 +110,8 @@ def _landmark(name: str, track: Track, place: Place, ground_d: float, config: Ke
         roof_d if on_ground else ground_d,
         0.0 if on_ground else height,
         (blue, green, red),
-        float(np.sqrt(0.5 * np.trace(place.covariance[:2, :2]))),
-        height_sigma,
+        float(np.sqrt(0.5 * np.trace(apart[:2, :2]))),
+        float(np.sqrt(apart[2, 2])),
         _outline_sigma(track, outline, outlines, float(np.sqrt(place.own[2, 2])), pixel_m),
     )
 

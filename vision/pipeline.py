@@ -7,6 +7,7 @@ Nothing in here raises in flight. A picture that is missing or useless leaves th
 the scale, the fix says so, and its covariance shows it.
 """
 
+from dataclasses import replace
 from typing import Final, Literal
 
 import msgspec
@@ -16,6 +17,7 @@ from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from vision.constellation import MemoryConfig
 from vision.identify import IdentifyConfig, Prior
+from vision.map_error import with_map_error
 from vision.pictures import Pictures, usable
 from vision.pose import PoseConfig
 from vision.predict import PredictConfig, PredictPath
@@ -58,7 +60,8 @@ class LandmarkPipeline:
         """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
         try:
             with np.errstate(all="ignore"):
-                return self._process(left, right, t_ns, prior)
+                result = self._process(left, right, t_ns, prior)
+                return result if result.fix is None else replace(result, fix=with_map_error(result.fix, self._map.common_sigma_m))
         except Exception as error:  # whatever a picture trips over, the flight goes on
             return nothing(t_ns, "internal", f"{type(error).__name__}: {error}")
 

@@ -35,6 +35,9 @@ def build(
         float | None,
         typer.Option(min=0, max=1000, help="Horizontal standard deviation of what tells none; else 0.5, or a picture's pixel."),
     ] = None,
+    common_sigma_m: Annotated[
+        str, typer.Option(metavar="H,V", help="By how much all of the map may be shifted, beside that: horizontal, vertical.")
+    ] = "",
     origin: Annotated[
         str, typer.Option(metavar="LAT,LON,ALT", help="Origin of the local frame, ALT above the ellipsoid; else the middle.")
     ] = "",
@@ -76,7 +79,12 @@ def build(
     if pick and not is_picture:
         raise typer.BadParameter("--pick wants a picture as IN")
     wanted = colours(pick)
-    defaults = Defaults(height_m=height_m, sigma_m=0.5 if sigma_m is None else sigma_m, origin=_origin(origin))
+    defaults = Defaults(
+        height_m=height_m,
+        sigma_m=0.5 if sigma_m is None else sigma_m,
+        origin=_origin(origin),
+        common_sigma_m=_common(common_sigma_m),
+    )
     with progress(f"build {source.name}") as report:
         if is_picture:
             regions = map_from_picture.landmarks(orthophoto.load(source, picture_epsg), wanted, least_m2, sigma_m)
@@ -171,6 +179,19 @@ def check(
         _print_check(map_file, result)
     if not result.usable:
         raise typer.Exit(1)
+
+
+def _common(text: str) -> tuple[float, float] | None:
+    """H,V or nothing. Raises a usage error."""
+    if not text:
+        return None
+    try:
+        horizontal, vertical = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter("--common-sigma-m is two numbers of metres, horizontal and vertical, as in 1.5,2") from None
+    if not (0 <= horizontal <= 1000 and 0 <= vertical <= 1000):
+        raise typer.BadParameter("--common-sigma-m: both between 0 and 1000 m")
+    return horizontal, vertical
 
 
 def _origin(text: str) -> tuple[float, float, float] | None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from models.landmarks import WEIGHTS, Landmark, LandmarkMap
+from models.map_table import Defaults
 from models.messages import Array
 
 ORIGIN = (45.0, 7.0, 200.0)
@@ -130,3 +131,13 @@ def test_one_in_another() -> None:
     ring = Landmark.of("l", [(0, 0), (0, 30), (10, 30), (10, 10), (30, 10), (30, 0)])
     assert len(LandmarkMap.from_landmarks(ORIGIN, [ring, box("in its corner", 20.0, 20.0, 6.0, 6.0)]).nested()) == 0
     assert len(LandmarkMap.from_landmarks(ORIGIN, []).nested()) == 0
+
+
+def test_by_how_much_the_whole_map_may_be_shifted_is_kept_in_its_file() -> None:
+    pad = Landmark.of("pad", [(0, 0), (0, 4), (4, 4), (4, 0)])
+    the_map = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [pad], (0.4, 0.8))
+    assert LandmarkMap.from_geojson(the_map.to_geojson()).common_sigma_m == (0.4, 0.8)
+    assert LandmarkMap.from_geojson(the_map.to_geojson(), Defaults(common_sigma_m=(2.0, 3.0))).common_sigma_m == (2.0, 3.0)
+    without = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [pad])
+    assert b"common_sigma_m" not in without.to_geojson()
+    assert LandmarkMap.from_geojson(without.to_geojson()).common_sigma_m == (0.0, 0.0)

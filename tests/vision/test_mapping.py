@@ -127,11 +127,14 @@ def test_a_learned_landmark_has_size_height_and_colour() -> None:
     for k, (p_n, R_nb, believed) in enumerate(flight(rng, 20)):
         looks = [seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), believed, RIG, rng) for place in ((0, 0, -8), (0, 20, 0))]
         mapper.add(looks)
-    house, painted = sorted(learned(mapper, 0.0).landmarks, key=lambda mark: mark.centre_n[1])
+    found = learned(mapper, 0.0)
+    house, painted = sorted(found.landmarks, key=lambda mark: mark.centre_n[1])
     assert (house.width_m, house.length_m) == pytest.approx((8.0, 12.0), abs=0.25)
     assert house.height_m == pytest.approx(8.0, abs=3.0 * house.height_sigma_m)
-    assert 0.7 < house.height_sigma_m < 1.2
-    assert 0.38 < house.sigma_m < 0.5
+    assert (house.sigma_m, house.height_sigma_m) == pytest.approx((0.32, 0.36), abs=0.06), (
+        "the drift along the flight, and its own"
+    )
+    assert np.sqrt(np.diag(found.common)) == pytest.approx([0.4, 0.4, 0.8], rel=0.1), "the pose's own error"
     assert 0.03 < house.outline_sigma_m < 0.15
     assert house.colour_bgr == (40, 50, 200)
     assert (painted.height_m, len(painted.outline_n)) == (0.0, 4)

@@ -1,0 +1,33 @@
+"""What a map's own shift does to a fix: it moves every fix made with it, by the same."""
+
+import msgspec
+import numpy as np
+
+from models.messages import Array, LandmarkFix
+
+WHOLE_MAP = "(the map)"  # among the landmarks of a fix: the error that they share
+
+
+def with_map_error(fix: LandmarkFix, common_sigma_m: tuple[float, float]) -> LandmarkFix:
+    """The fix with the error of the map as a whole, horizontal and vertical standard deviation, as one more that repeats."""
+    if not any(common_sigma_m):
+        return fix
+    sigma = np.array([common_sigma_m[0], common_sigma_m[0], common_sigma_m[1]])
+    moved = np.vstack((np.diag(sigma), np.zeros((3, 3))))
+    before = np.zeros((6, 6)) if fix.covariance_common is None else fix.covariance_common
+    errors = None if fix.landmark_errors is None else _joined(fix.landmark_errors, moved)
+    return msgspec.structs.replace(
+        fix,
+        covariance_common=before + moved @ moved.T,
+        landmarks=fix.landmarks if errors is None else (*fix.landmarks, WHOLE_MAP),
+        landmark_errors=errors,
+    )
+
+
+def _joined(errors: Array, moved: Array) -> Array:
+    """(m + 1, 6, k) of (m, 6, k) and (6, 3)."""
+    width = max(errors.shape[2], moved.shape[1])
+    joined = np.zeros((len(errors) + 1, 6, width))
+    joined[:-1, :, : errors.shape[2]] = errors
+    joined[-1, :, : moved.shape[1]] = moved
+    return joined
