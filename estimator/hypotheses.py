@@ -143,8 +143,8 @@ class Hypotheses:
     def _agreement(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> float | None:
         """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again.
 
-        Whoever foresaw the reading speaks for that, one who doubts the source himself too: what he takes for true again must
-        not be news that only k pays for. But two who both foresaw it do not call it a falsehood on each other's word.
+        Who believes in the source speaks for that. No hypothesis is made about a reading that is not absolute, so there whoever
+        foresaw it speaks: what he takes for true again must not be news that only k pays for.
         """
         doubt = self.members[k].doubts.get(aid.topic)
         if doubt is None:
@@ -152,7 +152,7 @@ class Hypotheses:
         believed = [
             seen[j].log_likelihood
             for j, other in enumerate(self.members)
-            if j != k and passed[j] and (not passed[k] or aid.topic not in other.doubts)
+            if j != k and passed[j] and (aid.topic not in other.doubts or not (aid.absolute or passed[k]))
         ]
         return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
 

@@ -11,10 +11,12 @@ import pytest
 
 from estimator.eskf import Eskf
 from estimator.fusion import Fusion, FusionConfig
-from estimator.hypotheses import Hypotheses, Hypothesis
+from estimator.hypotheses import Doubt, Hypotheses, Hypothesis
+from estimator.sources.gnss import GnssConfig, velocity_aid
 from estimator.sources.pose import PoseConfig
+from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
-from models.messages import Array, ImuSample, Input, Reason, Vec3, vec3
+from models.messages import Array, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X, retract
 from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, pose_fix
@@ -217,3 +219,23 @@ def test_a_copy_is_independent() -> None:
     assert len(bank.members) == 1
     assert bank.members[0].doubts == {}
     np.testing.assert_array_equal(bank.lead.x, _state(0.0, 0.0, 0.0))
+
+
+def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
+    """The leading filter takes a receiver's velocity for false, and so, just now, did the one that follows it.
+
+    When that one foresees the next, both have explained it: one as true, one as the same falsehood.
+    """
+    honest, follower = _member(_state(0.0, 0.0, 0.0)), _member(_state(0.0, 0.0, 0.0), weight=-6.0)
+    follower.filter.x[X.V] = (8.0, 0.0, 0.0)
+    for member in (honest, follower):
+        member.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
+    bank = Hypotheses([honest, follower])
+    aid = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (8.1, 0.0, 0.0), None), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    bank.judge(aid, z, np.zeros(3), trusted=True)
+    assert bank.members[0] is honest
+    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().lie_s)
+    assert "/gnss/velocity" not in follower.doubts
