@@ -23,7 +23,14 @@ from models.messages import Array, LandmarkFix, VisionReport, VisionRequest
 HEALTH_TOPIC, DAEMON_TOPIC = "/landfix/health", "/landfix/daemon"
 FIX_TOPIC, VISION_TOPIC = "/landfix/fix", "/landfix/vision"
 BIASES: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-NUMBERS: Final = ("absolute_age_s", "radius95_m", "attitude_sigma_deg", *BIASES, *(f"{name}_sigma" for name in BIASES))
+NUMBERS: Final = (
+    "absolute_age_s",
+    "radius95_m",
+    "attitude_sigma_deg",
+    "hypotheses",
+    *BIASES,
+    *(f"{name}_sigma" for name in BIASES),
+)
 SIGMAS_95: Final = 1.959964  # of one axis
 
 _BATCH: Final = 2048  # estimates decoded at a time

@@ -107,7 +107,7 @@ def page(m: Material) -> str:
         "Configuration and calibration": _attachments(m),
     }
     parts = {name: body for name, body in parts.items() if body}
-    links = "".join(f'<a href="#{_anchor(name)}">{text(name)}</a>' for name in parts)
+    links = " ".join(f'<a href="#{_anchor(name)}">{text(name)}</a>' for name in parts)
     sections = "".join(f'<section id="{_anchor(name)}"><h2>{text(name)}</h2>{body}</section>' for name, body in parts.items())
     end = (int(m.evidence.estimate.t_ns[-1]) - m.start_ns) * 1e-9
     spans = [Span((a - m.start_ns) * 1e-9, (b - m.start_ns) * 1e-9, "no absolute fix") for a, b in m.outages]
@@ -238,7 +238,7 @@ def _figure(m: Material, s: Shot) -> str:
 
 def _health(m: Material, sheet: _Sheet) -> str:
     strip, numbers = report_plots.states_told(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
-    return sheet.add(strip, "one") + sheet.add(numbers) + web_page.table(_counts(m))
+    return sheet.add(strip, "one") + sheet.add(numbers, "three") + web_page.table(_counts(m))
 
 
 def _counts(m: Material) -> web_page.Table:

@@ -228,12 +228,13 @@ def states_told(evidence: Evidence, gathered: Gathered) -> Charts:
 
 
 def health(evidence: Evidence, gathered: Gathered) -> Charts:
-    """Attitude sigma and age of the last absolute fix."""
+    """Age of the last absolute fix, attitude sigma, number of hypotheses."""
     charts: Charts = {}
     if gathered.numbers is not None:
         for name, title, unit in (
             ("absolute_age_s", "Since an absolute position was fused", "s"),
             ("attitude_sigma_deg", "Attitude, 1 sigma of the worst axis", "deg"),
+            ("hypotheses", "Hypotheses: what may be true at the same time", ""),
         ):
             told = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(evidence))
             charts[name] = TimeChart(title, unit, [told], height=165)

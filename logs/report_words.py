@@ -7,7 +7,7 @@ import numpy as np
 
 from logs.evaluation import AidSummary, Evaluation
 from logs.evidence import Evidence
-from logs.metrics import Consistency
+from logs.metrics import Consistency, horizontal_radius
 from logs.report_gather import Gathered
 from models.messages import Mode, Reason
 from models.web_page import BAD, GOOD, USABLE
@@ -16,6 +16,7 @@ _MANY_REFUSED: Final = 0.2
 _NIS_BAND: Final = (0.3, 2.0)  # of the mean over a flight; outside, sigmas are wrong by more than 1.4 or 1.8
 _LATE_S: Final = 0.15  # what an autopilot still takes for an estimate of now
 _FEW: Final = 20
+_JUMP_M: Final = 1.0
 _NOT_JUDGED: Final = {Reason.ALIGNING, Reason.THINNED, Reason.DUPLICATE, Reason.PROBATION, Reason.NO_FIX}
 
 
@@ -80,6 +81,7 @@ def findings(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Find
     found = [
         *_honesty(e),
         *_behaviour(e, gathered),
+        *_jumps(evidence),
         *(f for aid in e.aids for f in _source(aid)),
         *_vision(gathered),
         *_log(e, evidence, gathered),
@@ -121,18 +123,25 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
         found.append(
             Finding(Level.WRONG, f"{gathered.counts['internal']} internal errors: defects of the estimator, please report them")
         )
-    jumps = [r for r in e.resets if r.position_m > 1.0]
-    if jumps:
-        most = max(jumps, key=lambda r: r.position_m)
-        many = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-        found.append(
-            Finding(
-                Level.LOOK, f"the position jumped by more than 1 m {many}, the most {most.position_m:.1f} m at {most.t_s:.1f} s"
-            )
-        )
     if (late := e.latency_s.get("/landfix/odometry")) and late.p99 > _LATE_S:
         found.append(Finding(Level.LOOK, f"1 % of the estimates arrived later than {1e3 * late.p99:.0f} ms after their stamp"))
     return found
+
+
+def _jumps(evidence: Evidence) -> list[Finding]:
+    """Jumps that matter; one within the radius promised before it is what was promised."""
+    estimate, start_ns = evidence.estimate, int(evidence.estimate.t_ns[0])
+    jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in evidence.resets]
+    jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]
+    if not jumps:
+        return []
+    before = np.maximum(np.searchsorted(estimate.t_ns, [j.t_ns for _, j in jumps]) - 1, 0)
+    radius = horizontal_radius(estimate.covariance[before, :2, :2])
+    beyond = [length_m > r for (length_m, _), r in zip(jumps, radius.tolist(), strict=True)]
+    k = max(range(len(jumps)), key=lambda k: (beyond[k], jumps[k][0]))
+    (length_m, most), many = jumps[k], "once" if len(jumps) == 1 else f"{len(jumps)} times"
+    at = f"{length_m:.1f} m at {(most.t_ns - start_ns) * 1e-9:.1f} s, where the promised 95 % radius was {radius[k]:.1f} m"
+    return [Finding(Level.LOOK if any(beyond) else Level.FINE, f"the position jumped by more than {_JUMP_M:g} m {many}: {at}")]
 
 
 def refusals(aid: AidSummary) -> dict[str, int]:

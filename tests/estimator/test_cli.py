@@ -192,4 +192,4 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     written = json.loads(run("report", estimate, "-o", out, "--no-pictures", "--json").stdout)
     assert written["size"] == out.stat().st_size
     assert "holds no /landfix/odometry" in fails("report", flight, "-o", out)
-    assert "no_such_rig.yaml" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")
+    assert "no_map.geojson" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")

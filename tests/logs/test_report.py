@@ -21,7 +21,7 @@ from logs.recorder import Recorder
 from logs.report import write
 from logs.report_gather import attitude_deg
 from models import so3
-from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, VisionReport
+from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, Reset, VisionReport
 from tests.logs import flight_log
 from tests.logs.flight_log import EPOCH_NS, Flight, rewritten, truth_at
 
@@ -105,9 +105,18 @@ def verdict_of(tmp_path: Path, flight: Flight) -> tuple[str, list[str]]:
     return written.verdict, written.findings
 
 
-def test_a_jump_is_named(log: Path, tmp_path: Path) -> None:
-    written = write(log, tmp_path / "x.html")
-    assert "the position jumped by more than 1 m once, the most 5.0 m at 1.0 s" in written.findings
+def test_a_jump_beyond_the_promised_radius_is_a_reason_to_look_closer_and_one_within_is_not(log: Path, tmp_path: Path) -> None:
+    (said,) = (f for f in write(log, tmp_path / "x.html").findings if "jumped" in f)
+    assert said.startswith("the position jumped by more than 1 m once: 5.0 m at 1.0 s, where the promised 95 % radius was ")
+    radius = float(said.split()[-2])
+    assert 0.3 < radius < 2.0
+    late = Reset(
+        EPOCH_NS + 90 * S, EPOCH_NS + 90 * S, 1, (1.2, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    )  # after the long outage
+    for name, delta, level in (("within", 1.2, "nothing speaks against this estimate"), ("beyond", 12.0, "look closer")):
+        extra = ((*encode(msgspec.structs.replace(late, delta_p_n=(delta, 0.0, 0.0)))[0], late.t_ns),)
+        calm = rewritten(log, tmp_path / f"{name}.mcap", without=("/landfix/reset",), extra=extra)
+        assert write(calm, tmp_path / "x.html").verdict == level
 
 
 def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> None:
