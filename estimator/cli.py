@@ -14,6 +14,7 @@ from estimator.commands import (
     demo,
     doctor,
     evaluate,
+    live,
     locate,
     measure,
     monitor,
@@ -97,6 +98,7 @@ app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
 app.command("report")(report.command)
 app.command("overlay")(overlay.command)
+app.command("live")(live.command)
 app.command("tune")(tune.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)

@@ -1,0 +1,87 @@
+"""landfix live."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.console import ConfigFile, note, progress
+
+if TYPE_CHECKING:
+    from estimator.service.live_server import LiveServer
+
+
+def command(
+    log: Annotated[Path | None, typer.Argument(metavar="[LOG.mcap]", help="Log to play; none: a running daemon.")] = None,
+    config: ConfigFile = None,
+    connect: Annotated[
+        str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the daemon listens; default: as in FILE.")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.01, metavar="X", help="Play so many times as fast.")] = 1.0,
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Listen here; 0.0.0.0: for everybody, unprotected.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Listen here; 0: any that is free.")] = 8765,
+    wait: Annotated[bool, typer.Option("--wait/--at-once", help="Play when somebody has subscribed.")] = True,
+) -> None:
+    """Show a log, or a running daemon, in Foxglove as it goes (needs landfix[live]).
+
+    In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; layout: examples/foxglove/landfix.json. A log need not
+    be played to be seen: Foxglove opens the file itself. The daemon is only listened to and never waits; /landfix/overlay is
+    drawn as long as this runs.
+
+    \b
+    Examples:
+      landfix live                                  the daemon on this machine
+      landfix live --connect tcp/10.0.0.5:7447
+      landfix live estimate.mcap --speed 4
+    """
+    from estimator.service.live_server import LiveServer
+
+    with LiveServer(host, port) as server:
+        note(f"landfix: ws://{host}:{server.port}  (Ctrl-C ends it)")
+        try:
+            if log is not None:
+                _play(server, log, speed, wait)
+            else:
+                _relay(server, config, connect)
+        except KeyboardInterrupt:
+            note("landfix: ended")
+
+
+def _play(server: "LiveServer", log: Path, speed: float, wait: bool) -> None:
+    import time
+
+    from estimator.service.live_server import play, topics_of
+
+    with progress(f"read {log.name}") as report:
+        server.offer(topics_of(log, report))
+    while wait and not server.watched:
+        time.sleep(0.1)
+    with progress(f"play {log.name}") as report:
+        count = play(server, log, speed, report)
+    note(f"landfix: {count} messages played")
+
+
+def _relay(server: "LiveServer", config: Path | None, connect: str | None) -> None:
+    import signal
+
+    from estimator.config import load
+    from estimator.publish import OVERLAY_TOPIC
+    from estimator.service import monitor
+    from estimator.service.live_server import relay
+    from estimator.service.zenoh_bus import OUTPUTS
+    from logs import schemas
+    from logs.markers import MARKERS, TOPIC
+
+    loaded = load(config)
+    topics = {
+        **OUTPUTS,
+        "/landfix/fix": schemas.LANDMARK_FIX,
+        "/landfix/vision": schemas.VISION_REPORT,
+        TOPIC: MARKERS,
+        OVERLAY_TOPIC: schemas.COMPRESSED_IMAGE,
+    }
+    with monitor.connected(loaded.zenoh, config.parent if config else Path(), connect) as (session, _):
+        kept = relay(server, session, loaded.zenoh.domain, topics)
+        signal.pause()
+        kept.clear()
