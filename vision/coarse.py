@@ -21,7 +21,6 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from models import so3
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
@@ -35,10 +34,11 @@ from vision.voters import voters
 from vision.votes import vote
 
 Mask = NDArray[np.bool_]
-_MOST_REDUCED = 64
+_LEAST_WIDTH = 80  # px of the reduced picture
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
 _PLACE_PX = 1.0  # of the level: how well a landmark's place is found
 _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
+_WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
 _FLOOR = 0.5  # of the median gradient of the picture
 _NEVER = -1e6
 
@@ -50,8 +50,9 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 10.0
     sigmas: Annotated[float, Meta(gt=0, description="of the prior that are searched")] = 3.0
     roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced picture, at least")] = 6.0
-    steps: Annotated[int, Meta(ge=4, description="of the shift, to either side, at most")] = 24
-    turns: Annotated[int, Meta(ge=0, description="of turn and scale, to either side, at most")] = 6
+    most_votes: Annotated[
+        int, Meta(ge=10_000, description="of points, in the whole search; else the picture is reduced further")
+    ] = 8_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
     peaks: Annotated[int, Meta(ge=1, description="places looked at again")] = 4
@@ -64,15 +65,15 @@ def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A place: p_n, R_nb, map errors (L, 4); support and length in view (L,) px of each landmark; score px; q (4,)."""
+    """A place: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
 
     p_n: Array
     R_nb: Array
+    error: Array
     shift_m: Array
     support: Array
     length: Array
     score: float
-    q: Array
 
     @property
     def pose(self) -> Pose:
@@ -91,20 +92,29 @@ class Search:
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
         size = self._reduction()
-        reach = limit_px(self.eye.camera, self.config)
-        fine, wide = (
-            _Stage(level, self, reach + 2.0 * size, (1 + (level.size < size)) * self.config.points)
-            for level in levels(picture, self.eye.camera, (max(size // 2, 1), size))[:: 1 if size > 1 else -1]
-        )
-        found = sorted((self._near(fine, q, size // fine.level.size) for q in self._wide(wide)), key=lambda c: -c.score)
-        return _apart(found, [c.q for c in found], fine, _APART_PX * size)
+        sizes = sorted({max(size // 4, 1), max(size // 2, 1), size})
+        reach = limit_px(self.eye.camera, self.config) + 2.0 * size
+        stages = [
+            _Stage(level, self, reach, max(self.config.points, each * len(self.landmarks)))
+            for level, each in zip(
+                levels(picture, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
+            )
+        ]
+        fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
+        found = [self._near(middle, self.motion.gain @ q, size // middle.level.size) for q in self._wide(wide)]
+        ranked = sorted((self._near(fine, c.error, 2) for c in found), key=lambda c: -c.score)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
     def _reduction(self) -> int:
-        """By how much the picture is reduced: roofs keep a width, and the search stays small."""
-        reach = min(self.config.sigmas * self.motion.shift_px, limit_px(self.eye.camera, self.config))
-        by_roof = math.floor(math.log2(max(self.motion.roof_px / self.config.roof_px, 1.0)))
-        by_reach = math.ceil(math.log2(max(reach / self.config.steps, 1.0)))
-        return int(min(2 ** max(by_roof, by_reach), _MOST_REDUCED))
+        """By how much the picture is reduced: roofs keep a width, unless the search would be too long."""
+        size, points = 1, max(self.config.points, _WIDE_POINTS * len(self.landmarks))
+        while size * _LEAST_WIDTH < self.eye.camera.width:
+            grid = _grid(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
+            votes = len(grid.su) * len(grid.sv) * len(grid.others) * points
+            if votes <= self.config.most_votes and self.motion.roof_px < 2.0 * size * self.config.roof_px:
+                break
+            size *= 2
+        return size
 
     def _wide(self, stage: "_Stage") -> list[Array]:
         """The best q of the whole grid."""
@@ -118,20 +128,20 @@ class Search:
             chi2 = _squared(information, grid, np.array(pair))
             inside = chi2 <= grid.chi2
             if inside.any():
-                votes, _ = stage.vote(np.array([0.0, 0.0, *pair]), grid.su, grid.sv, inside)
+                votes, _ = stage.vote(self.motion.gain @ np.array([0.0, 0.0, *pair]), grid.su, grid.sv, inside)
                 score = _together(votes, inside, stage.free) - 0.5 * chi2
                 better = inside & (score > best)
                 best[better], other[better] = score[better], k
         peaks = [np.array([grid.su[a], grid.sv[b], *grid.others[other[a, b]]]) for a, b in _peaks(best)[: 3 * self.config.peaks]]
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.peaks]
 
-    def _near(self, stage: "_Stage", q: Array, steps: int) -> Candidate:
-        """Every landmark's own place near a q, and the pose and map errors that follow."""
+    def _near(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
+        """Every landmark's own place near an error of the prior, and the pose and map errors that follow."""
         level, free = stage.level, stage.free + _SLACK
         half = steps + int(free.max())
         s = np.arange(-half, half + 1.0) * level.size
         everywhere = np.ones((len(s), len(s)), dtype=np.bool_)
-        votes, length = stage.vote(q, s, s, everywhere)
+        votes, length = stage.vote(error, s, s, everywhere)
         inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
         common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
         places = np.array([_own_place(one, common, int(radius)) for one, radius in zip(votes, free, strict=True)])
@@ -139,27 +149,16 @@ class Search:
         length = length[k, a, b]
         support = votes[k, a, b] + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        total, shift_m = self._settle(stage, q, (places - half) * level.size, trusted)
-        prior = self.motion.prior
-        chi2 = float(total @ np.linalg.solve(prior.covariance, total))
-        turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(total[3:])))
+        total, shift_m = self._settle(stage, error, (places - half) * level.size, trusted)
+        chi2 = float(total @ np.linalg.solve(self.motion.prior.covariance, total))
         score = float(votes[k, a, b].sum()) * level.size - 0.5 * chi2
-        return Candidate(
-            prior.p_n + total[:3],
-            turn @ prior.R_nb,
-            shift_m,
-            support * level.size,
-            length * level.size,
-            score,
-            self.motion.J @ total,
-        )
+        return Candidate(*self.motion.pose(total), total, shift_m, support * level.size, length * level.size, score)
 
-    def _settle(self, stage: "_Stage", q: Array, shift_px: Array, trusted: Mask) -> tuple[Array, Array]:
-        """Error (6,) of the prior and map errors (L, 4) from where the trusted landmarks were found beside a q."""
+    def _settle(self, stage: "_Stage", error: Array, shift_px: Array, trusted: Mask) -> tuple[Array, Array]:
+        """Error (6,) of the prior and map errors (L, M) from where the trusted landmarks were found beside an error."""
         count, P, size = len(shift_px), np.asarray(self.motion.prior.covariance, dtype=float), stage.level.size
-        delta = self.motion.gain @ q
-        H = stage.moved(self.motion.pose(q)) * trusted[:, None, None]
-        y = (shift_px + H @ delta) * trusted[:, None]
+        H = stage.moved(self.motion.pose(error)) * trusted[:, None, None]
+        y = (shift_px + H @ error) * trusted[:, None]
         spread = self.map_sigma[:, None, None] * H[:, :, :2]
         noise = (_PLACE_PX * size) ** 2 * np.eye(2) + spread @ spread.transpose(0, 2, 1)
         weighted = np.linalg.solve(noise, H)
@@ -177,17 +176,17 @@ class _Stage:
     def __init__(self, level: Level, search: Search, reach_px: float, points: int) -> None:
         self.level, self.motion, self.expected = level, search.motion, search.config.expected
         self.eye = Eye(level.camera, search.eye.R_kb, search.eye.p_bk, search.eye.right)
-        pose = self.motion.pose(np.zeros(4))
+        pose = self.motion.pose(np.zeros(6))
         self.voters = voters(self.eye, search.landmarks, search.body, pose, reach_px / level.size, points)
         depth = np.array([mark.roof_d for mark in search.landmarks]) - self.eye.pose(*pose)[0][2]
         self.free = np.rint(2.0 * search.map_sigma * level.camera.fx / np.maximum(depth, 1.0))  # px that the map leaves open
         self.floor = _FLOOR * float(np.median(level.field[::2, ::2, 6])) + 0.5
 
-    def vote(self, q: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
-        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts beside q."""
+    def vote(self, error: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
+        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts beside an error of the prior."""
         assert self.voters is not None
         v, c, marks = self.voters, self.level.camera, len(self.free)
-        aimed = v.aimed(self.eye, self.motion.pose(q), self.motion.gain[:, :2])
+        aimed = v.aimed(self.eye, self.motion.pose(error), self.motion.gain[:, :2])
         support, length = vote(
             self.level.field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
             su, sv, inside,
@@ -207,7 +206,7 @@ class _Stage:
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
         assert self.voters is not None
-        aimed = self.voters.aimed(self.eye, self.motion.pose(q), self.motion.gain[:, :2])
+        aimed = self.voters.aimed(self.eye, self.motion.pose(self.motion.gain @ q), self.motion.gain[:, :2])
         px = self.level.camera.project(aimed[:, :3])
         shown = self.level.camera.contains(px)
         r = ((px + 0.5) * self.level.size - 0.5)[shown] - self.motion.middle - q[:2]
@@ -260,7 +259,7 @@ def _grid(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> _
     su, sv = (np.arange(-n, n + 1.0) * step for n in np.ceil(reach / step).astype(int) + 1)
     width, others = 1.4 * step / motion.radius, []
     for half in (min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale):
-        n = min(math.ceil(max(half / width - 0.5, 0.0)), config.turns)
+        n = math.ceil(max(half / width - 0.5, 0.0))
         others.append(np.arange(-n, n + 1.0) * width)
     return _Grid(su, sv, [(float(a), float(b)) for a in others[0] for b in others[1]], config.sigmas**2 + 6.0)
 

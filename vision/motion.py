@@ -22,10 +22,12 @@ from vision.sensitivity import Eye
 
 _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
 
+_ASIDE = 0.1  # of the picture's width: what lies farther outside does not count
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Prior, J (4, 6), covariance Q (4, 4), gain (6, 4); middle (2,) and radius px of the outlines, roof_px the least width."""
+    """Prior, J (4, 6), covariance Q (4, 4), gain (6, 4); middle (2,) and radius px of the outlines, roof_px: median width."""
 
     prior: Prior
     J: Array
@@ -50,11 +52,10 @@ class Motion:
         """1 sigma of the logarithm of the scale."""
         return math.sqrt(float(self.covariance[3, 3]))
 
-    def pose(self, q: Array) -> Pose:
-        """The likeliest pose that moves the outlines by q."""
-        dx = self.gain @ q
-        turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(dx[3:])))
-        return np.asarray(self.prior.p_n, dtype=float) + dx[:3], turn @ self.prior.R_nb
+    def pose(self, error: Array) -> Pose:
+        """The pose that is off the prior's by an error (6,)."""
+        turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(error[3:])))
+        return np.asarray(self.prior.p_n, dtype=float) + error[:3], turn @ self.prior.R_nb
 
 
 def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | None:
@@ -69,6 +70,9 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
         return None
     points, x_c = points[before], x_c[before]
     px = pinhole.camera.project(x_c)
+    shown = pinhole.camera.contains(px, -_ASIDE * eye.camera.width)
+    if shown.sum() >= 3:  # what is far aside does not come into view, or hardly
+        points, x_c, px = points[shown], x_c[shown], px[shown]
     middle = px.mean(axis=0)
     r = px - middle
     D = moved(pinhole.camera, x_c, points - p_n, R_nk)
@@ -76,7 +80,7 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
     P = np.asarray(prior.covariance, dtype=float)
     Q = J @ P @ J.T + np.diag(_FLOOR)
     radius = max(1.3 * math.sqrt(float(np.mean(np.sum(r**2, axis=1)))), 1.0)
-    roof_px = eye.camera.fx * min(mark.width_m for mark in landmarks) / float(np.median(x_c[:, 2]))
+    roof_px = eye.camera.fx * float(np.median([mark.width_m for mark in landmarks])) / float(np.median(x_c[:, 2]))
     return Motion(prior, J, Q, np.linalg.solve(Q, J @ P).T, middle, radius, roof_px)
 
 

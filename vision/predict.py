@@ -22,19 +22,15 @@ from vision.detail import as_seen
 from vision.identify import Prior
 from vision.motion import Motion, motion, straight
 from vision.pictures import Pictures
-from vision.pose import NoPose, Pose, PoseConfig, PoseEstimate, estimate_pose
-from vision.recheck import Recheck, recheck
-from vision.rectify import Image
-from vision.reports import RegionReport, Result, fix_of, pose_flaw, report_of
+from vision.place import Fitter
+from vision.pose import PoseConfig
+from vision.reports import RegionReport, Result, fix_of, report_of
 from vision.sensitivity import Eye, eyes
-from vision.verify import Evidence, VerifyConfig, Waiting
+from vision.verify import Evidence, Fitted, VerifyConfig, Waiting
 
 Mask = NDArray[np.bool_]
-Views = tuple[Image | None, Image | None]
 PATH = "predict"
-_MOST_FITS = 3  # landmarks that are not where they should be, or a picture, left out in between
-_PAIR_PX = 0.8  # shifts between the two pictures that do no harm
-_LEAST_SHARE = 0.5  # of what the better picture shows
+_MOST_TRIED = 3  # places that are fitted if they are nearly as good as the best one
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,8 +47,7 @@ class PredictPath:
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig) -> None:
         self._rig, self._config = rig, config
-        self._pose = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.verify.weak_found)
-        self._pair_sigma_px = pair_sigma_px(rig)
+        self._fitter = Fitter(rig, pose, config.verify, config.most_fitted)
         self._waiting = Waiting(config.verify)
 
     def clear(self) -> None:
@@ -81,75 +76,31 @@ class PredictPath:
         if not candidates:
             self._waiting.clear()
             return self._no_fix(pictures, "not_found", "nothing of the outlines in view", t_ns, [])
-        best = candidates[0]
-        trusted = best.support > self._config.verify.landmark_share * np.maximum(best.length, 1.0)
+        v, best = self._config.verify, candidates[0]
+        trusted = best.support > v.landmark_share * np.maximum(best.length, 1.0)
         evidence = Evidence.of(candidates, trusted, eye.camera.width)
         said = _reports(eye, marks, best, trusted)
-        if flaw := verify.flaw(evidence, self._config.verify):
+        if flaw := verify.flaw(evidence, v):
             self._waiting.clear()
             return self._no_fix(pictures, "not_found", flaw, t_ns, said)
-        if evidence.rival > self._config.verify.rival:
-            self._waiting.clear()
-            return self._no_fix(pictures, "ambiguous", f"another place fits {evidence.rival:.0%} as well", t_ns, said)
-        outcome = self._fit(pictures, marks, best, trusted, prior)
+        likely = [c for c in candidates[:_MOST_TRIED] if c is best or c.score > v.rival * best.score]
+        tried = [self._fitter.fit(pictures, marks, c, prior) for c in likely]
+        outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             self._waiting.clear()
-            return self._no_fix(pictures, "no_pose", outcome, t_ns, said)
-        fit, chosen, remark = outcome
-        level, reason = verify.grade(evidence, fit, self._config.verify)
-        if level == "weak" and not self._waiting.agrees(fit, t_ns, prior):
+            reason = "ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose"
+            return self._no_fix(pictures, reason, outcome, t_ns, said)
+        level, reason = verify.grade(evidence, outcome, v)
+        if level == "weak" and not self._waiting.agrees(outcome.pose, t_ns, prior):
             return self._no_fix(pictures, "waiting", f"{reason}: the next picture must agree", t_ns, said)
         self._waiting.clear()
         if level == "refused":
             return self._no_fix(pictures, "no_pose", reason, t_ns, said)
-        names = tuple(marks[k].id for k in chosen)
+        fit, names = outcome.pose, tuple(marks[k].id for k in outcome.used)
         said = [_decided(one, names) for one in said]
-        detail = f"{remark}predicted: {len(names)} of {len(said)} landmarks used, next place {evidence.rival:.0%} as good"
+        detail = f"{outcome.remark}predicted: {len(names)} of {len(said)} landmarks used, next place {evidence.rival:.0%} as good"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", pictures.remark + detail, said, fit.residual_px), tuple(said), fit)
-
-    def _fit(
-        self, pictures: Pictures, marks: list[Landmark], best: Candidate, trusted: Mask, prior: Prior
-    ) -> tuple[PoseEstimate, list[int], str] | str:
-        """Fit of the outlines, those that are not where they should be left out; landmarks used, remark. Or why there is none."""
-        views: Views = (pictures.left, pictures.right)
-        chosen, remark, v = _chosen(best, trusted, self._config.most_fitted), "", self._config.verify
-        for _ in range(_MOST_FITS):
-            some = [marks[k] for k in chosen]
-            fit = estimate_pose(self._rig, views, some, best.pose, prior, self._pose, best.shift_m[chosen])
-            if isinstance(fit, NoPose):
-                return f"{remark}{fit.reason} {fit.detail}".strip()
-            seen = recheck(self._rig, views, some, fit, self._pose.look)
-            problem = self._pair_flaw(seen)
-            good = [k for k, share in zip(chosen, seen.share, strict=True) if share >= v.landmark_found]
-            if problem:
-                if self._swapped(views, some, best.pose, best.shift_m[chosen], prior):
-                    return "left and right picture are swapped"
-                views, remark = (pictures.left, None), f"right camera not used: {problem}; "
-            elif len(good) == len(chosen):
-                return pose_flaw(fit, prior) or (fit, chosen, remark)
-            elif sum(best.length[good]) < v.seen * sum(best.length):
-                return f"{len(chosen) - len(good)} of {len(chosen)} landmarks are not where the others say"
-            else:
-                chosen = good
-        return "the landmarks do not agree"
-
-    def _pair_flaw(self, seen: Recheck) -> str:
-        """Why the right picture does not belong to the left one; empty where it does."""
-        if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
-            return f"{seen.pictures[0]:.0%} of the outlines found in the left picture, {seen.pictures[1]:.0%} in the right one"
-        if seen.apart is None:
-            return ""
-        du, dv, sigma = seen.apart
-        limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
-        if abs(dv) > limit:
-            return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
-        return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together" if abs(du) > limit else ""
-
-    def _swapped(self, views: Views, marks: list[Landmark], start: Pose, shift_m: Array, prior: Prior) -> bool:
-        """Whether the outlines lie in both pictures once they are taken the other way round."""
-        fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._pose, shift_m)
-        return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
 
     def _eye(self, pictures: Pictures) -> Eye:
         return eyes(self._rig)[int(pictures.only_right)]
@@ -159,13 +110,6 @@ class PredictPath:
 
     def _no_fix(self, pictures: Pictures, outcome: str, detail: str, t_ns: int, said: list[RegionReport]) -> Result:
         return Result(None, report_of(t_ns, outcome, f"{pictures.remark}predicted: {detail}", said), tuple(said))
-
-
-def pair_sigma_px(rig: StereoRig) -> float:
-    """By how much the two pictures may be shifted against each other for all that the calibration knows [px]."""
-    turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
-    lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
-    return math.sqrt(turn + lenses)
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float) -> list[Landmark]:
@@ -186,12 +130,6 @@ def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float) 
             inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0))
             ranked.append((-float(inside), float(beside), number, c.fx / float(np.median(x_c[:, 2]))))
     return [as_seen(near[number], px_per_m) for _, _, number, px_per_m in sorted(ranked)]
-
-
-def _chosen(best: Candidate, trusted: Mask, most: int) -> list[int]:
-    """The landmarks that are fitted: those with most support, in their order."""
-    order = np.argsort(-np.where(trusted, best.support, -1.0), kind="stable")
-    return sorted(order[: min(most, int(trusted.sum()))].tolist())
 
 
 def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:

@@ -1,12 +1,13 @@
 """Is a place that was found the right one? When in doubt there is no fix.
 
     share   = sum support / sum length          of all landmarks in view, not of the chosen ones
-    rival   = (score of the next place) / score, both without the prior
+    rival   = (score of another place) / score          where it is high, both are fitted, and found outlines compared
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
 
 A place with little to be seen is held until the next picture shows the same error of the prior.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -29,14 +30,21 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length from which a landmark counts as seen")] = (
         0.33
     )
-    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.38
-    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.6
-    rival: Annotated[float, Meta(gt=0, lt=1, description="score of the next place, over the best one's, at most")] = 0.75
+    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.28
+    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.55
+    rival: Annotated[
+        float, Meta(gt=0, lt=1, description="score of another place over the best one's, from which it is fitted too")
+    ] = 0.7
     score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 60.0
     least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
     found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.6
-    landmark_found: Annotated[float, Meta(gt=0, lt=1, description="the same of one landmark, or it is left out")] = 0.4
+    landmark_found: Annotated[float, Meta(gt=0, lt=1, description="the same of one landmark, or it is left out")] = 0.5
+    remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
+    kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
     weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.45
+    moved_px: Annotated[float, Meta(gt=0, description="from the place found to the fit, at most, in a picture 640 px wide")] = (
+        12.0
+    )
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
     memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
     agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
@@ -66,6 +74,20 @@ class Evidence:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fit; used: indices of its landmarks; remark: on a picture left out; kept: share of the outline that agreed;
+    found_px: length of outline that the last look found; middles (L, 2) px: of all landmarks' roofs, from this pose.
+    """
+
+    pose: PoseEstimate
+    used: list[int]
+    remark: str
+    kept: float
+    found_px: float
+    middles: Array
+
+
 def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     """Why a place is not worth a fit; empty where it is."""
     if evidence.score_px < config.least_px or evidence.share < config.share:
@@ -75,14 +97,28 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     return ""
 
 
-def grade(evidence: Evidence, fit: PoseEstimate, config: VerifyConfig) -> tuple[Grade, str]:
+def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
+    """The one fit of several places that is left, or why none is."""
+    fits = [one for one in tried if not isinstance(one, str)]
+    if not fits:
+        return str(tried[0])
+    best = max(fits, key=lambda one: one.found_px)
+    for other in fits:
+        apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
+        if apart > config.moved_px and other.found_px > config.rival * best.found_px:
+            return f"another place, {apart:.0f} px off, fits {other.found_px / best.found_px:.0%} as well"
+    return best
+
+
+def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
     """How far a fit is believed, and why no further."""
+    fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
-    if fit.found < config.weak_found:
-        return "refused", f"{fit.found:.0%} of the outlines found"
     if fit.found < config.found:
         return "weak", f"{fit.found:.0%} of the outlines found"
+    if fitted.kept < config.kept:
+        return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
     if evidence.score_px < config.score_px:
         return "weak", "little of the outlines in view"
     return "sure", ""

@@ -3,9 +3,9 @@
     c_e = sum_{i != j} (g_i . n_i) . (g_j . n_j) / sum_{i != j} |g_i| |g_j|,      support = sum_e l_e c_e
 
 g_i: gradients of all channels at point i of an edge e, n_i its normal, l_e the edge's length in view. Pairs of points are
-compared: a step has the same sign and colour all along, so c is near 1; texture has not, and as no point is compared with itself its c is
-near 0 however few points there are. Contrast drops out: a shadow's rim has no more votes than a pale roof. An edge whose roof
-side is less of the map's colour than the other side loses most of its vote.
+compared: a step has the same sign and colour all along, so c is near 1; texture has not, and as no point is compared with itself
+its c is near 0 however few points there are. Contrast drops out: a shadow's rim has no more votes than a pale roof. An edge whose
+roof side is less of the map's colour than the other side loses most of its vote.
 """
 
 import numpy as np
