@@ -30,18 +30,18 @@ _NOISE: Final = (
     Key("imu.accel_walk", 1e-6, 1e-1),
     Key("pose_fix.noise_scale", 0.2, 5.0, "pose_fix"),
     Key("landmark_fix.noise_scale", 0.2, 5.0, "landmark_fix"),
-    Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),
 )
+_TRUTH: Final = (Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),)  # the receiver itself cannot tell it
 _GATES: Final = tuple(
     Key(f"{source}.{name}", low, high, source)
     for source in ("pose_fix", "landmark_fix", "gnss")
     for name, low, high in (("gate_probability", 0.99, 1.0 - 1e-7), ("false_share", 1e-3, 0.3))
 )
-KEYS: Final = {key.name: key for key in (*_NOISE, *_GATES)}
+KEYS: Final = {key.name: key for key in (*_NOISE, *_TRUTH, *_GATES)}
 
 
-def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = False) -> list[Key]:
-    """The keys to turn: those named, else all noise parameters that the sources have use for, and their gates if wanted.
+def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = False, truth: bool = False) -> list[Key]:
+    """The keys to turn: those named, else all noise parameters that the sources have use for (truth: there is one), and gates.
 
     Raises ConfigError for a name that is no such key.
     """
@@ -50,7 +50,8 @@ def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = Fa
         raise ConfigError(f"--vary {unknown[0]}: cannot be tuned; there are {', '.join(KEYS)}")
     if names:
         return [KEYS[name] for name in names]
-    return [key for key in (*_NOISE, *(_GATES if gates else ())) if not key.needs or key.needs in sources]
+    wanted = (*_NOISE, *(_TRUTH if truth else ()), *(_GATES if gates else ()))
+    return [key for key in wanted if not key.needs or key.needs in sources]
 
 
 def value_of(config: Config, key: Key) -> float:

@@ -237,7 +237,7 @@ def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
 
 
 def _gnss(z: GnssFix, p_n: Array, q: Array, estimate: Estimate, config: Config) -> tuple[Array, Array]:
-    """Innovation (3,) and noise (3, 3) of a GNSS position, its slow error included."""
+    """Innovation (3,) and noise (3, 3) of a GNSS position; its slow error is that of the fixes before the window too."""
     origin, rules = Origin.of(estimate.origin), config.gnss
     if origin is None:
         return np.full(3, FALSE_POSITION_M), np.eye(3)
@@ -245,8 +245,7 @@ def _gnss(z: GnssFix, p_n: Array, q: Array, estimate: Estimate, config: Config) 
     noise = z.covariance_n
     if noise is None:
         noise = np.diag([rules.horizontal_sigma_m**2] * 2 + [rules.vertical_sigma_m**2])
-    slow = rules.slow_sigma_m * np.array([1.0, 1.0, 2.0])
-    return np.array(origin.to_ned(z.lat_deg, z.lon_deg, z.alt_m)) - antenna_n, noise + np.diag(slow**2)
+    return np.array(origin.to_ned(z.lat_deg, z.lon_deg, z.alt_m)) - antenna_n, noise
 
 
 def _window(start_s: float, some: list[_Comparison]) -> Window:

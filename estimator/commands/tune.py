@@ -59,7 +59,7 @@ def command(
     names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
-    keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates)
+    keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates, bool(truth))
     with _workers(jobs, scheduler) as executor, progress(f"tune {len(keys)} keys") as report:
         tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), executor, report)
         result = tuner.run(held_out)
