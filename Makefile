@@ -12,7 +12,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-demo: install  ## the main job: a simulated flight, GPS cut off; says where the result is
+demo: install  ## the main job: a simulated flight, GPS cut off; says where the report is
 	$(BIN)/landfix demo
 
 test: install  ## check, then all tests; the exit code tells of both

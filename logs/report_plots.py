@@ -268,7 +268,7 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
         rows.setdefault(report.outcome.replace("_", " "), []).append(
-            Stay(at, at + 0.8 * step, colour, report.detail or report.outcome)
+            Stay(at, at + step, colour, report.detail or report.outcome)
         )
     charts: Charts = {
         "outcomes": StripChart("What came of each pair of pictures", dict(sorted(rows.items(), key=lambda r: -len(r[1]))))

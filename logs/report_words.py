@@ -48,16 +48,14 @@ class Finding(NamedTuple):
 def summary(e: Evaluation, gathered: Gathered) -> str:
     """Two or three sentences."""
     modes = ", ".join(f"{share:.0%} {mode.replace('_', ' ')}" for mode, share in sorted(e.modes.items(), key=lambda m: -m[1]))
-    longest = max((o.duration_s for o in e.outages if o.source == "all"), default=0.0)
     outages = sum(o.source == "all" for o in e.outages)
     words = [f"The estimate covers {duration(e.duration_s)} and {e.distance_m:.0f} m ({gathered.estimates} estimates)."]
     if modes:
         words.append(f"Mode: {modes}.")
     if outages:
-        times = "once" if outages == 1 else f"{outages} times"
-        words.append(
-            f"It was without an absolute fix {times}, {duration(e.without_absolute_s)} in all, {longest:.1f} s at the longest."
-        )
+        longest = max(o.duration_s for o in e.outages if o.source == "all")
+        several = f"{outages} times, {duration(e.without_absolute_s)} in all, {longest:.1f} s at the longest"
+        words.append(f"It was without an absolute fix {several if outages > 1 else f'once, for {duration(longest)}'}.")
     elif e.aids or e.modes:
         words.append("It was never without absolute fixes for long.")
     if e.accuracy:
