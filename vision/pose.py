@@ -24,7 +24,7 @@ from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.ambiguity import alternatives
+from vision.ambiguity import ANY_TURN_RAD, alternatives, round_landmarks
 from vision.edge_noise import NoiseConfig, line_covariance
 from vision.identify import Prior
 from vision.information import Measured
@@ -113,18 +113,32 @@ class _Fit:
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
         self.bc, self.rc = (np.zeros(root.shape[1]) for root in scene.rig_roots[:2])
+        self.round = round_landmarks(scene.prisms.vertices, scene.prisms.offsets)
 
     def delta(self) -> Array:
         """x (-) x0: how far the pose is from the prior's, (6,)."""
         return difference(self.p_n, self.R_nb, self.p0, self.q0)
 
+    def turned(self, seen: Look) -> Array:
+        """(E, K, 2, T) as Look.N: round landmarks turned about their middles by any angle, which nobody sees.
+
+        To turn one is to turn the vehicle about it, the other way: dtheta = e_d, dp = e_d x (p - c).
+        """
+        columns = np.zeros((*seen.line.shape, len(self.round)))
+        for k, (mark, centre) in enumerate(self.round):
+            about = np.array([centre[1] - self.p_n[1], self.p_n[0] - centre[0], 0.0, 0.0, 0.0, 1.0])
+            columns[..., k] = ANY_TURN_RAD * (seen.edges.landmark == mark)[:, None, None] * (seen.H @ about)
+        return columns
+
     def present(self, count: int) -> Array:
         """The unit-variance nuisances (count,) that the drawn outlines contain: map, camera poses; the cameras' own are 0."""
         used = self.scene.map_used
-        mapped = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
+        mapped: Array = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
         if count == len(used):  # a search knows no rig errors
             return mapped
-        return np.concatenate((mapped, self.bc, self.rc, np.zeros(count - len(mapped) - len(self.bc) - len(self.rc))))
+        rest = np.zeros(count - len(mapped) - len(self.bc) - len(self.rc))
+        present: Array = np.concatenate((mapped, self.bc, self.rc, rest))
+        return present
 
     def look(self, config: LookConfig, search_px: int = 0, farthest_px: float = 0.0) -> Look:
         """Look from here."""
@@ -235,11 +249,11 @@ def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
     return None if seen.share >= config.least_found else NoPose("not_found", f"{seen.share:.0%} of the outline in view")
 
 
-def _system(seen: Look, R: Array) -> System:
-    """Edges of all pictures as blocks; R: (E, K, 2, K, 2)."""
+def _system(seen: Look, R: Array, *more: Array) -> System:
+    """Edges of all pictures as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
     edges, pictures = seen.found.shape
     rows = 2 * pictures
-    A = np.concatenate((seen.H, seen.N), axis=3).reshape(edges, rows, -1)
+    A = np.concatenate((seen.H, seen.N, *more), axis=3).reshape(edges, rows, -1)
     return System.of(seen.line.reshape(edges, rows), A, R.reshape(edges, rows, rows), np.repeat(seen.found, 2, axis=1))
 
 
@@ -255,7 +269,8 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
     """With the lines' own covariance; edges that do not fit are left out one after the other."""
-    system = _system(seen, line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise))
+    R = line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise)
+    system = _system(seen, R, fit.turned(seen))
     weight = np.ones(len(system.z))
     for _ in range(int(config.most_left_out * len(weight)) + 1):
         step = fit.solve(system)
@@ -290,7 +305,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
         directions, readings = measured.told_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     common = moved @ moved.T
-    by_landmark, by_rig = _told_apart(moved, fit.scene)
+    by_landmark, by_rig = _told_apart(moved, fit)
     image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions, readings)
     return PoseEstimate(
@@ -301,12 +316,21 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     )  # fmt: skip
 
 
-def _told_apart(moved: Array, scene: Scene) -> tuple[Array, Array]:
-    """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest)."""
-    used = scene.map_used
-    by_landmark = np.zeros((scene.map_sigma.size, POSE))
+def _told_apart(moved: Array, fit: _Fit) -> tuple[Array, Array]:
+    """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest).
+
+    With round landmarks there is one column more, their turns.
+    """
+    sigma, used, turns = fit.scene.map_sigma, fit.scene.map_used, len(fit.round)
+    by_landmark = np.zeros((sigma.size, POSE))
     by_landmark[used] = moved[:, : len(used)].T
-    return by_landmark.reshape(*scene.map_sigma.shape, POSE).transpose(0, 2, 1), moved[:, len(used) :]
+    errors = by_landmark.reshape(*sigma.shape, POSE).transpose(0, 2, 1)
+    if not turns:
+        return errors, moved[:, len(used) :]
+    errors = np.concatenate((errors, np.zeros((len(errors), POSE, 1))), axis=2)
+    for k, (mark, _) in enumerate(fit.round):
+        errors[mark, :, -1] = moved[:, moved.shape[1] - turns + k]
+    return errors, moved[:, len(used) : -turns]
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -329,7 +353,8 @@ def combine(
 ) -> tuple[Array, Array, Array]:
     """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior; directions D, readings y: as LandmarkFix.
 
-    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0);   along D: x0 (+) K (D (z (-) x0) + y), K = P_0 D^T (D (P_0 + C) D^T)^-1
+    P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0)
+    P = P_0 - K D P_0,  x = x0 (+) K (D (z (-) x0) + y),  K = P_0 D^T (D (P_0 + C) D^T)^-1        along D
     """
     P0, q0 = np.asarray(prior.covariance, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
     off = difference(p_n, R_nb, prior.p_n, q0)

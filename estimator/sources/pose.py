@@ -27,7 +27,7 @@ from models.state import X
 _NOT_GIVEN = np.array([9e4] * 3 + [10.0] * 3)  # m^2, rad^2
 FARTHEST_M = 1e6
 _PERMANENT_S = 1e9  # time constant of an error that does not change
-_MOST_LANDMARKS, _MOST_ERRORS = 8, 6  # in one fix, and of each
+_MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
 _ATTITUDES = {(True, True, True): "full", (True, True, False): "tilt", (False, False, True): "yaw", (False, False, False): "none"}

@@ -238,6 +238,23 @@ def test_half_a_turn_is_left_open_without_a_heading() -> None:
     assert isinstance(estimate_pose(view.rig, view.pictures, [flat], near(view), view.prior), PoseEstimate)
 
 
+def test_a_quarter_turn_is_left_open_by_a_square() -> None:
+    """The prior allows a quarter turn and no half one."""
+    view = flight(5, marks=1)
+    middle = view.landmarks[0].outline_n.mean(axis=0)
+    square = 3.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) + middle
+    mark = Landmark.of("0", square, 0.0, 0.0, COLOURS[0])
+    world = World((mark,), (Look(COLOURS[0]),), (), Ground.procedural(np.random.default_rng(1)))
+    pictures = render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), np.random.default_rng(2))
+    found = []
+    for sigma_deg in (35.0, 2.0):
+        loose = with_changes(view.prior, covariance=np.diag([15.0, 15.0, 2.0, 0.05, 0.05, np.radians(sigma_deg)]) ** 2)
+        found.append(estimate_pose(view.rig, pictures, [mark], near(view), loose))
+    assert isinstance(found[0], NoPose)
+    assert found[0].reason == "ambiguous"
+    assert isinstance(found[1], PoseEstimate)
+
+
 @pytest.mark.parametrize("value", [0, 255])
 def test_pictures_of_nothing_are_no_pose(view: Flight, value: int) -> None:
     blank = np.full_like(view.pictures[0], value)
