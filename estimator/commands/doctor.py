@@ -30,7 +30,7 @@ def command(
     \b
     Examples:
       landfix doctor                              this machine
-      landfix doctor -c vehicle.toml              and a configuration
+      landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
       landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
       landfix doctor --config > vehicle.toml      every key of the configuration, with its default, unit and meaning
     """
@@ -44,6 +44,10 @@ def command(
     checks = doctor.machine()
     found, config = doctor.configuration(file)
     checks += found
+    if file and config:
+        from estimator import doctor_flight
+
+        checks += doctor_flight.flight(config, file.parent)
     if log and config:
         from estimator import doctor_log
 
