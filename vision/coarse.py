@@ -41,6 +41,7 @@ _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are o
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
 _FLOOR = 0.5  # of the median gradient of the picture
 _NEVER = -1e6
+_OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
 
 
 class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -261,7 +262,7 @@ def _grid(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> _
     for half in (min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale):
         n = math.ceil(max(half / width - 0.5, 0.0))
         others.append(np.arange(-n, n + 1.0) * width)
-    return _Grid(su, sv, [(float(a), float(b)) for a in others[0] for b in others[1]], config.sigmas**2 + 6.0)
+    return _Grid(su, sv, [(float(a), float(b)) for a in others[0] for b in others[1]], config.sigmas**2 + _OTHERS)
 
 
 def _peaks(score: Array) -> list[tuple[int, int]]:

@@ -35,7 +35,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rival: Annotated[
         float, Meta(gt=0, lt=1, description="score of another place over the best one's, from which it is fitted too")
     ] = 0.7
-    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 60.0
+    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 45.0
     least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
     found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.6
     landmark_found: Annotated[float, Meta(gt=0, lt=1, description="the same of one landmark, or it is left out")] = 0.5

@@ -3,13 +3,16 @@
 Roof edges, and feet and corners of walls as far as they are not drowned by the roof's edge beside them at this size.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.pose import Pose
@@ -56,6 +59,7 @@ def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, re
     eye: with the camera of the reduced picture, without distortion.
     """
     p_nk, _ = eye.pose(*pose)
+    eye = Eye(_enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
     edges = visible_edges(body, p_nk)
     samples = sample_edges(edges, eye, *pose, 1.0, _MOST_ON_EDGE)
     if len(samples.t) > most:
@@ -66,11 +70,17 @@ def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, re
     chain = chains(edges.landmark, edges.kind, length, direction)
     total = np.bincount(chain, length)[chain]
     wanted = (total > np.where(edges.kind == Kind.UPRIGHT, _UPRIGHT_PX, _EDGE_PX)) & ((edges.kind != Kind.BASE) | (gap > _GAP_PX))
-    chosen = seen.usable & eye.camera.contains(seen.px, -reach_px) & wanted[samples.edge]
+    chosen = seen.usable & eye.camera.contains(seen.px) & wanted[samples.edge]
     if chosen.sum() < _LEAST:
         return None
     count = np.bincount(chain[samples.edge], minlength=len(total))
     return _chosen(edges, samples, chosen, chain, np.bincount(chain, length, len(total)) / np.maximum(count, 1), landmarks, p_nk)
+
+
+@lru_cache(maxsize=32)
+def _enlarged(camera: CameraModel, by: int) -> CameraModel:
+    """The camera with `by` more pixels on each side."""
+    return CameraModel(camera.width + 2 * by, camera.height + 2 * by, camera.fx, camera.fy, camera.cx + by, camera.cy + by)
 
 
 def _in_picture(edges: ModelEdges, eye: Eye, pose: Pose) -> tuple[Array, Array]:

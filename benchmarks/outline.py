@@ -1,0 +1,173 @@
+"""The outline path on rendered views: from how far off it finds its place, how accurate and honest it is, and what it refuses.
+
+python -m benchmarks.outline --seed 1 --views 300
+python -m benchmarks.outline --seed 1 --views 100 --only decoys
+
+Views are those of single_fix (benchmarks/single_fix_views.py): 10 to 120 m high, tilted up to 25 degrees, one to three landmarks,
+painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline is told a prior
+and the map, nothing else. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to out/outline/.
+"""
+
+import argparse
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.outline_report import Outcome, as_text
+from benchmarks.outline_views import DECOYS, PRIOR_PX, decoy, draw, prior_of
+from benchmarks.single_fix_bound import bound
+from benchmarks.single_fix_views import View
+from benchmarks.test_vision_stages import sift_and_flann
+from models import so3
+from models.landmarks import LandmarkMap
+from models.messages import Array
+from vision.identify import Prior
+from vision.look import LookConfig
+from vision.pipeline import LandmarkPipeline, PipelineConfig
+from vision.pose import PoseConfig, PoseEstimate, difference, estimate_pose
+from vision.rectify import Image
+
+OUT = Path(__file__).resolve().parents[1] / "out" / "outline"
+ORIGIN = (47.3977, 8.5456, 488.0)
+WRONG_M, WRONG_CHI2 = 3.0, 21.11  # 99.99 % of 3 degrees of freedom
+OFF_PX = (20.0, 40.0, 80.0, 120.0, 160.0)
+WIDE = PoseConfig(look=LookConfig(search_px=(28, 14)))  # the default's 16 px do not reach 20
+PARTS = ("converge", "accuracy", "partial", "decoys", "speed")
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.outline", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--views", type=int, default=300, help="of each part")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--json", action="store_true", help="print every outcome as JSON")
+    arguments = parser.parse_args()
+    if arguments.views < 1 or arguments.processes < 1:
+        parser.error("--views and --processes must be at least 1")
+    jobs = [(part, arguments.seed, number) for part in arguments.only for number in range(arguments.views)]
+    with multiprocessing.get_context("spawn").Pool(arguments.processes, cv2.setNumThreads, (1,)) as pool:
+        work = pool.imap(run, jobs, chunksize=4)
+        every = [o for some in track(work, total=len(jobs), description="views", console=Console(stderr=True)) for o in some]
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / f"outcomes_{arguments.seed}.json").write_bytes(msgspec.json.encode(every))
+    (OUT / f"table_{arguments.seed}.txt").write_text(as_text(every) + "\n")
+    sys.stdout.write((msgspec.json.encode(every).decode() if arguments.json else as_text(every)) + "\n")
+
+
+def run(job: tuple[str, int, int]) -> list[Outcome]:
+    """One part of one view."""
+    part, seed, number = job
+    return PARTS_RUN[part](seed, number)
+
+
+def converge(seed: int, number: int) -> list[Outcome]:
+    """From given distances, and the fine stage alone from 20 px."""
+    shown = draw(seed, number)
+    view, off = shown.view, {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
+    alone = prior_of(view, PRIOR_PX, 20.0, only_shift=True)
+    fit = estimate_pose(view.rig, shown.pictures, view.landmarks, (alone.p_n, alone.R_nb), alone, WIDE)
+    outcomes = [
+        _outcome(
+            f"fine stage alone, 20 px, map {view.cell.map_sigma_m} m",
+            view,
+            fit if isinstance(fit, PoseEstimate) else None,
+            "no pose",
+        )
+    ]
+    return outcomes + [_fixed(f"coarse search, {d:.0f} px", view, shown.pictures, prior) for d, prior in off.items()]
+
+
+def accuracy(seed: int, number: int) -> list[Outcome]:
+    """The prior drawn about the truth."""
+    shown = draw(seed, number)
+    return [_fixed("accuracy", shown.view, shown.pictures, prior_of(shown.view, 0.5 * PRIOR_PX), with_bound=True)]
+
+
+def partial(seed: int, number: int) -> list[Outcome]:
+    """Outlines cut by the border or hidden by trees."""
+    shown = draw(seed, number, partial=True)
+    return [_fixed("partial", shown.view, shown.pictures, prior_of(shown.view, 0.5 * PRIOR_PX), share=shown.share)]
+
+
+def decoys(seed: int, number: int) -> list[Outcome]:
+    """Maps and priors that lie."""
+    outcomes = []
+    for kind in DECOYS:
+        view, pictures, prior, possible = decoy(seed, number, kind)
+        name = f"decoy: {kind}" + ("" if possible else " (no fix is right)")
+        outcomes.append(_fixed(name, view, pictures, prior))
+    return outcomes
+
+
+def speed(seed: int, number: int) -> list[Outcome]:
+    """Three landmarks, VGA, coarse search over 3 sigma = 160 px; SIFT + FLANN on the same pair."""
+    shown = draw(seed, number)
+    if shown.view.cell.marks != 3:
+        return []
+    prior = prior_of(shown.view, PRIOR_PX)
+    _fixed("", shown.view, shown.pictures, prior)
+    try:
+        sift, points, _ = sift_and_flann(*shown.pictures)
+    except (AssertionError, cv2.error):
+        return []
+    outcome = _fixed("speed", shown.view, shown.pictures, prior)
+    return [msgspec.structs.replace(outcome, sift_s=sift)] if points >= 500 else []
+
+
+PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "decoys": decoys, "speed": speed}
+
+
+def _fixed(
+    part: str, view: View, pictures: tuple[Image, Image], prior: Prior, share: float = 1.0, *, with_bound: bool = False
+) -> Outcome:
+    """The pipeline's answer."""
+    pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
+    begin = time.process_time()
+    result = pipeline.process(*pictures, 1, prior)
+    seconds = time.process_time() - begin
+    limit = float(np.sqrt(np.trace(bound(_believing(view, prior))[:3, :3]))) if with_bound else 0.0
+    said = f"{result.report.outcome}: {result.report.detail}"
+    return msgspec.structs.replace(_outcome(part, view, result.pose, said), share=share, seconds=seconds, bound_m=limit)
+
+
+def _believing(view: View, prior: Prior) -> View:
+    """The view with another prior."""
+    return View(
+        view.cell, view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rig, view.landmarks, prior, view.rng
+    )
+
+
+def _outcome(part: str, view: View, fit: PoseEstimate | None, said: str) -> Outcome:
+    cell = view.cell
+    what = (part, cell.height_m, cell.tilt_deg, cell.marks, cell.roof, cell.map_sigma_m, cell.take)
+    if fit is None:
+        return Outcome(*what, said)
+    joint, alone = _error(view, fit.joint_p_n, fit.joint_R_nb), _error(view, fit.p_n, fit.R_nb)
+    position, error = _squared(joint[:3], fit.joint_covariance[:3, :3]), float(np.linalg.norm(joint[:3]))
+    return Outcome(
+        *what, "", error, position / 3.0, _squared(joint, fit.joint_covariance) / 6.0,
+        _squared(alone, fit.covariance + fit.covariance_common) / 6.0, error > WRONG_M and position > WRONG_CHI2,
+    )  # fmt: skip
+
+
+def _error(view: View, p_n: Array, R_nb: Array) -> Array:
+    return difference(view.p_n, view.R_nb, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)))
+
+
+def _squared(error: Array, covariance: Array) -> float:
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+if __name__ == "__main__":
+    main()
