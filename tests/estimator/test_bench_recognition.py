@@ -11,12 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from estimator.bench import recognisers, views
-from estimator.bench.partly_seen import shares
+from estimator.bench.partly_seen import hide, shares
 from estimator.bench.recognition import Trial, below, row
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
 from estimator.cli import app
 from models import colours
+from models.messages import LandmarkFix
+from vision.identify import Prior
 from vision.synthetic.render import render_labels
+from vision.synthetic.truth import sights
 
 
 @cache
@@ -63,6 +66,31 @@ def test_partial_views_show_30_to_70_percent_and_no_landmark_better(number: int)
 def test_share_of_a_whole_roof_is_one() -> None:
     s = sample()
     assert shares(s.scene.world, s.scene.rig, s.p_n, s.R_nb)[s.target] == pytest.approx(1.0, abs=0.06)
+
+
+def test_towers_hide_what_they_cover() -> None:
+    """Seen by the lines of sight, which know nothing of pixels: what lost a part of its share is hidden, what did not is not."""
+    s = sample()
+    world = hide(s.scene.world, s.scene.rig, s.p_n, s.R_nb, np.random.default_rng(3))
+    before, after = (shares(w, s.scene.rig, s.p_n, s.R_nb) for w in (s.scene.world, world))
+    hidden = {x.id: x.occluded for x in sights(world, s.scene.rig.left, *s.scene.rig.camera_pose(s.p_n, s.R_nb)) if not x.cut}
+    lost = {name: before[name] - after.get(name, 0.0) for name in hidden if name in before}
+    assert max(lost.values()) > 0.1
+    for name, share in lost.items():
+        assert (hidden[name] > 0.1) >= (share > 0.25)
+        assert (hidden[name] > 0.0) or share < 0.02
+
+
+def test_fusing_a_fix_with_its_prior() -> None:
+    """Of equal covariances the mean, half as uncertain; of a worthless fix the prior; a precise fix rules."""
+    prior = Prior(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), 4.0 * np.eye(6))
+    for variance, expected in ((4.0, 1.0), (1e9, 0.0), (1e-9, 2.0)):
+        fix = LandmarkFix(
+            0, 0, (2.0, -2.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.5 * variance * np.eye(6), 0.5 * variance * np.eye(6), (), 1, 0
+        )
+        p_n, covariance = recognisers.fused(prior, fix)
+        np.testing.assert_allclose(p_n, [expected, -expected, 0.0], atol=1e-6)
+        np.testing.assert_allclose(np.diag(covariance), 4.0 * (1.0 - 0.5 * expected), atol=1e-6)
 
 
 def test_one_texture_comes_in_five_sizes() -> None:

@@ -9,7 +9,7 @@ from models import so3
 from tests.vision import roofs, stereo_scene
 from vision.annotate import annotate
 from vision.rectify import Image, Rectification, rectification
-from vision.survey import Settings, Survey, survey
+from vision.survey import Settings, Survey, segment_regions, survey
 
 RIG = roofs.nadir_rig(lens=(-0.12, 0.08, 0.0005, -0.0003), squint_rad=0.004)
 MADE = rectification(RIG)
@@ -122,3 +122,31 @@ def test_the_annotated_picture_shows_every_region() -> None:
         u, v = np.rint(m.region.outline.mean(axis=0) * 2).astype(int)
         assert (drawn[v - 10 : v + 10, u - 10 : u + 10] != plain[v - 10 : v + 10, u - 10 : u + 10]).any()
     assert annotate(stereo_scene.board(stereo_scene.rig())[0][..., 0], []).shape == (480, 640, 3)
+
+
+def dim(image: Image) -> Image:
+    """Two stops less light."""
+    return (0.25 * image).astype(np.uint8)
+
+
+def foggy(image: Image) -> Image:
+    """Two fifths of the light comes through, the rest is the fog's own."""
+    return (0.4 * image + 0.6 * np.array([205.0, 198.0, 190.0])).astype(np.uint8)
+
+
+def in_cloud_shadow(image: Image) -> Image:
+    """The left half has a third of the light."""
+    half = image.copy()
+    half[:, : image.shape[1] // 2] = (half[:, : image.shape[1] // 2] * 0.35).astype(np.uint8)
+    return half
+
+
+@pytest.mark.parametrize("weather", [dim, foggy, in_cloud_shadow])
+def test_known_colours_are_found_in_any_weather(weather: object) -> None:
+    """As many roofs as on a plain day, but one."""
+    assert callable(weather)
+    plain, spoilt = (segment_regions(image, None, KNOWN) for image in (VIEW.left, weather(VIEW.left)))
+    whole = [r for r in plain if not r.touches_border and r.corners is not None and r.area_px > 500.0]
+    again = {k for k, a in enumerate(whole) for b in spoilt if np.hypot(*(a.outline.mean(0) - b.outline.mean(0))) < 3.0}
+    assert len(whole) >= 3
+    assert len(again) >= len(whole) - 1
