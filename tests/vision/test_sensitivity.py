@@ -89,3 +89,26 @@ def test_normals_of_roofs_point_outwards_and_gaps_are_walls() -> None:
     assert (gaps[walls] > 3.0).all()
     np.testing.assert_allclose(gaps[edges.partner[walls]], -gaps[walls], rtol=0.1)
     assert (gaps[edges.partner < 0] == 0.0).all()
+
+
+def test_points_and_their_places_belong_to_what_is_in_view_of_an_edge() -> None:
+    """A roof ten pictures long that only two parallel edges of are in view, and one that is wholly in view beside it."""
+    eye = eyes(RIG)[0]
+    long = Landmark.of("long", [(-300.0, -6.0), (-300.0, 6.0), (310.0, 6.0), (310.0, -6.0)], 0.0, 0.0)
+    level, p = np.eye(3), np.array([0.0, 0.0, -40.0])
+    edges = visible_edges([long], eye.pose(p, level)[0])
+    samples = sample_edges(edges, eye, p, level, 8.0, 100)
+    place, axes = eye.pose(p, level)
+    px = CAMERA.project((samples.points_n - place) @ axes)
+    inside = CAMERA.contains(px)
+    assert inside.mean() > 0.9
+    counts = np.bincount(samples.edge)
+    assert np.count_nonzero(counts) == 2
+    assert counts.max() == pytest.approx(480 / 8.0, rel=0.15)
+    for e in np.flatnonzero(counts):
+        tau, t = samples.tau[samples.edge == e], samples.t[samples.edge == e]
+        assert tau[0] == pytest.approx(-1.0, abs=0.05)
+        assert tau[-1] == pytest.approx(1.0, abs=0.05)
+        assert 0.4 < t.min() < t.max() < 0.6
+    whole = sample_edges(visible_edges([MARK], eye.pose(P, R)[0]), eye, P, R, 10.0, 8)
+    np.testing.assert_array_equal(whole.tau, 2.0 * whole.t - 1.0)
