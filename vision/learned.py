@@ -13,13 +13,14 @@ from vision.mapping import Mapper, Place, Track
 from vision.outline_vote import merged_outline
 
 _CELLS = 2.0  # a pixel, of the grid on which outlines vote
-_EDGE_PX = 0.3  # of all edges alike: blur, shadow along one side
+_EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
 
 
 class KeepConfig(msgspec.Struct, frozen=True):
     """Which tracks are landmarks. least_frames: seen in so many; sigma_m, height_sigma_m: no worse; least_m2: no smaller;
 
-    most_chi2: of its looks, per degree of freedom; painted_sigma: a roof within so many of its sigmas above ground is on it.
+    most_chi2: of its looks, per degree of freedom; least_agreement: of its outlines (0.9: roofs have more, walls less);
+    painted_sigma: a roof within so many of its sigmas above ground is on it.
     """
 
     least_frames: int = 4
@@ -27,6 +28,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
     most_sigma_m: float = 2.0
     most_height_sigma_m: float = 3.0
     most_chi2: float = 4.0
+    least_agreement: float = 0.9
     painted_sigma: float = 2.0
 
 
@@ -96,9 +98,10 @@ def _landmark(name: str, track: Track, place: Place, apart: Array, ground_d: flo
     roof_d = float(place.place_n[2])
     outlines = [one.outline_at(roof_d) for one in track.looks]
     pixel_m = float(np.median([one.pixel_m for one in track.looks]))
-    outline = merged_outline(outlines, pixel_m / _CELLS)
-    if outline is None:
-        return "its outlines have nothing in common"
+    merged = merged_outline(outlines, pixel_m / _CELLS)
+    if merged is None or merged.agreement < config.least_agreement:
+        return "its outlines differ from side to side, as those of walls do"
+    outline = merged.outline
     if polygon.area(outline) < config.least_m2:
         return f"smaller than {config.least_m2:g} m2"
     height = ground_d - roof_d

@@ -48,7 +48,7 @@ class MappingConfig(msgspec.Struct, frozen=True):
     side_px: float = 0.5
     log_size_floor: float = 0.08
     fresh_share: float = 0.1
-    drift_m: float = 0.3
+    drift_m: float = 0.2
     uneven: float = 0.3
     gate: float = 0.999
 
