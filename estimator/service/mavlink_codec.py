@@ -18,7 +18,7 @@ from estimator.service.px4_messages import position_sigmas
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
+from models.messages import Array, Baro, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
 from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
@@ -28,6 +28,8 @@ COARSE: Final = frozenset({"RAW_IMU", "SCALED_IMU"})
 _US_NS, _MS_NS = 1_000, 1_000_000
 _MILLI_G: Final = GRAVITY * 1e-3
 _ACCEL_AND_GYRO: Final = 0b111111  # of HIGHRES_IMU.fields_updated
+_PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE
+_HPA_PA: Final = 100.0
 _UNKNOWN: Final = 65535
 _SPEED_SIGMA_M_S: Final = 0.5  # where the receiver tells none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
@@ -78,6 +80,13 @@ def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
     if message.fields_updated & _ACCEL_AND_GYRO != _ACCEL_AND_GYRO:
         return None
     return ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel), topic)
+
+
+def baro(message: Any, t_ns: int, topic: str) -> Baro | None:
+    """The pressure in a HIGHRES_IMU, hPa; None where it is not a new one."""
+    if message.id != 0 or not message.fields_updated & _PRESSURE:
+        return None
+    return Baro(t_ns, t_ns, _HPA_PA * message.abs_pressure, 0.0, topic)
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:

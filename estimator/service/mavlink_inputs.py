@@ -32,10 +32,12 @@ class Inputs:
     def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float) -> None:
         self._geoid_m = geoid_m
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
+        self._baro_topic = topics.baro[0] if config.baro and topics.baro else None
+        self._pressure_pa = 0.0  # the last
         self._positions = dict(zip(_RECEIVERS, topics.gnss if config.gnss else (), strict=False))
         self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
         self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
-        imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset()
+        imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset({_IMU} if self._baro_topic else ())
         self.wanted = imus | self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
@@ -69,6 +71,8 @@ class Inputs:
                 if sample is not None:
                     self.imu_kind = kind
                     yield sample
+            if kind == "HIGHRES_IMU" and self._baro_topic:
+                yield from self._pressure(message, t_ns, self._baro_topic)
             return
         if number in self._positions:
             yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
@@ -76,6 +80,13 @@ class Inputs:
             velocity = codec.gnss_velocity(message, t_ns, self._velocities[number])
             if velocity is not None:
                 yield velocity
+
+    def _pressure(self, message: Any, t_ns: int, topic: str) -> Iterator[Input]:
+        """A reading that is told again with every IMU sample is one reading."""
+        reading = codec.baro(message, t_ns, topic)
+        if reading is not None and reading.pressure_pa != self._pressure_pa:
+            self._pressure_pa = reading.pressure_pa
+            yield reading
 
     def report(self) -> dict[str, Any]:
         """For the status."""
@@ -86,6 +97,8 @@ class Inputs:
         """What is wanted, and how often."""
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
+        if self._baro_topic:
+            wanted[_IMU] = self._gnss_us
         if self._imu_topic:
             wanted[_IMU] = self._imu_us
             self._began_ns = now_ns if self._began_ns is None else self._began_ns

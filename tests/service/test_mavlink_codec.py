@@ -8,9 +8,12 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service import mavlink_codec as codec
+from estimator.service.mavlink_config import MavlinkConfig
+from estimator.service.mavlink_inputs import Inputs
+from logs.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, Estimate, GnssFix, GnssVelocity, Mode
+from models.messages import Array, Baro, Estimate, GnssFix, GnssVelocity, Mode
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -94,6 +97,34 @@ def test_highres_imu_is_si_and_needs_both_triads() -> None:
     assert (read.t_ns, read.topic) == (T0, "/imu")
     assert codec.imu(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *values, 0b11_1110)), T0, "/imu") is None
     assert codec.imu(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *values, 63, id=1)), T0, "/imu") is None
+
+
+def test_a_pressure_is_in_pascal_and_told_once() -> None:
+    def highres(hpa: float, fields: int = 63 | 512, number: int = 0) -> Any:
+        return _over_the_wire(
+            mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, hpa, 0, 0, 20.0, fields, id=number)
+        )
+
+    inputs = Inputs(MavlinkConfig(), Topics(baro=("/baro",)), 0.0)
+    told = [
+        [m for m in inputs.measured(message, T0 + k, T0, codec.PX4) if isinstance(m, Baro)]
+        for k, message in enumerate(
+            [highres(950.25), highres(950.25), highres(950.5, 63), highres(950.5), highres(951.0, number=1)]
+        )
+    ]
+    assert [[(m.t_ns - T0, m.pressure_pa, m.topic) for m in some] for some in told] == [
+        [(0, 95_025.0, "/baro")], [], [], [(3, 95_050.0, "/baro")], [],
+    ]  # fmt: skip
+    for off in (Inputs(MavlinkConfig(baro=False), Topics(baro=("/baro",)), 0.0), Inputs(MavlinkConfig(), Topics(), 0.0)):
+        assert not any(isinstance(m, Baro) for m in off.measured(highres(950.25), T0, T0, codec.PX4))
+
+
+@pytest.mark.parametrize("imu", [True, False])
+def test_the_message_with_the_pressure_is_asked_for(imu: bool) -> None:
+    inputs = Inputs(MavlinkConfig(imu=imu, imu_hz=100.0, gnss_hz=5.0), Topics(baro=("/baro",)), 0.0)
+    asked = dict(inputs.requests(T0, codec.PX4))
+    assert asked[mavlink.MAVLINK_MSG_ID_HIGHRES_IMU] == (10_000 if imu else 200_000)
+    assert mavlink.MAVLINK_MSG_ID_HIGHRES_IMU in inputs.wanted
 
 
 @pytest.mark.parametrize("kind", [mavlink.MAVLink_raw_imu_message, mavlink.MAVLink_scaled_imu_message])
