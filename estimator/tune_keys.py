@@ -91,7 +91,8 @@ def written(text: str, values: Values) -> str:
         end = next((k for k in range(start + 1, len(lines)) if re.match(r"\s*\[", lines[k])), len(lines))
         at = next((k for k in range(start + 1, end) if re.match(rf"\s*{key}\s*=", lines[k])), None)
         if at is None:
-            lines.insert(start + 1, f"{key} = {value!r}")
+            last = max(k for k in range(start, end) if lines[k].strip())
+            lines.insert(last + 1, f"{key} = {value!r}")
         else:
             comment = lines[at][lines[at].index("#") :] if "#" in lines[at] else ""
             lines[at] = f"{key} = {value!r}" + (f"  {comment}" if comment else "")

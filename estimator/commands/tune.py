@@ -103,8 +103,8 @@ def _print(result: "TuneResult", out: Path) -> None:
         f"gain per fix: {_gain(result.gain)}" + (f"; held out: {_gain(result.held_out_gain)}" if result.held_out_gain else "")
     )
     typer.echo("")
-    header = ("key", "before", "tuned", "half would gain", "double would gain", "")
-    print_table("Parameters", [_key(key) for key in result.keys], header)
+    header = ("key", "before", "tuned", "half", "double", "the logs tell it")
+    print_table("Parameters; half, double: gain per fix if it were so", [_key(key) for key in result.keys], header)
     typer.echo(f"\nwritten: {out}")
     if result.held_out_gain and result.held_out_gain.mean < 0.0:
         note("landfix: the held-out logs are worse for it: these logs are too few, or not like those")
@@ -116,9 +116,9 @@ def _row(name: str, s: "Summary") -> tuple[str, ...]:
 
 
 def _key(key: "TunedKey") -> tuple[str, ...]:
-    verdict = "at its bound" if key.at_bound else "" if key.determined else "poorly determined"
+    verdict = "at its bound" if key.at_bound else "yes" if key.determined else "poorly"
     return key.name, f"{key.before:.3g}", f"{key.after:.3g}", _gain(key.half), _gain(key.double), verdict
 
 
 def _gain(gain: "Gain") -> str:
-    return f"{gain.mean:+.2f} ± {gain.error:.2f}"
+    return f"{gain.mean:+.2f}±{gain.error:.2f}"

@@ -23,11 +23,11 @@ from vision.overlay import in_view
 SIGMA_M = 0.2
 
 
-def _estimate(t_ns: int, east_m: float) -> Estimate:
-    """At PLACE, that far off to the east; 1 sigma of position SIGMA_M, of attitude hardly anything."""
+def _estimate(t_ns: int, east_m: float, sigma_m: float = SIGMA_M) -> Estimate:
+    """At PLACE, that far off to the east; 1 sigma of position sigma_m, of attitude hardly anything."""
     nav, covariance = np.zeros(X.SIZE), np.eye(E.SIZE) * 1e-10
     nav[X.P], nav[X.Q] = np.add(PLACE, (0.0, east_m, 0.0)), (1.0, 0.0, 0.0, 0.0)
-    covariance[E.P, E.P] = np.eye(3) * SIGMA_M**2
+    covariance[E.P, E.P] = np.eye(3) * sigma_m**2
     return Estimate(t_ns, t_ns, nav, covariance, (0.0, 0.0, 0.0), Mode.AIDED, 0, t_ns)
 
 
@@ -35,13 +35,15 @@ def _health(t_ns: int, mode: Mode) -> Health:
     return Health(t_ns, t_ns, mode, 0.0, 0.5, 0.1, 0, {}, {}, 1)
 
 
-def _write(path: Path, east_m: float = 0.0, *, identified: tuple[str, ...] = (), attached: bool = True) -> Path:
+def _write(
+    path: Path, east_m: float = 0.0, sigma_m: float = SIGMA_M, *, identified: tuple[str, ...] = (), attached: bool = True
+) -> Path:
     """Estimates of 50 Hz around the four pictures, the last two of which are dead reckoned; a fix of the first picture."""
     seen = village()
     messages = [(pair[0], EPOCH_NS + round(s * SECOND)) for s, pair in zip(SEEN_S, seen.pairs, strict=True)]
     for k in range(-5, 105):
         t_ns = EPOCH_NS + round((SEEN_S[0] + 0.02 * k) * SECOND)
-        messages += [(message, t_ns) for message in encode(_estimate(t_ns, east_m))]
+        messages += [(message, t_ns) for message in encode(_estimate(t_ns, east_m, sigma_m))]
     for at_s, mode in ((5.5, Mode.AIDED), (6.9, Mode.DEAD_RECKONING)):
         t_ns = EPOCH_NS + round(at_s * SECOND)
         messages += [(message, t_ns) for message in encode(_health(t_ns, mode))]
@@ -92,6 +94,15 @@ def test_the_residual_is_the_error_of_the_estimate(tmp_path: Path, east_m: float
     else:
         assert 0.5 * shift_px < residual["median"] < 1.5 * shift_px
         assert 0.7 < ratio * expected_px / residual["median"] < 1.2
+
+
+@pytest.mark.parametrize("sigma_m", [0.2, 1.0])
+def test_edges_are_looked_for_as_far_as_the_estimate_may_be_off(tmp_path: Path, sigma_m: float) -> None:
+    """1.5 m are 14 px: beyond 3 sigma of a filter that is too sure of itself, found where it is honest."""
+    residual = _numbers(_write(tmp_path / "a.mcap", 1.5, sigma_m))["residual_px"]
+    shift_px = village().rig.left.fx * 1.5 / 75.0
+    found = residual["median"] if isinstance(residual, dict) else 0.0
+    assert (0.5 * shift_px < found < 1.6 * shift_px) == (sigma_m == 1.0)
 
 
 def test_the_video_plays_with_map_and_strip_in_it(tmp_path: Path) -> None:

@@ -58,6 +58,8 @@ def test_the_best_is_found_with_few_evaluations_and_the_rest_is_called_poorly_de
     assert (gyro.before, accel.before) == (2e-3, 0.1)
     assert result.gain.mean > 0.0
     assert result.gain.is_sure
+    spread = 0.1 * math.sqrt(5.6) / 1.35  # of windows 1.0, 1.1 ... 1.7, twice, against their mean
+    assert result.gain.error == pytest.approx(result.gain.mean * spread / math.sqrt(16.0), rel=0.05)
     assert result.after.score > result.before.score
     assert bowl.runs == 2 * result.evaluations <= 2 * (16 + 40 + 8)
 

@@ -67,7 +67,7 @@ def test_a_file_keeps_all_but_the_tuned_numbers() -> None:
     assert config.inputs.imu == ("/imu",)
     kept = set(BY_HAND.splitlines()) - {"gyro_noise=0.002   # from the data sheet"}
     assert kept <= set(text.splitlines())
-    assert "gyro_noise = 0.001  # from the data sheet" in text
+    assert "gyro_noise = 0.001  # from the data sheet\n# accel_noise = 0.1\naccel_noise = 0.05\n[pose_fix]" in text
     assert written(text, values) == text
 
 
