@@ -2,9 +2,9 @@
 
 python -m benchmarks.visibility --seeds 1 2 3
 
-The same multirotor flies at 40 m over the same kind of village with lenses of three focal lengths: in view of the landmark that is
-seen best is nearly all, about half, or about a fifth of its outline. From 14 s on the camera alone aids the IMU. Each flight is
-drawn once and flown in closed loop (the prior of each look is the filter's own) in four modes:
+The same multirotor flies at 40 m over the same kind of village with lenses of three focal lengths: of the landmark that is seen
+best nearly all, about half, or about a fifth of the outline is in view. From 14 s on the camera alone aids the IMU. Each flight
+is drawn once and flown in closed loop (the prior of each look is the filter's own) in four modes:
 
     in part     as it is: fixes that leave directions open are told and fused along those that were measured
     whole only  such fixes are thrown away
