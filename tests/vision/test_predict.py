@@ -1,0 +1,250 @@
+"""Predict and verify through the pipeline: partial views, one camera, decoys, what waits for the next picture, replays."""
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from models import so3
+from models.camera import StereoRig
+from models.landmarks import Landmark, LandmarkMap
+from models.messages import Array
+from tests.vision.roofs import nadir_rig
+from vision.identify import Prior
+from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
+from vision.rectify import Image
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.ground import Ground
+from vision.synthetic.render import render_pair
+from vision.synthetic.shapes import rectangle
+from vision.synthetic.world import Look, Sun, World
+
+ORIGIN = (47.0, 8.0, 400.0)
+CHI2_9999_OF_3 = 21.108
+SIGMA = np.array([3.0, 3.0, 1.0, *np.radians([0.5, 0.5, 2.0])])
+RIG = nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
+PLACES = (((3.0, 2.0), 0.3), ((-7.0, 9.0), 1.2), ((-4.0, -9.0), 2.0))
+
+
+class View(NamedTuple):
+    """A pair, where it was taken, and the map."""
+
+    left: Image
+    right: Image
+    p_n: Array
+    R_nb: Array
+    marks: tuple[Landmark, ...]
+
+
+def house(name: str, place: tuple[float, float], angle: float, sigma_m: float = 0.1) -> Landmark:
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return Landmark.of(name, rectangle(9.0, 6.0) @ turn + place, 0.0, 3.0, None, sigma_m, 0.1, 0.05)
+
+
+def look_at(marks: tuple[Landmark, ...], p_n: Array, seed: int = 3, shown: tuple[Landmark, ...] | None = None) -> View:
+    """Pale roofs of the colour of their surroundings, seen from p_n; shown: what truly stands."""
+    rng, R_nb = np.random.default_rng(seed), so3.matrix(so3.from_euler(0.05, -0.08, 0.6))
+    stands = marks if shown is None else shown
+    looks = tuple(Look((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in stands)
+    world = World(stands, looks, (), Ground.procedural(rng), Sun(0.8))
+    return View(*render_pair(world, RIG, p_n, R_nb, Conditions(), rng), p_n, R_nb, marks)
+
+
+MARKS = tuple(house(str(k), place, angle) for k, (place, angle) in enumerate(PLACES))
+
+
+@cache
+def whole() -> View:
+    return look_at(MARKS, np.array([0.0, 0.0, -40.0]))
+
+
+def prior_off(view: View, error: Array, sigma: Array = SIGMA) -> Prior:
+    q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(view.R_nb)))
+    return Prior(view.p_n - error[:3], q, np.diag(sigma**2))
+
+
+def drawn(view: View, seed: int, sigma: Array = SIGMA) -> Prior:
+    return prior_off(view, sigma * np.random.default_rng(seed).normal(size=6), sigma)
+
+
+def pipeline(marks: tuple[Landmark, ...], rig: StereoRig = RIG) -> LandmarkPipeline:
+    return LandmarkPipeline(rig, LandmarkMap.from_landmarks(ORIGIN, marks), PipelineConfig(path="predict"))
+
+
+def assert_right(result: Result, view: View) -> None:
+    assert result.fix is not None, result.report
+    assert result.pose is not None
+    e = view.p_n - result.pose.joint_p_n
+    assert e @ np.linalg.solve(result.pose.joint_covariance[:3, :3], e) < CHI2_9999_OF_3
+    assert np.linalg.norm(e) < 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pale_roofs_that_no_colour_tells_from_the_ground_give_a_fix(seed: int) -> None:
+    view = whole()
+    result = pipeline(MARKS).process(view.left, view.right, 5, drawn(view, seed))
+    assert_right(result, view)
+    assert result.fix is not None
+    assert len(result.fix.landmarks) == 3
+    assert 0.6 < result.fix.similarity <= 1.0
+    assert "predicted" in result.report.detail
+    assert {r.path for r in result.regions} == {"predict"}
+    assert [r.state for r in result.regions] == ["identified"] * 3
+
+
+def test_roofs_that_the_border_cuts_take_part() -> None:
+    """All three roofs are cut; no region of the picture is whole."""
+    view = look_at(MARKS, np.array([9.0, -1.5, -26.0]))
+    prior = drawn(view, 2, SIGMA * np.array([0.4, 0.4, 0.5, 1.0, 1.0, 1.0]))
+    assert_right(pipeline(MARKS).process(view.left, view.right, 0, prior), view)
+
+
+@pytest.mark.parametrize("lost", ["left", "right"])
+def test_one_camera_alone(lost: str) -> None:
+    view = whole()
+    pair = (None, view.right) if lost == "left" else (view.left, None)
+    result = pipeline(MARKS).process(*pair, 0, drawn(view, 1))
+    assert_right(result, view)
+    assert f"{lost} camera not used: missing" in result.report.detail
+
+
+def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
+    view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=MARKS[:2])
+    result = pipeline(MARKS).process(view.left, view.right, 0, drawn(view, 1))
+    assert_right(result, view)
+    assert result.fix is not None
+    assert set(result.fix.landmarks) == {"0", "1"}
+    assert {r.landmark: r.state for r in result.regions}["2"] in {"not_found", "open"}
+
+
+def test_a_landmark_that_moved_is_left_out_or_nothing_is_said() -> None:
+    view = whole()
+    moved = (house("0", (6.0, 3.5), 0.3), *MARKS[1:])
+    result = pipeline(moved).process(view.left, view.right, 0, drawn(view, 1))
+    if result.fix is not None:
+        assert_right(result, view)
+        assert "0" not in result.fix.landmarks
+
+
+@pytest.mark.parametrize("angle", [0.6, 1.57, 2.4])
+def test_a_map_that_is_turned_is_refused(angle: float) -> None:
+    view, turn = whole(), np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    turned = tuple(house(str(k), tuple((np.array(place) @ turn).tolist()), a + angle) for k, (place, a) in enumerate(PLACES))
+    result = pipeline(turned).process(view.left, view.right, 0, drawn(view, 1))
+    assert (result.fix, result.report.outcome) == (None, "not_found")
+    assert "not where they should be" in result.report.detail or "were found, the others" in result.report.detail
+
+
+def test_empty_ground_is_refused_and_every_outline_has_its_line() -> None:
+    view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=())
+    result = pipeline(MARKS).process(view.left, view.right, 0, drawn(view, 1))
+    assert result.fix is None
+    assert result.report.outcome == "not_found"
+    assert {r.landmark for r in result.regions} == {"0", "1", "2"}
+    assert all(r.reason for r in result.regions)
+
+
+def test_a_row_of_equal_houses_is_ambiguous_unless_the_prior_decides() -> None:
+    """Houses 9 m apart beyond both borders: with a prior of 3 m there are two places, with one of 0.7 m one."""
+    row = tuple(house(f"r{k}", (0.0, 9.0 * k), 0.0) for k in range(-6, 7))
+    view = look_at(row, np.array([0.0, 1.0, -40.0]))
+    wide = pipeline(row).process(view.left, view.right, 0, drawn(view, 3))
+    assert (wide.fix, wide.report.outcome) == (None, "ambiguous")
+    narrow = SIGMA * np.array([0.23, 0.23, 0.5, 1.0, 1.0, 0.5])
+    decided = pipeline(row).process(view.left, view.right, 0, drawn(view, 3, narrow))
+    assert decided.pose is not None
+    assert np.linalg.norm(decided.pose.joint_p_n - view.p_n) < 1.5  # the next house is 9 m away
+
+
+def test_a_prior_that_is_too_wide_goes_to_segmentation_and_says_so() -> None:
+    view = whole()
+    wide = drawn(view, 1, SIGMA * np.array([8.0, 8.0, 1.0, 1.0, 1.0, 1.0]))
+    auto = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig())
+    result = auto.process(view.left, view.right, 0, wide)
+    assert "predicted" not in result.report.detail
+    assert {r.path for r in result.regions} <= {"segment"}
+
+
+def test_auto_is_predict_where_the_prior_is_good() -> None:
+    view = whole()
+    auto = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig())
+    only = pipeline(MARKS)
+    a, b = (p.process(view.left, view.right, 0, drawn(view, 1)) for p in (auto, only))
+    assert a.fix is not None
+    assert b.fix is not None
+    assert a.fix.p_n == b.fix.p_n
+    alone = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig(path="segment"))
+    assert "predicted" not in alone.process(view.left, view.right, 0, drawn(view, 1)).report.detail
+
+
+def test_grey_pictures_with_a_map_of_colours() -> None:
+    """What a colour looks like to a camera without any is not known: it must not count against the right place."""
+    view = whole()
+    red = tuple(msgspec.structs.replace(m, colour_bgr=(30, 30, 220)) for m in MARKS)
+    grey = [np.ascontiguousarray(image[:, :, 1]) for image in (view.left, view.right)]
+    assert_right(pipeline(red).process(grey[0], grey[1], 0, drawn(view, 1)), view)
+
+
+def doubting() -> LandmarkPipeline:
+    """To which every place is a weak one."""
+    config = PipelineConfig(path="predict")
+    verify = msgspec.structs.replace(config.predict.verify, score_px=1e6)
+    predict = msgspec.structs.replace(config.predict, verify=verify)
+    return LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), msgspec.structs.replace(config, predict=predict))
+
+
+def test_little_to_be_seen_waits_for_a_picture_that_agrees() -> None:
+    view, one, late = whole(), doubting(), doubting()
+    prior = drawn(view, 1, 0.3 * SIGMA)
+    first, second = (one.process(view.left, view.right, k * 10**8, prior) for k in (1, 2))
+    assert (first.fix, first.report.outcome) == (None, "waiting")
+    assert_right(second, view)
+    assert [late.process(view.left, view.right, t, prior).fix for t in (10**8, 10 * 10**9)] == [None, None]
+
+
+def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
+    """The prior moved by a metre and a half between the pictures, the vehicle did not: the two places say different errors."""
+    view, one = whole(), doubting()
+    prior = drawn(view, 1)
+    other = replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0]))
+    assert one.process(view.left, view.right, 10**8, prior).report.outcome == "waiting"
+    assert one.process(view.left, view.right, 2 * 10**8, other).report.outcome == "waiting"
+    assert_right(one.process(view.left, view.right, 3 * 10**8, other), view)
+
+
+def test_swapped_pictures_give_no_fix() -> None:
+    view = look_at(MARKS, np.array([0.0, 0.0, -25.0]))
+    narrow = drawn(view, 1, 0.3 * SIGMA)
+    result = pipeline(MARKS).process(view.right, view.left, 0, narrow)
+    assert (result.fix, result.report.outcome) == (None, "no_pose")
+    assert_right(pipeline(MARKS).process(view.left, view.right, 0, narrow), view)
+
+
+def test_a_right_picture_of_another_moment_is_not_used() -> None:
+    view, later = whole(), look_at(MARKS, np.array([0.6, 0.3, -40.0]))
+    result = pipeline(MARKS).process(view.left, later.right, 0, drawn(view, 1))
+    if result.fix is not None:
+        assert "right camera not used" in result.report.detail
+        assert_right(result, view)
+
+
+def test_the_same_requests_give_the_same_bytes() -> None:
+    view = whole()
+    requests = [(k * 10**8, drawn(view, k)) for k in range(1, 4)]
+    runs = [[one.process(view.left, view.right, *request) for request in requests] for one in (pipeline(MARKS), pipeline(MARKS))]
+    for a, b in zip(*runs, strict=True):
+        assert a.report.detail == b.report.detail
+        assert a.report.similarities == b.report.similarities
+        assert a.fix is not None
+        assert b.fix is not None
+        assert a.fix.p_n == b.fix.p_n
+        np.testing.assert_array_equal(a.fix.covariance, b.fix.covariance)
+
+
+def test_unknown_fields_are_refused() -> None:
+    for text in ('{"paths": "auto"}', '{"predict": {"coarse": {"limit": 3}}}', '{"path": "guess"}'):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.json.decode(text, type=PipelineConfig)
