@@ -16,7 +16,7 @@ from vision.coarse import Candidate, CoarseConfig, Search
 from vision.identify import Prior
 from vision.motion import motion, moved, straight
 from vision.rectify import Image
-from vision.reduced import levels
+from vision.reduced import Field, levels
 from vision.sensitivity import Eye, eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -168,7 +168,7 @@ def test_aim_is_projection_and_its_shift_is_a_shift() -> None:
     np.testing.assert_allclose(np.sum(along * aimed[:, 9:], axis=1), 0.0, atol=1e-6)
 
 
-def step_field(sign: float, noise: float, size: int = 60) -> tuple[Array, CameraModel]:
+def step_field(sign: float, noise: float, size: int = 60) -> tuple[Field, CameraModel]:
     """The field of a picture with one upright edge in its middle, in noise."""
     camera = CameraModel(size, size, 100.0, 100.0, 0.5 * size, 0.5 * size)
     picture = np.full((size, size, 3), 100.0) + np.random.default_rng(1).normal(0.0, noise, (size, size, 3))
@@ -176,7 +176,7 @@ def step_field(sign: float, noise: float, size: int = 60) -> tuple[Array, Camera
     return levels(np.clip(picture, 0, 255).astype(np.uint8), camera, (1,))[0].field, camera
 
 
-def edge_votes(field: Array, camera: CameraModel, chroma: Array, points: int = 14, apart_px: float = 3.0) -> Array:
+def edge_votes(field: Field, camera: CameraModel, chroma: Array, points: int = 14, apart_px: float = 3.0) -> Array:
     """Support per length of an upright line of points, shifted by -10 ... 10 px across."""
     aimed = np.zeros((points, 11))
     aimed[:, 1], aimed[:, 2] = (np.arange(points) - points / 2) * apart_px / 100.0, 1.0

@@ -105,8 +105,8 @@ def test_roofs_that_the_border_cuts_take_part() -> None:
 @pytest.mark.parametrize("lost", ["left", "right"])
 def test_one_camera_alone(lost: str) -> None:
     view = whole()
-    pair = (None, view.right) if lost == "left" else (view.left, None)
-    result = pipeline(MARKS).process(*pair, 0, drawn(view, 1))
+    left, right = (None if lost == name else image for name, image in (("left", view.left), ("right", view.right)))
+    result = pipeline(MARKS).process(left, right, 0, drawn(view, 1))
     assert_right(result, view)
     assert f"{lost} camera not used: missing" in result.report.detail
 
