@@ -2,7 +2,7 @@
 
     landmarks by description   always, where the map has any: pipeline.py
     registration               where they gave nothing, the map holds a picture, and the prior says where to look: registration.py
-    features                   where the prior is too wide for that: features.py
+    features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
 
 All of them end in a LandmarkFix; the picture counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
@@ -93,10 +93,19 @@ class Recognisers:
         image, rig = (right if use_right else left), one_eyed(self._rig, right=use_right)
         assert image is not None  # the pipeline found one of them good
         found = register(rig, image, prior, known.picture, self._config.registration)
+        laid = self._laid(known, found, t_ns, prior)
+        if laid.fix is not None or laid.report.outcome in {"no_ground", "outside"}:
+            return laid
+        told = self._by_features(known, rig, image, t_ns, prior)
+        if told.fix is not None:
+            self._likely = None
+            return told
+        return replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+
+    def _laid(self, known: MapPicture, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
+        """What registration found, judged."""
         if isinstance(found, NotRegistered):
-            if found.reason != "prior_too_wide":
-                return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
-            return self._by_features(known, rig, image, t_ns, prior)
+            return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
         evidence = (
             f"{known.picture.name}: {found.agreed} of {found.tried} blocks agree, peak {found.ratio:.2f} times the second, "
             f"correlation {found.correlation:.2f}"

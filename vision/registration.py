@@ -38,15 +38,15 @@ from vision.rectify import Image
 
 _BLUR_PX = 1.0
 _SAME_NOISE_PX = 2.0 * math.pi * _BLUR_PX**2
-_AROUND_PX = 31  # over which the contrast is made even
+_AROUND_PX = 15  # over which the contrast is made even
 _FAINT = 24.0  # Sobel magnitude (8 grey levels per 3 px) of what is noise rather than structure
-_PLAIN = 0.15  # standard deviation of a block's structure below which it has none
+_PLAIN = 0.08  # standard deviation of a block's structure below which it has none
 _STEP_PX = 2.0  # at the patch's end, half a step of heading and scale
 _LOBE_PX = 6.0  # from the peak: another place begins there
 _FLOOR_PX = 0.1  # of a block's place: two interpolations
 _AGREES_PX = 2.0  # of the grid: a block that is no farther off
 _BY_CHANCE = 0.15  # share of the blocks of a wrong place that agree: pi 2^2 / 11^2, and a pose was fitted to them
-_POINTS = PointConfig(least=6, freedom=8.0, expected=1.0)
+_POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 
 class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -147,9 +147,9 @@ def register(
 
 
 def structure(view: Float) -> Float:
-    """What is compared: Sobel's magnitude, divided by its mean around."""
+    """What is compared: Sobel's magnitude over its mean around, and of that the root: no shadow's edge counts for a block."""
     magnitude = sobel(cv2.GaussianBlur(view, (0, 0), _BLUR_PX))
-    even: Float = magnitude / (cv2.blur(magnitude, (_AROUND_PX, _AROUND_PX)) + np.float32(_FAINT))
+    even: Float = np.sqrt(magnitude / (cv2.blur(magnitude, (_AROUND_PX, _AROUND_PX)) + np.float32(_FAINT)))
     return even
 
 

@@ -9,7 +9,7 @@ from models.landmarks import LandmarkMap
 from models.messages import Array
 from tests.vision import ground_scene as scene
 from vision import recognisers
-from vision.features import FeatureMap
+from vision.features import FeatureConfig, FeatureMap
 from vision.identify import Prior
 from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
 from vision.rectify import Image
@@ -93,8 +93,17 @@ def test_defects_do_not_end_the_flight(known: MapPicture, monkeypatch: pytest.Mo
 
 
 def _unsure() -> RecogniserConfig:
-    """One picture is never enough."""
-    return RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
+    """One picture is never enough, and features never are."""
+    return RecogniserConfig(registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6))
+
+
+def test_features_come_in_where_registration_is_not_sure(known: MapPicture) -> None:
+    p_n, prior, left, _ = _seen(1)
+    config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
+    result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
+    assert result.fix is not None
+    assert "features agree" in result.report.detail
+    assert np.linalg.norm(result.fix.p_n - p_n) < 2.0
 
 
 def test_a_likely_place_waits_for_a_picture_that_says_the_same(known: MapPicture) -> None:
