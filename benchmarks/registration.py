@@ -1,8 +1,9 @@
 """Position from maps that hold a picture: `python -m benchmarks.registration [nust] [brighton] [rendered]`.
 
-Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, on the same pictures in one
-run. All thresholds are the recognisers' defaults. Judged is the place on the ground that the picture's middle shows, by fix and
-prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to out/registration/.
+Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, and both as in flight, on the
+same pictures in one run. All thresholds are the recognisers' defaults. Judged is the place on the ground that the picture's
+middle shows, by fix and prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to
+out/registration/.
 """
 
 import argparse
@@ -10,7 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -25,14 +26,14 @@ from benchmarks.tables import Table, number
 from benchmarks.tasks import data_folder
 from models.landmarks import LandmarkMap
 from models.messages import Array
-from vision.features import FeatureConfig, Recognised, recognise
+from vision.features import FeatureConfig, FeatureMap, Recognised, recognise
 from vision.pose import PoseEstimate
 from vision.recognisers import Recognisers
 from vision.reports import pose_flaw
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "registration"
 SETS = ("nust", "brighton", "rendered")
-Way = Literal["registration", "features", "features, 10 inliers"]
+Way = Literal["as in flight", "registration", "features", "features, 10 inliers"]
 WAYS: tuple[Way, ...] = get_args(Way)
 _LOOSE = FeatureConfig(least=10, least_share=0.0, least_spread=0.0)
 _WRONG_M = 2.0
@@ -64,7 +65,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
     every = [flight for name in sets for flight in flights(name, data, args.seed, OUT / "maps")]
-    outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for way in WAYS for outcome in fly(flight, way)]
+    outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight)]
     report = f"{table(outcomes).markdown()}\n{decoys(outcomes).markdown()}"
     name = "_".join(sets)
     (OUT / f"outcomes_{name}_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
@@ -81,21 +82,23 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def fly(flight: Flight, way: Way) -> Iterator[Outcome]:
-    """Every picture of a flight, in order: registration may wait for the next one."""
-    recognisers = Recognisers(flight.rig, _NOWHERE, flight.known)
-    step = 3 if flight.decoy and way != "registration" else 1  # features take long, and turned pictures are nothing to them
-    for shot in islice(flight.shots(), None, None, step):
-        begin = time.process_time()
-        if way == "registration":
-            result = recognisers.process(shot.picture, None, shot.t_ns, shot.prior)
-            pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
-        else:
-            pose, outcome, detail = _features(flight, shot, FeatureConfig() if way == "features" else _LOOSE)
-        cpu_s = time.process_time() - begin
-        off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
-        what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
-        yield Outcome(*what) if pose is None else Outcome(*what, True, *_judge(flight, shot, pose))
+def fly(flight: Flight) -> Iterator[Outcome]:
+    """Every picture of a flight, in order, as registration may wait for the next one; decoys as in flight only."""
+    nothing = FeatureMap(flight.known.picture, np.empty((0, 3)), np.empty((0, 128), np.float32))
+    for way in WAYS[:1] if flight.decoy else WAYS:
+        known = replace(flight.known, features=nothing) if way == "registration" else flight.known
+        recognisers = Recognisers(flight.rig, _NOWHERE, known)
+        for shot in flight.shots():
+            begin = time.process_time()
+            if way in {"as in flight", "registration"}:
+                result = recognisers.process(shot.picture, None, shot.t_ns, shot.prior)
+                pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
+            else:
+                pose, outcome, detail = _features(flight, shot, FeatureConfig() if way == "features" else _LOOSE)
+            cpu_s = time.process_time() - begin
+            off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
+            what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
+            yield Outcome(*what) if pose is None else Outcome(*what, True, *_judge(flight, shot, pose))
 
 
 def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEstimate | None, str, str]:

@@ -66,7 +66,7 @@ def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
     elif name == "brighton":
         yield from _brighton(data, seed, out)
     else:
-        for number in range(4):
+        for number in range(3):
             yield from _rendered(10 * seed + number)
 
 
@@ -130,7 +130,7 @@ def _rendered(seed: int) -> Iterator[Flight]:
     }
     for group, (world, conditions) in worlds.items():
         taken = []
-        for k in range(25):
+        for k in range(20):
             p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(90.0, 140.0)])
             R_nb = so3.matrix(so3.from_euler(rng.normal(0.0, 0.05), rng.normal(0.0, 0.05), rng.uniform(-math.pi, math.pi)))
             picture = render(world, scene.rig.left, *scene.rig.camera_pose(p_n, R_nb), conditions, rng)

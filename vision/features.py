@@ -104,9 +104,11 @@ def recognise(
     rows = known.near(grid.centre, 0.6 * grid.q * math.hypot(*grid.shape) + _REACH_SIGMA * sigma)
     levels = pyramid(image)
     level = min(max(int(math.log2(max(picture.pixel_m / grid.camera_m, 1.0))), 0), len(levels) - 1)  # no finer than the map
+    if len(rows) < config.least:
+        return NotRecognised("no_features", f"{len(rows)} in the map about there")
     px, descriptors = _keypoints(levels[level], config.most)
-    if len(px) < config.least or len(rows) < config.least:
-        return NotRecognised("no_features", f"{len(px)} in the picture, {len(rows)} in the map about there")
+    if len(px) < config.least:
+        return NotRecognised("no_features", f"{len(px)} in the picture")
     mine, theirs = _matches(descriptors, known.descriptors[rows], config.ratio)
     if len(mine) < config.least:
         return NotRecognised("few_matches", f"{len(mine)} of {len(px)} features")
