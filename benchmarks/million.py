@@ -27,21 +27,22 @@ _PLACES = 1000  # asked for
 
 
 def write_source(path: Path, count: int) -> str:
-    """Rectangles and L-shapes at all angles, as longitude and latitude."""
+    """Rectangles at all angles, as longitude and latitude."""
     rng = np.random.default_rng(count)
     side = math.ceil(math.sqrt(count))
     per_deg = np.array([111_320.0 * math.cos(math.radians(_ORIGIN[0])), 111_130.0])
-    box, ell = [(0, 0), (1, 0), (1, 1), (0, 1)], [(0, 0), (1, 0), (1, 0.5), (0.5, 0.5), (0.5, 1), (0, 1)]
+    half, turn = 0.5 * rng.uniform(6.0, 20.0, (count, 1, 2)), rng.uniform(0.0, math.pi, count)
+    corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+    R = np.stack((np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)), axis=1).reshape(-1, 2, 2)
+    places = SPACING_M * (np.column_stack(np.divmod(np.arange(count), side)) - side / 2) + rng.uniform(-8.0, 8.0, (count, 2))
+    lonlat = ((corners @ R + places[:, None]) / per_deg + (_ORIGIN[1], _ORIGIN[0])).round(7).reshape(count, -1).tolist()
+    levels = rng.integers(1, 4, count).tolist()
     with path.open("w", encoding="ascii") as file:
         file.write('{"type":"FeatureCollection","features":[')
-        for k in range(count):
-            outline = np.array(ell if rng.random() < 0.3 else box) * rng.uniform(6.0, 20.0, 2)
-            c, s = math.cos(turn := rng.uniform(0.0, math.pi)), math.sin(turn)
-            place = SPACING_M * (np.array(divmod(k, side)) - side / 2) + rng.uniform(-8.0, 8.0, 2)
-            lonlat = (outline @ np.array([[c, s], [-s, c]]) + place) / per_deg + (_ORIGIN[1], _ORIGIN[0])
-            ring = ",".join(f"[{lon:.7f},{lat:.7f}]" for lon, lat in [*lonlat.tolist(), lonlat[0].tolist()])
-            properties = f'{{"@id":"way/{k}","building":"house","building:levels":"{rng.integers(1, 4)}"}}'
-            geometry = f'{{"type":"Polygon","coordinates":[[{ring}]]}}'
+        for k, (a, b, c, d, e, f, g, h, i, j) in enumerate(lonlat):
+            properties = f'{{"@id":"way/{k}","building":"house","building:levels":"{levels[k]}"}}'
+            ring = f"[[[{a},{b}],[{c},{d}],[{e},{f}],[{g},{h}],[{i},{j}]]]"
+            geometry = f'{{"type":"Polygon","coordinates":{ring}}}'
             file.write(f'{"," if k else ""}\n{{"type":"Feature","properties":{properties},"geometry":{geometry}}}')
         file.write("]}")
     return f"{path.stat().st_size / 1e6:.0f} MB"
@@ -107,9 +108,9 @@ def main() -> None:
         source, out = Path(folder) / "footprints.geojson", Path(folder) / "map.geojson"
         _measured("source", lambda: write_source(source, count))
         _measured("build", lambda: build(source, out))
-        _measured("check", lambda: check_it(out))
         _measured("origin", lambda: origin(out))
         _measured("load, ask", lambda: ask(out))
+        _measured("check", lambda: check_it(out))
 
 
 if __name__ == "__main__":
