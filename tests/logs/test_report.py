@@ -14,19 +14,21 @@ import pytest
 from logs import schemas
 from logs.codec import encode, encode_input, encode_truth
 from logs.encoding import header_of, packed
-from logs.evaluate import evaluate
+from logs.evaluate import assess, evaluate
 from logs.evidence import read
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
 from logs.report import write
-from logs.report_gather import attitude_deg
+from logs.report_gather import Gathered, attitude_deg, sigmas
+from logs.report_map import flight
+from logs.report_words import Level, findings
 from models import so3
 from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, Reset, VisionReport
 from tests.logs import flight_log
 from tests.logs.flight_log import EPOCH_NS, Flight, rewritten, truth_at
 
 S = 1_000_000_000
-EVIL = "</script><script>pwned=1</script><img src=x onerror=pwned=2>\"'&"
+EVIL = "<!--<script </script><script>pwned=1</script><img src=x onerror=pwned=2>\"'&"
 
 
 class Page(HTMLParser):
@@ -126,6 +128,14 @@ def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> 
     assert any("inside the promised 95 % radius" in f for f in findings[:3])
 
 
+def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
+    for scale, level in ((4.0, Level.WRONG), (1.6, Level.LOOK), (1.0, None)):
+        flight_log.write(tmp_path / "x.mcap", Flight(error_scale=scale))
+        evidence = read(tmp_path / "x.mcap")
+        told_of = {f.level for f in findings(assess(evidence, "x"), evidence, Gathered()) if f.text.startswith("position errors")}
+        assert told_of == ({level} if level is not None else set())
+
+
 def test_an_honest_estimate_has_nothing_said_against_it_and_without_truth_nothing_about_errors(tmp_path: Path) -> None:
     assert verdict_of(tmp_path, Flight(false_every=1000))[0] == "nothing speaks against this estimate"
     verdict, findings = verdict_of(tmp_path, Flight(truth=False, false_every=1000))
@@ -215,6 +225,25 @@ def test_the_map_shows_the_way_by_mode_ellipses_and_fixes(page: Page, log: Path)
     }  # fmt: skip
 
 
+def test_an_ellipse_lies_as_its_covariance(log: Path) -> None:
+    """GIVEN sigmas of 2 m along 30 degrees from east to north and 1 m across, THEN so lies the ellipse."""
+    evidence, c, s = read(log), np.cos(np.pi / 6), np.sin(np.pi / 6)
+    evidence.estimate.covariance[:, :2, :2] = [[4 * c * c + s * s, 3 * c * s], [3 * c * s, 4 * s * s + c * c]]
+    ellipse = flight(evidence, Gathered(), [], []).ellipses[5]
+    assert (ellipse.a, ellipse.b) == pytest.approx((2 * 2.447747, 2.447747), abs=1e-3)
+    assert ellipse.turn_deg % 180.0 == pytest.approx(30.0)
+
+
+def test_sigmas_of_roll_and_pitch_are_about_the_nose_and_across_it(log: Path) -> None:
+    """GIVEN a nose to the north, THEN roll is the rotation about map's y, pitch that about x; velocity turns too."""
+    estimate = read(log).estimate[:1]
+    north = np.sqrt(0.5)  # FLU -> ENU, a quarter turn to the left
+    estimate.q_wxyz[0] = [north, 0.0, 0.0, north]
+    estimate.covariance[0] = np.diag(np.square([1.0, 2.0, 3.0, *np.deg2rad([0.1, 0.2, 0.3])]))
+    estimate.v_covariance[0] = np.diag([1.0, 4.0, 9.0])
+    np.testing.assert_allclose(sigmas(estimate)[0], [1.0, 2.0, 3.0, 2.0, 1.0, 3.0, 0.2, 0.1, 0.3])
+
+
 def test_modes_and_sources_are_told_over_time(page: Page) -> None:
     rows = page.chart("states")["rows"]
     assert set(rows) == {"mode", "/pose_fix"}
@@ -285,6 +314,9 @@ def test_nothing_in_a_log_becomes_markup(attacked: Path, tmp_path: Path) -> None
     assert "<script>pwned" not in page.source.replace("&lt;", "")
     assert page.text.count("onerror") >= 8  # it is shown, as text
     assert EVIL in page.chart("outcomes")["rows"]
+    drawn = page.source.partition('id="drawing">')[2].partition("</script>")[0]
+    assert not set("<>&") & set(drawn)
+    assert drawn.endswith("}")
 
 
 def test_the_page_asks_for_nothing_and_allows_its_own_script_only(page: Page) -> None:

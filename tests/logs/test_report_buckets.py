@@ -16,6 +16,9 @@ def test_a_peak_of_one_sample_stays_however_long_the_flight() -> None:
         buckets.add(t_ns[part], x[part, None])
     low, high = buckets.low[:, 0], buckets.high[:, 0]
     assert 50 <= len(low) <= 100
+    first = np.arange(0, len(t_ns), buckets.step_ns // 5_000_000)
+    np.testing.assert_array_equal(low, np.minimum.reduceat(x, first))
+    np.testing.assert_array_equal(high, np.maximum.reduceat(x, first))
     assert (high.max(), low.min()) == (50.0, -40.0)
     assert int(np.argmax(high)) == t_ns[123_457] // buckets.step_ns
     assert int(np.argmin(low)) == t_ns[500_001] // buckets.step_ns
