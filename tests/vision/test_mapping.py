@@ -11,6 +11,7 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.learned import KeepConfig, learned
 from vision.mapping import Look, Mapper, MappingConfig, look
+from vision.measure import Measured
 from vision.outline_vote import merged_outline
 from vision.regions import Region
 from vision.synthetic.rigs import draw_rig, make_rig
@@ -28,14 +29,29 @@ def region(px: Array, colour: tuple[float, float, float] = (40.0, 50.0, 200.0)) 
     return Region(outline, outline.copy(), 1.0, (0, 0, 1, 1), np.ones((1, 1), bool), False, colour, 0.1, 1)
 
 
+def measured(region: Region, distance_m: float, sigma: float, rig_sigma: float) -> Measured:
+    """A region whose distance was measured, with these relative errors."""
+    three, one = np.zeros(3), np.eye(3)
+    return Measured(
+        region, three, one, three, three, np.zeros((4, 3)), distance_m, 1.0, 1.0, 1.0, 1.0, 0.0, 0.1, np.eye(5),
+        1.0, sigma, rig_sigma,
+    )  # fmt: skip
+
+
 def seen(
-    frame: int, roof: Array, down: float, true: tuple[Array, Array], believed: Prior, rig: StereoRig, rng: np.random.Generator
-) -> Look:
-    """The look at a roof (K, 2) at `down`, from the true pose through the true rig, laid out from the believed ones."""
+    frame: int, roof: Array, down: float, true: tuple[Array, Array], believed: Prior, rig: StereoRig, rng: np.random.Generator,
+    depth: tuple[float, float, float] | None = None,
+) -> Look:  # fmt: skip
+    """The look at a roof (K, 2) at `down`, from the true pose through the true rig, laid out from the believed ones.
+
+    depth: measured over true distance, and the relative errors that it claims, its own and the rig's.
+    """
     p_nc, R_nc = rig.camera_pose(*true)
     corners = np.column_stack((roof, np.full(len(roof), down)))
     px = rig.left.project((corners - p_nc) @ R_nc) + rng.normal(0.0, CONFIG.centre_px, 2)
-    found = look(frame, region(px), None, believed, RIG, 0.0, CONFIG)
+    seen_region, distance = region(px), float(np.linalg.norm(corners.mean(axis=0) - p_nc))
+    pair = None if depth is None else measured(seen_region, depth[0] * distance, *depth[1:])
+    found = look(frame, seen_region, pair, believed, RIG, 0.0, CONFIG)
     assert found is not None
     return found
 
@@ -94,6 +110,29 @@ def test_rays_that_meet_tell_the_height_and_parallel_ones_do_not() -> None:
         sigmas.append(float(np.sqrt(mapper.place(mapper.tracks[0]).own[2, 2])))
     assert sigmas[0] > 4.0, "what roofs have in general"
     assert 0.1 < sigmas[1] < 1.0
+
+
+def heights(leg_m: float, depth: tuple[float, float, float] | None) -> tuple[float, float]:
+    """Error of a roof's height 12 m above ground, exact poses, and the standard deviation of it."""
+    rng, mapper = np.random.default_rng(10), Mapper(0.0, CONFIG)
+    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 30, leg_m)):
+        place = np.array([p_n[0], 0.0, p_n[2]])
+        exact = Prior(place, so3.from_matrix(np.ascontiguousarray(R_nb)), believed.covariance)
+        mapper.add([seen(k, HOUSE, -12.0, (place, R_nb), exact, RIG, rng, depth)])
+    (track,) = mapper.tracks
+    found = mapper.place(track)
+    return float(found.place_n[2] + 12.0), float(np.sqrt(found.own[2, 2] + found.F[2, -1] ** 2))
+
+
+def test_the_rig_s_error_of_distance_counts_once_however_often_it_is_seen() -> None:
+    """Thirty pairs whose distances are all a fifth too short: the rays know better. A good pair helps a flight that hovers."""
+    off, sigma = heights(60.0, (0.8, 0.01, 0.25))
+    assert abs(off) < 0.5
+    assert sigma < 0.8
+    hovering, good = heights(1.0, None), heights(1.0, (1.0, 0.01, 0.01))
+    assert hovering[1] > 2.0
+    assert good[1] < 1.0
+    assert abs(good[0]) < 3.0 * good[1]
 
 
 def test_neighbours_are_kept_apart_although_the_whole_picture_is_off() -> None:
