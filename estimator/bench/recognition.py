@@ -42,13 +42,17 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One method in one experiment. wrong_below: its true share of wrong answers is below that, 95 % sure; cpu: one core's."""
+    """One method in one experiment. at_once: recognised from the first pair; cpu: of one core, for a pair.
+
+    wrong_below, recognised_above: the true shares are, 95 % sure.
+    """
 
     experiment: Experiment
     roof: Roof
     method: str
     samples: int
     recognised: int
+    at_once: int
     wrong: int
     recognised_above: float
     wrong_below: float
@@ -97,9 +101,10 @@ def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial]
     recognised, wrong = (sum(a.verdict == v for a in answers) for v in ("recognised", "wrong"))
     ms = [a.cpu_ms for a in answers if a.cpu_ms is not None]
     errors = [a.error_m for a in answers if a.error_m is not None and a.verdict == "recognised"]
+    at_once = sum(a.verdict == "recognised" and a.at_once for a in answers)
     n = len(answers)
     return Row(
-        experiment, roof, method, n, recognised, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
+        experiment, roof, method, n, recognised, at_once, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
         _percentile(ms, 50.0), _percentile(ms, 99.0), _percentile(errors, 50.0),
     )  # fmt: skip
 

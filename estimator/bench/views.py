@@ -41,6 +41,9 @@ _SIZES: Final = (0.7, 0.84, 1.0, 1.19, 1.4)  # of one roof, each step a factor o
 _SAME_M: Final = (11.0, 7.5)  # length and width of size 1
 _HEIGHTS_M: Final = {"accuracy": (45.0, 80.0), "size": (45.0, 80.0), "partial": (35.0, 60.0), "description": (45.0, 80.0)}
 _LEAST: Final = 2  # landmarks of the map that are seen well enough: one alone may always be something else
+_WAY_SIGMA_M: Final = np.array([1.0, 1.0, 0.2])  # from a pair to the next
+_TURN_SIGMA_RAD: Final = math.radians(0.7)
+_SLIP_SIGMA: Final = np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3])  # of odometry between them
 _POSES: Final = 8  # tried in a world
 _EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the picture's border
 _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
@@ -57,8 +60,12 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """One pair. scene: the truth and what is believed of it; target: the landmark asked for; seen: share of its roof in view."""
+    """One pair. scene: the truth and what is believed of it; target: the landmark asked for; seen: share of its roof in view.
 
+    numbers: of which everything is drawn.
+    """
+
+    numbers: tuple[int, ...]
     scene: Scene
     left: Image
     right: Image
@@ -72,12 +79,25 @@ class Sample:
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
     """Sample `number` of a run; worlds and poses are drawn until one shows what the experiment asks for."""
-    rng = np.random.default_rng([seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt])
+    numbers = (seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt)
+    rng = np.random.default_rng(numbers)
     scene, p_n, R_nb, seen = _shown(experiment, roof, rng)
     target = str(rng.choice(sorted(seen)))
     left, right = render_pair(scene.world, scene.rig, p_n, R_nb, _conditions(rng), rng)
     reference = None if experiment == "description" else _reference(scene.world, target, -float(p_n[2]), rng)
-    return Sample(scene, left, right, p_n, R_nb, _prior(p_n, R_nb, rng), target, seen[target], reference)
+    return Sample(numbers, scene, left, right, p_n, R_nb, _prior(p_n, R_nb, rng), target, seen[target], reference)
+
+
+def later(sample: Sample) -> Sample:
+    """The next pair: some way further on, by an odometry that errs little, so the prior errs as before."""
+    rng = np.random.default_rng((*sample.numbers, 1))
+    way, slip = rng.normal(size=3) * _WAY_SIGMA_M, rng.normal(size=6) * _SLIP_SIGMA
+    turn = so3.quat_exp(rng.normal(size=3) * _TURN_SIGMA_RAD)
+    p_n, R_nb = sample.p_n + way, so3.matrix(turn) @ sample.R_nb
+    left, right = render_pair(sample.scene.world, sample.scene.rig, p_n, R_nb, _conditions(rng), rng)
+    q = so3.multiply(so3.quat_exp(slip[3:]), so3.multiply(turn, sample.prior.q_nb_wxyz))
+    prior = Prior(sample.prior.p_n + way + slip[:3], so3.normalise(q), sample.prior.covariance + np.diag(_SLIP_SIGMA**2))
+    return replace(sample, left=left, right=right, p_n=p_n, R_nb=R_nb, prior=prior)
 
 
 def _shown(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> tuple[Scene, Array, Array, dict[str, float]]:

@@ -77,11 +77,11 @@ def _chosen(wanted: list[str] | None, known: tuple[_Name, ...], option: str) -> 
 def _print(result: "Recognition") -> None:
     from estimator.bench.recognition import TITLES
 
-    header = ("roofs", "method", "recognised", "wrong", "sure: <", "ms", "p99", "error m")
+    header = ("roofs", "method", "recognised", "at once", "wrong", "sure: <", "ms", "p99", "m")
     for experiment in dict.fromkeys(r.experiment for r in result.rows):
         rows = [_cells(r) for r in result.rows if r.experiment == experiment]
         print_table(f"\n{TITLES[experiment]}: {result.samples} samples each", rows, header)
-    note("sure: < ... of its answers are wrong, 95 % sure; ms: one core, median; error: median of the recognised")
+    note("at once: from the first pair; sure: < ... of its answers are wrong, 95 % sure; ms: one core, a pair")
     note(f"key points of a picture: median {result.key_points_p50:.0f}, least {result.key_points_least}")
 
 
@@ -93,6 +93,7 @@ def _cells(row: "Row") -> "list[str | Text]":
         row.roof,
         row.method,
         Text(f"{share:.1%}", "green" if share >= 0.95 else ""),
+        f"{row.at_once / row.samples:.1%}",
         Text(str(row.wrong), "red" if row.wrong else "green"),
         f"{row.wrong_below:.1%}",
         _number(row.cpu_ms_p50, 0),
