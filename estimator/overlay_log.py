@@ -26,14 +26,15 @@ FIX_TOPIC: Final = "/landfix/fix"
 HEALTH_TOPIC: Final = "/landfix/health"
 _PICTURES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
 _PROGRESS_EVERY: Final = 2000  # records
+_SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, and a turn of 10 rad/s^2 is off by 0.1 px
 
 
 @dataclass(slots=True)
 class Flight:
     """A log without its pictures' pixels.
 
-    stamps_ns: of the pictures of each topic, in order; exposures_ns: of those that vision was asked about, on the estimate's
-    clock; identified: landmarks of the fixes, by exposure; modes: what began when.
+    odometry: thinned; stamps_ns: of the pictures of each topic, in order; exposures_ns: of those that vision was asked about, on
+    the estimate's clock; identified: landmarks of the fixes, by exposure; modes: what began when.
     """
 
     path: Path
@@ -43,6 +44,7 @@ class Flight:
     identified: dict[int, frozenset[str]] = field(default_factory=dict)
     modes: list[tuple[int, str]] = field(default_factory=list)
     attachments: list[Attachment] = field(default_factory=list)
+    _kept_ns: int = -_SPACING_NS
 
     @property
     def used(self) -> frozenset[str]:
@@ -52,7 +54,10 @@ class Flight:
     def take(self, record: Record) -> None:
         """Keep what is needed of a record."""
         if record.topic == ODOMETRY_TOPIC:
-            self.odometry.append((record.data, record.log_time_ns))
+            stamp_ns = stamp_of(record.data) or 0
+            if not 0 <= stamp_ns - self._kept_ns < _SPACING_NS:
+                self.odometry.append((record.data, record.log_time_ns))
+                self._kept_ns = stamp_ns
         elif record.schema in _PICTURES:
             self.stamps_ns.setdefault(record.topic, []).append(stamp_of(record.data) or 0)
         elif record.topic == VISION_REQUEST_TOPIC:

@@ -18,6 +18,7 @@ from models.landmarks import LandmarkMap
 from models.messages import LandmarkFix, PictureName, VisionRequest
 from vision.overlay import Picture as Canvas
 from vision.overlay import draw_overlay, outline_residuals
+from vision.survey import to_8_bit
 
 _FIX = "/landfix/fix"
 _REACH_M = 200.0
@@ -102,7 +103,7 @@ def draw_from(
     caption: Sequence[str] = (),
 ) -> Canvas:
     """The left picture with the map drawn in as it would be seen from a pose; residuals of the landmarks identified."""
-    canvas = np.asarray(picture, np.uint8)
+    canvas = np.asarray(to_8_bit(picture), np.uint8)
     p_nc, R_nc = rig.camera_pose(np.array(pose.p_n), so3.matrix(so3.normalise(np.array(pose.q_nb_wxyz))))
     near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)
     residuals = outline_residuals(canvas, rig.left, p_nc, R_nc, [mark for mark in near if mark.id in identified])
