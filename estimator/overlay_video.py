@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from types import TracebackType
+from typing import Final, Self
 
 import cv2
 import msgspec
@@ -16,6 +17,7 @@ from estimator.overlay_measure import Moment, Overlay, OverlayResult, Summary, V
 from logs.plots import BLACK, BLUE, GREEN, ORANGE
 from logs.reader import LogError
 from vision.overlay import Picture
+from vision.rectify import Image
 
 _CODECS: Final = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # what OpenCV's own FFmpeg can always write
 _SLOWEST, _FASTEST = 1.0, 60.0  # pictures a second
@@ -32,29 +34,33 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 class _Video:
-    """A video file; opened at the first picture, whose size all have. Raises LogError where it cannot be written."""
+    """A video file, or none; a context manager. Opened at the first picture, whose size all have. Raises LogError."""
 
-    def __init__(self, path: Path, rate_hz: float) -> None:
+    def __init__(self, path: Path | None, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
         self._writer: cv2.VideoWriter | None = None
-        if path.suffix.lower() not in _CODECS:
+        if path is not None and path.suffix.lower() not in _CODECS:
             raise LogError(f"{path}: no kind of video that can be written (known: {', '.join(_CODECS)})")
-        if not path.parent.is_dir():
+        if path is not None and not path.parent.is_dir():
             raise LogError(f"{path}: {path.parent} is no folder")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._writer is not None:
+            self._writer.release()  # the file is whole
 
     def write(self, canvas: Picture) -> None:
         """Add a picture."""
+        if self._path is None:
+            return
         if self._writer is None:
             code = cv2.VideoWriter.fourcc(*_CODECS[self._path.suffix.lower()])
             self._writer = cv2.VideoWriter(str(self._path), code, self._rate_hz, canvas.shape[1::-1])
             if not self._writer.isOpened():
                 raise LogError(f"{self._path}: cannot be written")
         self._writer.write(canvas)
-
-    def close(self) -> None:
-        """The file is whole."""
-        if self._writer is not None:
-            self._writer.release()
 
 
 def make(
@@ -74,25 +80,17 @@ def make(
         raise LogError(f"{flight.path}: of {len(seen_from)} pictures none is chosen, or none has an estimate at its exposure")
     measured = None if choice.everything or not flight.used else flight.used
     overlay = Overlay(scenery.rig, scenery.landmarks, start_ns, choice.right)
-    file = _Video(video, _rate_hz(wanted)) if video else None
     moments: list[Moment] = []
-    unreadable = 0
-    for done, (number, picture) in enumerate(pictures(flight, topic, wanted)):
-        progress(done / len(wanted))
-        if picture is None:
-            unreadable += 1
-            continue
-        if picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
-            raise LogError(
-                f"{flight.path}: pictures of {picture.shape[1]} x {picture.shape[0]}, a calibration for "
-                f"{overlay.camera.width} x {overlay.camera.height}: not the same camera"
-            )
-        frame = overlay.frame(picture, wanted[number], measured, draw=file is not None)
-        moments.append(frame.moment)
-        if file:
-            file.write(frame.canvas)
-    if file:
-        file.close()
+    with _Video(video, _rate_hz(wanted)) as film:
+        for done, (number, picture) in enumerate(pictures(flight, topic, wanted)):
+            progress(done / len(wanted))
+            if picture is not None:
+                _check_size(flight.path, picture, overlay)
+                frame = overlay.frame(picture, wanted[number], measured, draw=video is not None)
+                moments.append(frame.moment)
+                film.write(frame.canvas)
+    if not moments:
+        raise LogError(f"{flight.path}: none of the {len(wanted)} pictures can be read")
     if plot:
         draw(moments).savefig(plot)
     summary = Summary.of(moments)
@@ -102,7 +100,7 @@ def make(
         plot=str(plot or ""),
         pictures=len(moments),
         without_estimate=seen_from.count(None),
-        unreadable=unreadable,
+        unreadable=len(wanted) - len(moments),
         measured="landmarks that a fix identified" if measured else "all landmarks in view",
         landmarks=overlay.rows(),
         moments=tuple(moments),
@@ -111,6 +109,15 @@ def make(
         without_fix_px=summary.without_fix_px,
         ratio=summary.ratio,
     )
+
+
+def _check_size(log: Path, picture: Image, overlay: Overlay) -> None:
+    """Raises LogError where the pictures are not the calibrated camera's."""
+    if picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
+        raise LogError(
+            f"{log}: pictures of {picture.shape[1]} x {picture.shape[0]}, a calibration for "
+            f"{overlay.camera.width} x {overlay.camera.height}: not the same camera"
+        )
 
 
 def _chosen(choice: Choice, number: int, t_s: float) -> bool:

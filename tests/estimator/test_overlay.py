@@ -12,6 +12,7 @@ from calib.files import save_rig
 from estimator.cli import app
 from estimator.overlay_log import read, views
 from logs.codec import encode, encode_input
+from logs.reader import LogReader
 from logs.recorder import Recorder
 from models.messages import Estimate, Health, LandmarkFix, Mode, PictureName, VisionRequest, vec3
 from models.sim.scenario import EPOCH_NS
@@ -193,7 +194,14 @@ def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
     for log, line in expected.items():
         result = _run(log, "-o", tmp_path / "v.mp4")
         assert (result.exit_code, result.stderr) == (1, line)
-    log = _write(tmp_path / "a.mcap")
+    torn = tmp_path / "torn.mcap"
+    with LogReader(_write(tmp_path / "a.mcap")) as reader, Recorder(torn) as recorder:
+        for r in reader:
+            recorder.write(r.topic, r.schema, r.data[:200] if r.topic == "/left/image" else r.data, r.log_time_ns)
+        for attachment in reader.attachments:
+            recorder.attach(*attachment)
+    assert _run(torn).stderr == f"landfix: {torn}: none of the 4 pictures can be read\n"
+    log = tmp_path / "a.mcap"
     assert "no kind of video" in _run(log, "-o", tmp_path / "v.gif").stderr
     assert "is no folder" in _run(log, "-o", tmp_path / "nowhere" / "v.mp4").stderr
     assert "none is chosen" in _run(log, "--start", 100).stderr
