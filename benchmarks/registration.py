@@ -64,10 +64,10 @@ def main() -> None:
         raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded pictures")
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
-    every = [flight for name in sets for flight in flights(name, data, args.seed, OUT / "maps")]
+    every = [f for name in sets for f in flights(name, data, args.seed, OUT / "maps") if args.only in f.group]
     outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight)]
     report = f"{table(outcomes).markdown()}\n{decoys(outcomes).markdown()}"
-    name = "_".join(sets)
+    name = "_".join((*sets, *args.only.split()))
     (OUT / f"outcomes_{name}_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
     (OUT / f"report_{name}.md").write_text(report)
     sys.stdout.write(report + f"\n{OUT}/report_{name}.md\n")
@@ -79,6 +79,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="flights whose name contains this")
     return parser.parse_args()
 
 

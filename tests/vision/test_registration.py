@@ -46,6 +46,20 @@ def test_every_pose_is_found_and_its_covariance_is_true(season: int) -> None:
         assert 0.25 < np.mean(values) / 6.0 < 1.3  # a mean of 1 is exact; above is the worse side
 
 
+def test_a_camera_that_looks_ahead() -> None:
+    """25 degrees from straight down, heading and height off: what is seen lies far from below the vehicle."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        ground = scene.drawing(seed)
+        p_n, q = np.array([-40.0, 10.0, -100.0]), so3.from_euler(0.02, 0.44, 0.3)
+        q0 = so3.normalise(so3.multiply(so3.from_euler(0.0, 0.0, 0.05), q))
+        prior = Prior(p_n + np.array([7.0, -6.0, 6.0]), q0, np.diag(_SIGMA**2))
+        found = register(scene.RIG, scene.shot(ground, p_n, so3.matrix(q), rng), prior, scene.map_picture(ground))
+        assert isinstance(found, Registered)
+        assert found.is_sure(_CONFIG)
+        assert np.linalg.norm(found.pose.joint_p_n - p_n) < 0.8
+
+
 @pytest.mark.parametrize("decoy", ["turned", "another place", "another ground"])
 def test_a_wrong_map_is_refused(decoy: str) -> None:
     for seed in range(12):
