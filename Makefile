@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real campaign soak install lock clean
+.PHONY: help demo test check bench bench-real campaign soak site install lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,10 @@ campaign: install  ## consistency over many simulated flights (minutes)
 soak: install  ## the daemon under load for an hour: latency, memory, drops, and its log replayed (MINUTES=60)
 	$(BIN)/python -m benchmarks.service --minutes $(or $(MINUTES),60)
 
+site: install  ## the documentation as pages to browse, links checked: site/index.html
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --quiet
+
 install: $(VENV)/.installed $(VENV)/.kernels
 
 # Compiled kernels are cached by the file they stand in; one that calls a kernel of a changed file would stay as it was.
@@ -59,6 +63,9 @@ $(BIN)/pip:
 lock: install  ## write requirements.lock anew from pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --extra dev $(UPGRADE) --output-file requirements.lock pyproject.toml
+	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --extra site --constraint requirements.lock $(UPGRADE) \
+		--output-file requirements-site.lock pyproject.toml
 
 clean:  ## remove .venv and what tools left behind
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache

@@ -63,7 +63,7 @@ IDENTITY: Final = Pose(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class Problem:
-    """cameras and where they are (places[0] = IDENTITY), views[i][k]: what camera k sees in view i, poses[i]: the board in it.
+    """cameras and where they are (places[0] = IDENTITY), `views[i][k]`: what camera k sees in view i, poses[i]: the board in it.
 
     free: which of a camera's parameters are estimated, one row for each camera; () = none, nor the places.
     """
@@ -89,7 +89,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """The adjusted problem; residuals[i][k] (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
+    """The adjusted problem; `residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
 
     rms: of the lengths of the residuals; widened: factor on the covariance (variance) for errors that a view has in common.
     """

@@ -1,0 +1,84 @@
+"""What the site has beyond docs/*.md: the README as its first page, the commands' own help, and the docstrings. A hook of mkdocs.
+
+Formulas become MathML, which browsers draw by themselves.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("estimator", "vision", "models", "calib", "logs")
+_LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
+_FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the generated pages."""
+    pages = {
+        "index.md": _of_root((ROOT / "README.md").read_text(encoding="utf-8")),
+        "changelog.md": _of_root((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")),
+        "reference/commands.md": commands(),
+        **{f"reference/{package}.md": modules(package) for package in PACKAGES},
+    }
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Links to files of the repository that are no pages become their names."""
+    return _LINK.sub(lambda m: m[1][1:-1] if m[2].startswith("../") else m[0], markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    r"""Formulas between \( \) and \[ \] as MathML."""
+    return _FORMULA.sub(_math, html)
+
+
+def commands() -> str:
+    """`landfix --help` and that of every command below it."""
+    import typer  # noqa: PLC0415  (the help is asked for once, the other hooks run for each page)
+    from typer.testing import CliRunner  # noqa: PLC0415
+
+    from estimator.cli import app  # noqa: PLC0415
+
+    def told(words: list[str], group: Any, level: int) -> list[str]:
+        text = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "110", "NO_COLOR": "1", "TERM": "dumb"}).output
+        lines = [f"{'#' * min(level, 4)} {' '.join(['landfix', *words])}", "", "```text", text.strip("\n"), "```", ""]
+        for name in sorted(getattr(group, "commands", {})):
+            if not group.commands[name].hidden:
+                lines += told([*words, name], group.commands[name], level + 1)
+        return lines
+
+    return "\n".join(told([], typer.main.get_command(app), 1))
+
+
+def modules(package: str) -> str:
+    """Every module of a package that has something public, as its docstrings tell it."""
+    found = sorted(p for p in (ROOT / package).rglob("*.py") if not p.name.startswith("_"))
+    names = (".".join(p.relative_to(ROOT).with_suffix("").parts) for p in found)
+    return f"# {package}\n\n" + "\n\n".join(f"::: {name}" for name in names) + "\n"
+
+
+def _of_root(text: str) -> str:
+    """A page of the root as one of docs/: its links to docs/ lose the folder, others their targets."""
+
+    def target(m: re.Match[str]) -> str:
+        if m[2].startswith("docs/"):
+            return f"{m[1]}({m[2].removeprefix('docs/')})"
+        if m[2] == "CHANGELOG.md":
+            return f"{m[1]}(changelog.md)"
+        return m[0] if "://" in m[2] or m[2].startswith("#") else m[1][1:-1]
+
+    return _LINK.sub(target, text)
+
+
+def _math(m: re.Match[str]) -> str:
+    r"""One formula; html's escapes are taken back."""
+    source = m[2].strip().replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")
+    block = source.startswith(r"\[")
+    return str(convert(source[2:-2].strip(), display="block" if block else "inline"))
