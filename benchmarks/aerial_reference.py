@@ -14,6 +14,7 @@ from models.messages import Array
 
 Picture = NDArray[np.uint8]
 
+_REDUCED = 2  # the photos are 2.4 times as fine as the orthophoto
 _RATIO = 0.8
 _INLIER_PX = 4.0
 _LEAST_INLIERS = 30
@@ -50,14 +51,14 @@ class SiftReference:
 
     def locate(self, photo: Picture, camera: CameraModel) -> Reference | None:
         """The camera's pose, None where fewer than 30 points agree."""
-        reduced = cv2.GaussianBlur(photo, (0, 0), 0.8)
+        reduced = cv2.resize(photo, None, fx=1.0 / _REDUCED, fy=1.0 / _REDUCED, interpolation=cv2.INTER_AREA)
         key, descriptor = self._sift.detectAndCompute(reduced, None)
         matcher = cv2.BFMatcher()
         pairs = [m for m in matcher.knnMatch(descriptor, self._descriptor, k=2) if len(m) == 2]
         good = [m for m, n in pairs if m.distance < _RATIO * n.distance]
         if len(good) < _LEAST_INLIERS:
             return None
-        px = np.array([key[m.queryIdx].pt for m in good])
+        px = (np.array([key[m.queryIdx].pt for m in good]) + 0.5) * _REDUCED - 0.5
         x_n = _at(self._ortho.points_n, np.array([self._key[m.trainIdx].pt for m in good]))
         use = np.isfinite(x_n[:, 0])
         straight_px = camera.undistort(px[use]) * np.diag(camera.matrix)[:2] + camera.matrix[:2, 2]
