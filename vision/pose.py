@@ -285,12 +285,12 @@ def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solu
 
 def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseConfig) -> PoseEstimate | NoPose:
     used = system.W[:, ::2, ::2].diagonal(axis1=1, axis2=2) > 0.0  # (E, K)
+    if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
+        return NoPose("diverged")
     measured = Measured.of(step.omega, fit.information)
     freedom = max(2 * system.count - measured.rank, 1)
     chi2 = float(distances(system, step.residual).sum() + step.nuisance @ step.nuisance)
     factor = (config.freedom * config.expected + chi2) / (config.freedom + freedom)
-    if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
-        return NoPose("diverged")
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
     if not measured.rank:
