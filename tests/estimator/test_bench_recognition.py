@@ -15,7 +15,7 @@ from estimator.bench.partly_seen import hide, shares
 from estimator.bench.recognition import Trial, below, row
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
 from estimator.cli import app
-from models import colours
+from models import colours, so3
 from models.messages import LandmarkFix
 from vision.identify import Prior
 from vision.synthetic.render import render_labels
@@ -107,6 +107,25 @@ def test_descriptions_know_colours_by_word_or_not_at_all() -> None:
     assert {m.colour_bgr for m in sample("description", "pale").scene.map} == {None}
 
 
+def test_the_next_pair_is_some_way_further_on_and_the_prior_errs_as_before() -> None:
+    first, second = sample(), views.later(sample())
+    assert 0.1 < np.linalg.norm(second.p_n - first.p_n) < 5.0
+    errors = [s.p_n - s.prior.p_n for s in (first, second)]
+    assert 0.0 < np.abs(errors[1] - errors[0]).max() < 0.3
+    turns = [so3.quat_log(so3.multiply(so3.from_matrix(s.R_nb), so3.conjugate(s.prior.q_nb_wxyz))) for s in (first, second)]
+    assert 0.0 < np.abs(turns[1] - turns[0]).max() < 0.01
+    assert not np.array_equal(first.left, second.left)
+    assert np.linalg.eigvalsh(second.prior.covariance - first.prior.covariance)[0] > 0.0
+
+
+def test_silence_is_followed_by_a_second_look_and_says_so() -> None:
+    assert recognisers.landfix(sample(), timed=False).at_once
+    dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
+    answer = recognisers.landfix(dark, timed=False)
+    assert answer.verdict == "recognised"
+    assert not answer.at_once
+
+
 def test_a_right_answer_is_recognised_and_a_false_truth_makes_it_wrong() -> None:
     s = sample()
     good = recognisers.landfix(s)
@@ -160,10 +179,10 @@ def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
 
 def test_a_row_counts_verdicts() -> None:
     verdicts: tuple[recognisers.Verdict, ...] = ("recognised", "wrong", "silent", "recognised")
-    answers = [recognisers.Answer(v, 10.0 * k, float(k)) for k, v in enumerate(verdicts)]
+    answers = [recognisers.Answer(v, 10.0 * k, float(k), at_once=k < 2) for k, v in enumerate(verdicts)]
     trials = [Trial("size", "pale", k, 1.0, 900, 0, {"landfix": a}) for k, a in enumerate(answers)]
     counted = row("size", "pale", "landfix", trials)
-    assert (counted.samples, counted.recognised, counted.wrong) == (4, 2, 1)
+    assert (counted.samples, counted.recognised, counted.at_once, counted.wrong) == (4, 2, 1, 1)
     assert counted.error_m_p50 == 1.5
     assert counted.wrong_below == pytest.approx(0.7514, abs=1e-3)
 
