@@ -63,7 +63,7 @@ class Fitter:
                 kept = float(place.length[chosen].sum() / place.length[first].sum())
                 found = float(seen.share @ place.length[chosen])
                 middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), place.shift_m)
-                return pose_flaw(fit, prior) or Fitted(fit, chosen, remark, kept, found, middles)
+                return pose_flaw(fit, prior) or Fitted(fit, chosen, remark, kept, min(seen.pictures), found, middles)
         return f"{remark}the landmarks do not agree"
 
     def _chosen(self, place: Candidate) -> list[int]:

@@ -27,24 +27,21 @@ Grade = Literal["sure", "weak", "refused"]
 class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a place must show."""
 
-    landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length from which a landmark counts as seen")] = (
-        0.33
-    )
-    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.28
-    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.55
-    rival: Annotated[
-        float, Meta(gt=0, lt=1, description="score of another place over the best one's, from which it is fitted too")
-    ] = 0.7
+    landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length of a landmark that counts as seen")] = 0.2
+    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.22
+    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.35
+    rival: Annotated[float, Meta(gt=0, lt=1, description="score over the best one's from which a place is fitted too")] = 0.7
     score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 45.0
     least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
-    found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.6
-    landmark_found: Annotated[float, Meta(gt=0, lt=1, description="the same of one landmark, or it is left out")] = 0.5
+    found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.5
+    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.35
+    landmark_found: Annotated[
+        float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
+    ] = 0.6
+    looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
-    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.45
-    moved_px: Annotated[float, Meta(gt=0, description="from the place found to the fit, at most, in a picture 640 px wide")] = (
-        12.0
-    )
+    moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
     memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
     agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
@@ -76,14 +73,17 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit; used: indices of its landmarks; remark: on a picture left out; kept: share of the outline that agreed;
-    found_px: length of outline that the last look found; middles (L, 2) px: of all landmarks' roofs, from this pose.
+    """A fit; used: indices of its landmarks; remark: on a picture left out; kept: share of the outline that agreed.
+
+    looked: share of it that the last look found, in the worse picture; found_px: length of outline that it found; middles (L, 2)
+    px: of all landmarks' roofs, from this pose.
     """
 
     pose: PoseEstimate
     used: list[int]
     remark: str
     kept: float
+    looked: float
     found_px: float
     middles: Array
 
@@ -115,8 +115,8 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
-    if fit.found < config.found:
-        return "weak", f"{fit.found:.0%} of the outlines found"
+    if fit.found < config.found or fitted.looked < config.looked:
+        return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
     if fitted.kept < config.kept:
         return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
     if evidence.score_px < config.score_px:
