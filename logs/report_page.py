@@ -26,6 +26,7 @@ from models.web_page import text
 
 _SHOWN_BYTES: Final = 40_000  # of an attached text
 _MOST_WORDS: Final = 50
+_SCRIPTS: Final = ("report_tools.js", "report_time.js", "report_map.js", "report.js")
 
 
 class Shot(msgspec.Struct, frozen=True):
@@ -117,7 +118,7 @@ def page(m: Material) -> str:
         ' <span class="faint">drag in a plot to zoom in time, double-click to see all</span></nav>'
         f'{sections}<script type="application/json" id="drawing">{_inert(drawing)}</script>'
     )
-    return web_page.page(f"landfix: {m.name}", body, _file("report.css"), _file("report.js"))
+    return web_page.page(f"landfix: {m.name}", body, _file("report.css"), "".join(map(_file, _SCRIPTS)))
 
 
 def _inert(json: str) -> str:

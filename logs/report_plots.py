@@ -1,6 +1,7 @@
 """The plots of a report: what is promised and what is true, states, biases, innovations, health, times."""
 
 from collections.abc import Iterable
+from statistics import mode
 from typing import Final
 
 import numpy as np
@@ -76,8 +77,9 @@ def errors(evidence: Evidence, c: Comparison) -> Charts:
         if not np.isfinite(error).any():
             continue
         buckets = _buckets(c, np.hstack([error, SIGMAS_95 * sigma]))
-        usual = float(np.nanmedian(SIGMAS_95 * sigma))
-        far = float(np.nanmax(SIGMAS_95 * sigma)) > 12.0 * usual > 0.0
+        bands = SIGMAS_95 * sigma[np.isfinite(sigma)]
+        usual = float(np.median(bands)) if len(bands) else 0.0
+        far = float(bands.max(initial=0.0)) > 12.0 * usual > 0.0
         for k, axis in enumerate(axes):
             width = buckets.high[:, 3 + k]
             parts: list[Line | Band | Points] = [
@@ -161,8 +163,9 @@ def thinned(aids: list[AidStatus]) -> list[AidStatus]:
 
 
 def _innovation(title: str, group: list[AidStatus], start_ns: int) -> Chart:
-    size = max(len(a.innovation) for a in group)
-    names = _COMPONENTS.get(size, tuple(str(k + 1) for k in range(size)))
+    sizes = {len(a.innovation) for a in group}
+    names = _COMPONENTS.get(max(sizes)) if len(sizes) == 1 else None  # parts of a fix have directions of their own
+    names = names or tuple(f"{k + 1}." for k in range(max(sizes)))
     parts = list[Line | Band | Points]()
     for k, name in enumerate(names):
         told = [a for a in group if len(a.innovation) > k and a.reason is Reason.FUSED]
@@ -187,7 +190,7 @@ def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
     fused = [a for a in group if a.reason is Reason.FUSED]
     with np.errstate(divide="ignore", invalid="ignore"):
         values = [float(np.mean(np.square(np.divide(a.innovation, a.innovation_sigma)))) for a in fused]
-    size = max(len(a.innovation) for a in group)
+    size = mode(len(a.innovation) for a in group)
     low, high = metrics.chi2_band(size)
     parts: list[Line | Band | Points] = [_marks("fused", "blue", "dot", fused, start_ns, values)]
     return TimeChart(title, "", parts, [Level(high / size, "95 % of single ones"), Level(low / size, "")], scale="log")
@@ -267,9 +270,7 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
     for t, report in looks:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
-        rows.setdefault(report.outcome.replace("_", " "), []).append(
-            Stay(at, at + step, colour, report.detail or report.outcome)
-        )
+        rows.setdefault(report.outcome.replace("_", " "), []).append(Stay(at, at + step, colour, report.detail or report.outcome))
     charts: Charts = {
         "outcomes": StripChart("What came of each pair of pictures", dict(sorted(rows.items(), key=lambda r: -len(r[1]))))
     }

@@ -21,6 +21,7 @@ from logs.recorder import Recorder
 from logs.report import write
 from logs.report_gather import Gathered, attitude_deg, sigmas
 from logs.report_map import flight
+from logs.report_plots import MOST_POINTS, thinned
 from logs.report_words import Level, findings
 from models import so3
 from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, Reset, VisionReport
@@ -392,3 +393,24 @@ def test_of_a_long_flight_estimates_are_thinned_evenly_and_extremes_stay(log: Pa
     assert "3001 estimates" in page.text
     assert max(told(page.part("state0", "estimate")["high"])) == pytest.approx(whole.estimate.p[:, 0].max(), rel=1e-4)
     assert truth_at(0.0)[0][0] == 40.0
+
+
+def test_of_many_measurements_the_worst_are_shown(log: Path) -> None:
+    (some, *_) = (a for a in read(log).aids if a.reason is Reason.FUSED)
+    ratios = np.random.default_rng(2).random(25_000)
+    aids = [msgspec.structs.replace(some, t_ns=some.t_ns + k, test_ratio=float(r)) for k, r in enumerate(ratios)]
+    shown = thinned(aids)
+    assert MOST_POINTS // 2 < len(shown) <= MOST_POINTS
+    assert max(a.test_ratio for a in shown) == ratios.max()
+    assert [a.t_ns for a in shown] == sorted(a.t_ns for a in shown)
+    assert thinned(aids[:MOST_POINTS]) == aids[:MOST_POINTS]
+
+
+def test_parts_of_fixes_are_not_taken_for_directions_of_the_map(log: Path, tmp_path: Path) -> None:
+    t = EPOCH_NS + 5 * S
+    part = AidStatus(t, t, "/pose_fix", "pose", Reason.FUSED, 0, (0.2, 0.1), (0.1, 0.1), 0.5)
+    write(rewritten(log, tmp_path / "x.mcap", extra=((*encode(part)[0], t),)), tmp_path / "x.html")
+    page = Page(tmp_path / "x.html")
+    names = [p["name"] for p in page.chart("innovation0")["parts"]]
+    assert names == ["1.", "2.", "3.", "4.", "5.", "6.", "not fused"]
+    assert len(page.part("innovation0", "2.")["t"]) == len(page.part("innovation0", "3.")["t"]) + 1
