@@ -1,6 +1,7 @@
 """A map that holds a picture, from the configuration to the fix: in a replay, again to the bit, and by landfix locate."""
 
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -10,8 +11,9 @@ from typer.testing import CliRunner
 
 from calib.files import save_rig
 from estimator.cli import app
-from estimator.config import load
+from estimator.config import Config, ConfigError, load
 from estimator.doctor import configuration
+from estimator.service.run import _metadata
 from logs.codec import Decoder, decode_odometry, encode_input
 from logs.pictures import encode_picture
 from logs.reader import LogReader, Record
@@ -137,3 +139,13 @@ def test_locate_says_what_is_missing(folder: Path, tmp_path: Path) -> None:
     code, out, err = _locate(folder, folder / "left.png", "--picture", str(wrong), "--picture-epsg", str(UTM), "--json")
     assert (code, json.loads(out)["fix"]) == (1, None)
     assert "no fix" in err
+
+
+def test_the_log_names_the_picture_and_its_checksum(folder: Path) -> None:
+    config = load(folder / "flight.toml")
+    told = _metadata(config, folder, "digest")
+    assert told["picture"] == "ortho.png"
+    assert told["picture_sha256"] == sha256((folder / "ortho.png").read_bytes()).hexdigest()
+    assert "picture" not in _metadata(Config(), folder, "digest")
+    with pytest.raises(ConfigError, match=r"ortho\.png: no such file"):
+        _metadata(config, folder / "elsewhere", "digest")

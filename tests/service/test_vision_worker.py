@@ -56,7 +56,7 @@ def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[V
     """A worker that is seeing, what it tells, and take(): two pictures are taken now."""
     clock, track, heard = Clock(), Track(), Heard()
     worker = VisionWorker(
-        (files / "rig.yaml", files / "map.geojson", None), config or VisionConfig(), SIDES, clock,
+        (files / "rig.yaml", files / "map.geojson", None, None), config or VisionConfig(), SIDES, clock,
         Stamps(clock, ClockConfig()), track, heard.tell,
     )  # fmt: skip
 
@@ -153,8 +153,8 @@ def test_more_pictures_than_it_can_see_are_dropped_the_oldest_first(files: Path)
 def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
     clock, heard = Clock(), Heard()
     worker = VisionWorker(
-        (files / "rig.yaml", files / "map.geojson", None), VisionConfig(), SIDES, clock, Stamps(clock, ClockConfig()), Track(),
-        heard.tell,
+        (files / "rig.yaml", files / "map.geojson", None, None), VisionConfig(), SIDES, clock, Stamps(clock, ClockConfig()),
+        Track(), heard.tell,
     )  # fmt: skip
     try:
         _until(lambda: worker.report()["state"] == "ready")
