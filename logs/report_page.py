@@ -95,7 +95,8 @@ def page(m: Material) -> str:
     parts = {
         "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
         "Error and promise": _errors(m, sheet, c),
-        "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation)),
+        "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation))
+        or _faint("None."),
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),
         "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
@@ -139,8 +140,9 @@ def _faint(words: str) -> str:
 
 
 def _beside(*tables: web_page.Table) -> str:
-    """Tables in a row, as far as there is room."""
-    return f'<div class="beside">{"".join(f"<div>{web_page.table(t)}</div>" for t in tables if t[2])}</div>'
+    """Tables in a row, as far as there is room; nothing where they have no rows."""
+    filled = "".join(f"<div>{web_page.table(t)}</div>" for t in tables if t[2])
+    return f'<div class="beside">{filled}</div>' if filled else ""
 
 
 def _at(m: Material, t_ns: int) -> str:
