@@ -57,14 +57,16 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Window(msgspec.Struct, frozen=True):
-    """What came of one window: n comparisons, their mean score, sums of y^T S^-1 y and of its degrees of freedom.
+    """What came of one window: n comparisons and their mean score; of how many false is more probable than true.
 
-    p_sq_m2: sum of squared position errors; covered: how many positions lie inside their 95 % ellipsoid.
+    Of the others sums of y^T S^-1 y, of its degrees of freedom and of squared position errors; covered: how many positions lie
+    inside their 95 % ellipsoid.
     """
 
     start_s: float
     n: int
     score: float
+    false: int
     nis: float
     dof: int
     p_sq_m2: float
@@ -199,11 +201,14 @@ def _nearer(t_ns: int, before: Estimate | None, after: Estimate | None) -> Estim
 
 
 class _Comparison(NamedTuple):
+    """As Window, of one fix; without an estimate nothing but the score."""
+
     score: float
-    nis: float
-    dof: int
-    p_sq_m2: float
-    covered: bool
+    false: bool
+    nis: float = 0.0
+    dof: int = 0
+    p_sq_m2: float = 0.0
+    covered: bool = False
 
 
 def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Comparison:
@@ -211,7 +216,7 @@ def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Compari
     rows = np.arange(3) if isinstance(z, GnssFix) else np.flatnonzero(given_components(z.covariance))
     worst = _FALSE - float(_LOG_BOX[rows].sum())
     if estimate is None:
-        return _Comparison(worst, 0.0, 0, 0.0, False)
+        return _Comparison(worst, false=True)
     p_n, q, covariance = prior_at(estimate, z.t_ns)
     if isinstance(z, GnssFix):
         y, noise = _gnss(z, p_n, q, estimate, config)
@@ -222,9 +227,12 @@ def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Compari
     _, log_det = np.linalg.slogdet(2.0 * np.pi * S)
     nis = float(y @ np.linalg.solve(S, y))
     likely = math.log1p(-math.exp(_FALSE)) - 0.5 * (nis + float(log_det))
+    total = float(np.logaddexp(likely, worst))
+    if likely < worst:
+        return _Comparison(total, false=True)
     place = [k for k, row in enumerate(rows) if row < 3]
     covered = len(place) == 3 and float(y[place] @ np.linalg.solve(S[np.ix_(place, place)], y[place])) < _INSIDE95
-    return _Comparison(float(np.logaddexp(likely, worst)), nis, len(rows), float(y[place] @ y[place]), covered)
+    return _Comparison(total, False, nis, len(rows), float(y[place] @ y[place]), covered)
 
 
 def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
@@ -253,6 +261,7 @@ def _window(start_s: float, some: list[_Comparison]) -> Window:
         start_s=start_s,
         n=len(some),
         score=math.fsum(c.score for c in some) / len(some),
+        false=sum(c.false for c in some),
         nis=math.fsum(c.nis for c in some),
         dof=sum(c.dof for c in some),
         p_sq_m2=math.fsum(c.p_sq_m2 for c in some),

@@ -97,22 +97,22 @@ def _print(result: "TuneResult", out: Path) -> None:
     rows = [_row("before", result.before), _row("tuned", result.after)]
     if result.held_out_before and result.held_out_after:
         rows += [_row("held out, before", result.held_out_before), _row("held out, tuned", result.held_out_after)]
-    header = ("", "windows", "score per fix", "NIS/dof", "inside 95 %", "position RMS")
+    header = ("", "windows", "score per fix", "NIS/dof", "inside 95 %", "error", "false")
     print_table(f"{len(result.logs)} logs, {result.evaluations} evaluations", rows, header)
     typer.echo(
         f"gain per fix: {_gain(result.gain)}" + (f"; held out: {_gain(result.held_out_gain)}" if result.held_out_gain else "")
     )
     typer.echo("")
-    header = ("key", "before", "tuned", "half", "double", "the logs tell it")
-    print_table("Parameters; half, double: gain per fix if it were so", [_key(key) for key in result.keys], header)
+    columns = ("key", "before", "tuned", "half", "double", "told")
+    print_table("Parameters; half, double: gain per fix if it were so", [_key(key) for key in result.keys], columns)
     typer.echo(f"\nwritten: {out}")
     if result.held_out_gain and result.held_out_gain.mean < 0.0:
         note("landfix: the held-out logs are worse for it: these logs are too few, or not like those")
 
 
 def _row(name: str, s: "Summary") -> tuple[str, ...]:
-    radius = f"{s.position_rms_m:.2f} m"
-    return name, str(s.windows), f"{s.score:.2f}", f"{s.nis_per_dof:.2f}", f"{s.inside95:.0%}", radius
+    error, false = f"{s.position_rms_m:.2f} m", f"{s.false} of {s.fixes}"
+    return name, str(s.windows), f"{s.score:.2f}", f"{s.nis_per_dof:.2f}", f"{s.inside95:.0%}", error, false
 
 
 def _key(key: "TunedKey") -> tuple[str, ...]:

@@ -37,7 +37,7 @@ class Bowl(Executor):
         values = {f"imu.{name}": getattr(config.imu, name) for name in ("gyro_noise", "accel_noise", "accel_walk")} | job.values
         loss = sum(math.log10(values[name] / best) ** 2 for name, best in BEST.items())
         wobble = [math.sin(1e3 * (k + values["imu.accel_walk"])) * self._noise for k in range(8)]
-        return [Window(10.0 * k, 20, -(1.0 + 0.1 * k) * loss + wobble[k], 120.0, 120, 2.0, 19) for k in range(8)]
+        return [Window(10.0 * k, 20, -(1.0 + 0.1 * k) * loss + wobble[k], 0, 120.0, 120, 2.0, 19) for k in range(8)]
 
 
 def _tuner(executor: Executor, config: str = "", settings: TuneConfig | None = None) -> Tuner:
@@ -76,7 +76,7 @@ def test_a_best_beyond_the_bounds_is_said() -> None:
     class Steep(Bowl):
         def _windows(self, job: Job) -> list[Window]:
             value = job.values.get("imu.gyro_noise", 2e-3)
-            return [Window(0.0, 20, math.log10(value), 120.0, 120, 2.0, 19)] * 4
+            return [Window(0.0, 20, math.log10(value), 0, 120.0, 120, 2.0, 19)] * 4
 
     result = _tuner(Steep()).run()
     assert result.keys[0].at_bound

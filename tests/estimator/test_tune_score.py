@@ -80,6 +80,7 @@ def test_the_score_is_the_density_of_the_fix_under_the_estimate() -> None:
     assert said.score == pytest.approx(expected, rel=1e-9)
     assert said.nis == pytest.approx(y @ np.linalg.solve(S, y))
     assert said.dof == 6
+    assert not said.false
     assert said.p_sq_m2 == pytest.approx(float(dp @ dp))
     assert said.covered == (dp @ np.linalg.solve(S[:3, :3], dp) < chi2.ppf(0.95, 3))
 
@@ -113,10 +114,14 @@ def test_gnss_is_compared_at_its_antenna() -> None:
 def test_a_lie_and_a_silence_cost_a_bounded_amount() -> None:
     config, P = parse(""), np.eye(15) * 1e-4
     lie = PoseFix(0, 0, (30.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.eye(6) * 1e-4)
-    assert _compare(lie, _estimate(0, P), config).score == pytest.approx(FLOOR6)
+    told = _compare(lie, _estimate(0, P), config)
+    assert told.score == pytest.approx(FLOOR6)
+    assert told.false, "and is not taken for an error of the estimate"
+    assert told.nis == told.p_sq_m2 == 0.0
     silence = _compare(lie, None, config)
     assert silence.score == pytest.approx(FLOOR6)
     assert silence.dof == silence.covered == 0
+    assert silence.false
 
 
 def test_every_fix_after_the_first_seconds_is_held_back_in_one_of_two_folds(flight: tuple[str, str]) -> None:
