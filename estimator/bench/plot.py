@@ -29,9 +29,17 @@ def draw(result: Recognition) -> Figure:
     upper.bar([0.0], [0.0], color="white", edgecolor=VERMILLION, hatch="////", label="wrong")
     upper.set_ylabel("recognised [%]")
     upper.set_ylim(0.0, 104.0)
+    upper.set_yticks(range(0, 101, 20))
     upper.axhline(95.0, color="black", linewidth=0.7, linestyle=":")
     lower.set_ylabel("time a frame [ms]")
-    lower.set_xticks(np.arange(len(groups)), [f"{TITLES[e]}\n{roof} roofs" for e, roof in groups], fontsize=7)
+    lower.set_xticks(np.arange(len(groups)), [f"{roof} roofs" for _, roof in groups], fontsize=8)
+    lower.tick_params(axis="x", length=0.0)
+    for experiment in dict.fromkeys(e for e, _ in groups):
+        members = [x for x, (e, _) in enumerate(groups) if e == experiment]
+        upper.set_xlim(-0.5, len(groups) - 0.5)
+        upper.text(float(np.mean(members)), 108.0, TITLES[experiment], ha="center", fontsize=9, weight="bold")
+        for axes in (upper, lower):
+            axes.axvline(members[-1] + 0.5, color="#BBBBBB", linewidth=0.7)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
     return figure
 
@@ -42,5 +50,8 @@ def _shares(axes: Axes, x: Array, rows: Sequence[Row], method: str) -> None:
     good, bad = (100.0 * np.array([getattr(r, name) for r in rows]) / n for name in ("recognised", "wrong"))
     least = 100.0 * np.array([r.recognised_above for r in rows])
     axes.bar(x, good, 0.9 * _WIDTH, color=_COLOURS[method], label=method)
-    axes.bar(x, bad, 0.9 * _WIDTH, bottom=good, color="white", edgecolor=VERMILLION, hatch="////", linewidth=0.8)
+    some = bad > 0.0
+    axes.bar(
+        x[some], bad[some], 0.9 * _WIDTH, bottom=good[some], color="white", edgecolor=VERMILLION, hatch="////", linewidth=0.8
+    )
     axes.vlines(x, least, good, color="black", linewidth=0.8)
