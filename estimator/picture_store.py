@@ -13,6 +13,7 @@ from models.map_table import MapError
 from models.messages import Array, Vec3
 from vision.ground_picture import GroundPicture, Heights
 from vision.recognisers import MapPicture
+from vision.survey import grey
 
 _SPACING_PX = 400  # of the nodes that carry the georeference over to n
 _WORST_PX = 0.3  # of that
@@ -43,7 +44,7 @@ def load(file: PictureFile, at: Vec3) -> MapPicture:
         of_nodes[:, :2] *= step
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
-    return MapPicture.of(GroundPicture(file.path.name, photo.picture, affine, heights, file.sigma_m, file.height_sigma_m))
+    return MapPicture.of(GroundPicture(file.path.name, grey(photo.picture), affine, heights, file.sigma_m, file.height_sigma_m))
 
 
 def _nodes(width: int, height: int) -> Array:

@@ -112,8 +112,14 @@ def pyramid(image: Image) -> tuple[Image, ...]:
 def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
     """Grey values at px (h, w, 2) of level 0, neighbours `ratio` pixels apart, without aliasing; beyond the border its values."""
     level = int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
-    u, v = np.moveaxis(np.nan_to_num(px * 2.0**-level, nan=-1e6), -1, 0).clip(-1e6, 1e6).astype(np.float32)
-    values = cv2.remap(levels[level].astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    image = levels[level]
+    height, width = image.shape
+    u, v = np.moveaxis(px * 2.0**-level, -1, 0)
+    u, v = np.clip(np.nan_to_num(u), 0.0, width - 1.0), np.clip(np.nan_to_num(v), 0.0, height - 1.0)
+    left, top = int(u.min()), int(v.min())
+    part = image[top : int(v.max()) + 2, left : int(u.max()) + 2].astype(np.float32)  # a map is far larger than what is seen
+    at = (u - left).astype(np.float32), (v - top).astype(np.float32)
+    values = cv2.remap(part, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     rest = ratio / 2.0**level
     if rest > 1.2:
         values = cv2.GaussianBlur(values, (0, 0), 0.35 * float(np.sqrt(1.0 - rest**-2)))

@@ -177,9 +177,12 @@ def _search(
     to_grid = grid.axes.T / grid.q
     covariance = to_grid @ J @ prior.covariance @ J.T @ to_grid.T
     reach = math.ceil(config.reach_sigma * math.sqrt(float(np.diag(covariance).max())) + 1.0)
-    turns = _turns(grid, prior, float(ground[2] - prior.p_n[2]), config.reach_sigma)
-    if reach > config.coarse or len(turns) > config.most_turns:
-        return NotRegistered("prior_too_wide", f"{reach * grid.q:.0f} m each way, {len(turns)} headings and heights")
+    step, counts = _turns(grid, prior, float(ground[2] - prior.p_n[2]), config.reach_sigma)
+    number = math.prod(2 * n + 1 for n in counts)
+    if reach > config.coarse or number > config.most_turns:
+        return NotRegistered("prior_too_wide", f"{reach * grid.q:.0f} m each way, {number} headings and heights")
+    yaws, scales = (step * np.arange(-n, n + 1.0) for n in counts)
+    turns = [(float(yaw), 1.0 + float(scale)) for yaw, scale in product(yaws, scales) if scale > -0.5]
     view, seen = camera_view(levels, camera, grid, picture)
     mask = cv2.erode(seen.astype(np.float32), np.ones((5, 5)), borderValue=1.0).astype(np.float32)
     known = map_view(picture, grid, reach)[1]
@@ -193,13 +196,11 @@ def _search(
     return _stands_out(np.where(inside, scores, -1.0), inside, turns, grid, ground, prior)
 
 
-def _turns(grid: Grid, prior: Prior, height: float, reach_sigma: float) -> list[tuple[float, float]]:
-    """Headings and scales (yaw, scale) that the prior leaves open, so close that the patch's ends move by a few points."""
+def _turns(grid: Grid, prior: Prior, height: float, reach_sigma: float) -> tuple[float, list[int]]:
+    """Step of heading [rad] and scale, so that the patch's ends move by a few points, and how many the prior leaves each way."""
     step = 2.0 * _STEP_PX / (0.5 * max(grid.shape))
     sigmas = math.sqrt(float(prior.covariance[5, 5])), math.sqrt(float(prior.covariance[2, 2])) / height
-    counts = [math.ceil(max(reach_sigma * sigma - 0.5 * step, 0.0) / step) for sigma in sigmas]
-    yaws, scales = (step * np.arange(-n, n + 1) for n in counts)
-    return [(float(yaw), 1.0 + float(scale)) for yaw in yaws for scale in scales if scale > -0.5]
+    return step, [math.ceil(max(reach_sigma * sigma - 0.5 * step, 0.0) / step) for sigma in sigmas]
 
 
 def _ellipse(covariance: Array, reach: int, sigma: float) -> Mask:

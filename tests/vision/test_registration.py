@@ -126,6 +126,7 @@ def test_what_is_not_known_of_the_ground_widens_the_covariance() -> None:
         ({"far": True}, "outside"),
         ({"wide": True}, "prior_too_wide"),
         ({"blank": True}, "no_structure"),
+        ({"landed": True}, "prior_too_wide"),
     ],
 )
 def test_it_says_why_not(change: dict[str, bool], reason: str) -> None:
@@ -138,6 +139,8 @@ def test_it_says_why_not(change: dict[str, bool], reason: str) -> None:
         q = so3.multiply(so3.from_euler(np.pi, 0.0, 0.0), q)
     if "far" in change:
         p0 = p0 + np.array([900.0, 0.0, 0.0])
+    if "landed" in change:
+        p0 = np.array([0.0, 0.0, -0.2])
     if "wide" in change:
         covariance = covariance * 400.0
     if "blank" in change:
