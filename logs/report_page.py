@@ -156,7 +156,7 @@ def _head(m: Material) -> str:
     landfix = m.evidence.metadata.get("landfix", {}).get("version", "")
     made = f" by landfix {landfix}" if landfix else ""
     tiles = "".join(f'<div class="tile"><b>{text(value)}</b><span>{text(name)}</span></div>' for name, value in _tiles(m))
-    thinned = f" Errors are computed from every {m.evidence.every}th estimate." if m.evidence.every > 1 else ""
+    thinned = f" Errors are computed from one of {m.evidence.every} estimates." if m.evidence.every > 1 else ""
     return (
         f'<h1>{text(m.name)}</h1><p class="faint">First estimate {text(began)} UTC{text(made)}.{thinned}</p>'
         f"<p>{web_page.verdict(m.level.word, m.level.colour)}</p><ul class='reasons'>{reasons}</ul>"
@@ -241,10 +241,10 @@ def _figure(m: Material, s: Shot) -> str:
 
 def _health(m: Material, sheet: _Sheet) -> str:
     strip, numbers = report_plots.states_told(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
-    return sheet.add(strip, "one") + sheet.add(numbers, "three") + web_page.table(_counts(m))
+    return sheet.add(strip, "one") + sheet.add(numbers, "three") + web_page.table(_remarks(m))
 
 
-def _counts(m: Material) -> web_page.Table:
+def _remarks(m: Material) -> web_page.Table:
     rows = [(_at(m, s.t_ns), s.state) for s in m.gathered.details if s.state]
     return "What it said of itself", ("at s", ""), rows[:_MOST_WORDS]
 
@@ -268,9 +268,8 @@ def _daemon(m: Material) -> str:
 def _attachments(m: Material) -> str:
     files = [(a.name, a.media_type, f"{len(a.data)} bytes", sha256(a.data).hexdigest()[:16]) for a in m.evidence.attachments]
     facts = [(f"{record} {key}", value) for record, values in m.evidence.metadata.items() for key, value in values.items()]
-    body = web_page.table(("Files in the log", ("name", "type", "size", "sha256, its beginning"), files)) + web_page.table(
-        ("", (), facts)
-    )
+    body = web_page.table(("Files in the log", ("name", "type", "size", "sha256, its beginning"), files))
+    body += web_page.table(("", (), facts))
     for a in m.evidence.attachments:
         words = _readable(a.data)
         if words:
