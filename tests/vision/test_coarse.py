@@ -248,9 +248,19 @@ def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
 
 
 def test_outlines_beyond_the_border_vote_once_they_come_into_view() -> None:
-    """The prior has all of the roofs out of the picture; the search brings them back."""
-    view = seen()._replace(marks=seen().marks[:1])
+    """The prior has the only roof wholly out of the picture; the search brings it back."""
+    view = seen()._replace(marks=seen().marks[1:2])
+    mark = view.marks[0]
+    roof = np.column_stack((mark.outline_n, np.full(4, mark.roof_d)))
+
+    def px(p_n: Array, R_nb: Array) -> Array:
+        p_nk, R_nk = EYE.pose(p_n, R_nb)
+        return EYE.camera.project((roof - p_nk) @ R_nk)
+
+    assert EYE.camera.contains(px(view.p_n, view.R_nb)).any()
     far = 140.0 / 600.0 * HEIGHT_M
-    aside = so3.matrix(so3.from_euler(0.0, 0.0, 0.8)) @ np.array([0.0, 1.0, 0.0])
-    places = found(view, prior_off(view, np.array([*(far * aside[:2]), 0.0, 0.0, 0.0, 0.0])))
-    assert off_px(view, places[0]) < 8.0
+    errors = [far * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)]
+    outside = [e for e in errors if not EYE.camera.contains(px(view.p_n - e, view.R_nb), -8.0).any()]
+    assert outside
+    places = found(view, prior_off(view, np.concatenate((outside[len(outside) // 2], np.zeros(3)))))
+    assert off_px(view, places[0]) < 10.0

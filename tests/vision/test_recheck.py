@@ -1,0 +1,55 @@
+"""The last look: which landmarks lie where a fit says, and whether the two pictures say the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.landmarks import Landmark
+from tests.vision.test_predict import MARKS, RIG, drawn, whole
+from vision.look import LookConfig
+from vision.pose import PoseEstimate, estimate_pose
+from vision.recheck import recheck
+
+
+def fitted() -> PoseEstimate:
+    view = whole()
+    fit = estimate_pose(RIG, (view.left, view.right), MARKS, (view.p_n, view.R_nb), drawn(view, 1))
+    assert isinstance(fit, PoseEstimate)
+    return fit
+
+
+def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_pictures() -> None:
+    view = whole()
+    seen = recheck(RIG, (view.left, view.right), MARKS, fitted(), LookConfig())
+    assert seen.share.min() > 0.7
+    assert min(seen.pictures) > 0.75
+    assert seen.apart is not None
+    assert abs(seen.apart[0]) < 0.3
+    assert abs(seen.apart[1]) < 0.3
+
+
+def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
+    """0.35 m are 5 px: beyond 2.5 px, within the look's 8 px."""
+    view, fit = whole(), fitted()
+    moved = Landmark.of("0", MARKS[0].outline_n + np.array([0.25, 0.25]), 0.0, 3.0)
+    seen = recheck(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, LookConfig())
+    assert seen.share[0] < 0.5
+    assert seen.share[1:].min() > 0.7
+
+
+@pytest.mark.parametrize(("du", "dv"), [(3, 0), (0, 2), (-2, -3)])
+def test_a_shift_of_the_right_picture_is_measured(du: int, dv: int) -> None:
+    view = whole()
+    shifted = np.ascontiguousarray(np.roll(view.right, (dv, du), axis=(0, 1)))
+    seen = recheck(RIG, (view.left, shifted), MARKS, fitted(), LookConfig())
+    assert seen.apart is not None
+    np.testing.assert_allclose(seen.apart[:2], (du, dv), atol=0.5)
+    assert 0.0 < seen.apart[2] < 0.6
+
+
+def test_one_picture_has_nothing_to_differ_from() -> None:
+    view = whole()
+    seen = recheck(RIG, (view.left, None), MARKS, replace(fitted()), LookConfig())
+    assert seen.apart is None
+    assert len(seen.pictures) == 1
