@@ -20,7 +20,7 @@ from logs.stamps import stamp_of
 from models.camera import StereoRig
 from models.frames import Origin
 from models.landmarks import LandmarkMap
-from models.messages import Estimate, GnssFix, Input, Mode, vec3
+from models.messages import Estimate, GnssFix, Input, LandmarkFix, Mode, vec3
 from vision.identify import Prior
 from vision.learned import KeepConfig, learned
 from vision.mapping import Look, Mapper, MappingConfig, look
@@ -116,11 +116,11 @@ def _rectified(rig: StereoRig) -> Rectification:
 
 
 def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
-    """What the sensors say, and whether the log is torn."""
+    """What the sensors say, and whether the log is torn. Fixes from a map are left out: its errors would come back as new."""
     decoder = config.decoder()
     with LogReader(log) as reader:
         decoded = (decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader)
-        return [message for message in decoded if message is not None], reader.torn
+        return [message for message in decoded if message and not isinstance(message, LandmarkFix)], reader.torn
 
 
 def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
@@ -131,7 +131,7 @@ def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
     first = [m for m in fixes if m.t_ns - fixes[0].t_ns <= _STANDING_S * 1e9]
     downs = [origin.to_ned(m.lat_deg, m.lon_deg, m.alt_m)[2] for m in first]
     if not downs:
-        raise LearnError("the log has no GNSS fixes: give --ground-alt-m")
+        raise LearnError("the log has no GNSS fix that says where the ground is: give --ground-alt-m")
     return float(np.median(downs))
 
 
