@@ -53,7 +53,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
-    parser.add_argument("--width", type=int, default=brighton.WIDTH, help="to which Brighton's photos are reduced")
+    parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
     parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
@@ -89,7 +89,8 @@ def write_overlay(trial: Trial, outcome: Outcome, result: Result) -> None:
     where = case.rig.camera_pose(p_n, R_nb)
     used = [m for m in case.landmarks if m.id in outcome.landmarks]
     residuals = outline_residuals(picture, case.rig.left, *where, used)
-    caption = [f"{outcome.outcome} {outcome.detail}", f"error {outcome.error_m:.2f} m, prior {outcome.prior_m:.1f} m"]
+    drawn_from = "drawn from the prior" if pose is None else f"{outcome.error_m:.2f} m off"
+    caption = [f"{outcome.outcome}: {outcome.detail}", f"{drawn_from}; the prior is {outcome.prior_m:.1f} m off"]
     drawn = draw_overlay(picture, case.rig.left, *where, list(case.landmarks), outcome.landmarks, residuals, caption)
     name = f"{case.group} {case.name} {trial.number} {outcome.path}".replace(",", "").replace(" ", "_")
     cv2.imwrite(str(OUT / f"{name}.jpg"), drawn)

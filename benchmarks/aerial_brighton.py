@@ -22,6 +22,7 @@ MAP_FILE = Path(__file__).parent / "data" / "brighton_beach.geojson"
 EPSG = 32615
 SPREAD = Spread(7.0, 1.5, math.radians(1.0), math.radians(3.0))
 WIDTH = 1600  # of the stored photos
+AS_FINE_AS_THE_MAP = 800  # the outlines are good to 0.1 m: 1.2 px of this width, 2.4 px of the stored one
 MANY, FEW, DECOY = "Brighton, 3 outlines or more", "Brighton, 1 or 2 outlines", "Brighton, map turned"
 _MANY = 3
 _SHOWN = 0.5  # of its outline that is in the photo, then a landmark counts as in view

@@ -24,7 +24,8 @@ from vision.visibility import Kind, visible_edges
 
 Mask = NDArray[np.bool_]
 _HALF_PX = 8
-_NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted
+_NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
+_OF_MAP = 2.0  # unless the map's outline is no better: so many of its standard deviations more
 _LEAST = 12  # points in both pictures that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
@@ -54,11 +55,13 @@ def recheck(
     edges = visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
     samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == Kind.ROOF)
     mark, count = edges.landmark[samples.edge], len(landmarks)
+    outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     near, usable, offsets, normals = [], [], [], []
     for eye, image in shown:
         seen = view(edges, samples, eye, *pose, scene.prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
-        near.append(good & (np.abs(offset) < _NEAR_PX))
+        slack = _OF_MAP * outline_sigma[mark] * eye.camera.fx / np.maximum(seen.x_c[:, 2], 1e-3)
+        near.append(good & (np.abs(offset) < _NEAR_PX + slack))
         usable.append(good)
         offsets.append(offset)
         normals.append(seen.normal)

@@ -20,7 +20,7 @@ from models.landmarks import Landmark, LandmarkMap
 
 PHOTOS = ("DJI_0026.jpg", "DJI_0033.jpg", "DJI_0034.jpg")
 FRAMES = (700, 750, 800)
-WIDTH = 800
+WIDTH = brighton.AS_FINE_AS_THE_MAP
 
 
 @pytest.fixture(scope="module")
