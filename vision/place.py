@@ -48,7 +48,12 @@ class Fitter:
             if isinstance(fit, NoPose):
                 return f"{remark}{fit.reason} {fit.detail}".strip()
             seen = recheck(self._rig, views, some, fit, self._pose.look)
-            good = [k for k, share in zip(chosen, seen.share, strict=True) if share >= v.landmark_found]
+            off_map = _off_map(some, fit)
+            good = [
+                k
+                for k, share, chi2 in zip(chosen, seen.share, off_map, strict=True)
+                if share >= v.landmark_found and chi2 < v.off_map
+            ]
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, place.pose, place.shift_m[chosen], prior):
                     return "left and right picture are swapped"
@@ -88,6 +93,13 @@ class Fitter:
         """Whether the outlines lie in both pictures once they are taken the other way round."""
         fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._pose, shift_m)
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
+
+
+def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
+    """How far off the map each landmark would have to be: chi-square (L,) of shift, rise and growth."""
+    sigma = np.array([(m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m) for m in marks])
+    error = fit.shift_m[:, : sigma.shape[1]]
+    return np.asarray(np.sum(np.where(sigma > 0.0, error / np.maximum(sigma, 1e-9), 0.0) ** 2, axis=1))
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:

@@ -39,10 +39,12 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
     ] = 0.6
     looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
+    off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 16.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
     moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
+    weak_factor: Annotated[float, Meta(gt=1, description="above it the next picture must agree")] = 2.2
     memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
     agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
     drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from picture to picture")] = 0.05
@@ -115,6 +117,8 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
+    if fit.factor > config.weak_factor:
+        return "weak", f"residuals are {fit.factor:.1f} times what they should be"
     if fit.found < config.found or fitted.looked < config.looked:
         return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
     if fitted.kept < config.kept:
