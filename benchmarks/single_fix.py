@@ -23,7 +23,7 @@ from benchmarks.single_fix_report import Outcome, as_text, plot, table
 from benchmarks.single_fix_views import View, draw_view
 from models import so3
 from models.messages import Array
-from vision.pose import NoPose, difference, estimate_pose
+from vision.pose import NoPose, PoseEstimate, difference, estimate_pose
 from vision.sensitivity import eyes
 from vision.start import centroid_and_size, start_from_regions
 from vision.synthetic.render import render_pair
@@ -67,12 +67,12 @@ def run_view(job: tuple[int, int]) -> Outcome:
     fit = estimate_pose(view.rig, pictures, view.landmarks, (p_n, R_nb), view.prior, shift_m=shift)
     if isinstance(fit, NoPose):
         return Outcome(*what, fit.reason)
-    joint, alone = _error(view, fit.joint_p_n, fit.joint_R_nb), _error(view, fit.p_n, fit.R_nb)
+    joint = _error(view, fit.joint_p_n, fit.joint_R_nb)
     position = _mahalanobis(joint[:3], fit.joint_covariance[:3, :3])
     error = float(np.linalg.norm(joint[:3]))
     return Outcome(
         *what, "", error, float(np.sqrt(np.trace(bound(view)[:3, :3]))), position / 3.0,
-        _mahalanobis(joint, fit.joint_covariance) / 6.0, _mahalanobis(alone, fit.covariance + fit.covariance_common) / 6.0,
+        _mahalanobis(joint, fit.joint_covariance) / 6.0, _alone(view, fit),
         error > WRONG_M and position > WRONG_CHI2,
     )  # fmt: skip
 
@@ -92,6 +92,14 @@ def _regions(view: View) -> tuple[Array, Array]:
 
 def _error(view: View, p_n: Array, R_nb: Array) -> Array:
     return difference(view.p_n, view.R_nb, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)))
+
+
+def _alone(view: View, fit: PoseEstimate) -> float:
+    """Squared Mahalanobis distance of the pictures' own reading, per direction."""
+    error, covariance = _error(view, fit.p_n, fit.R_nb), fit.covariance + fit.covariance_common
+    if fit.directions is not None and fit.readings is not None:
+        error, covariance = fit.directions @ error - fit.readings, fit.directions @ covariance @ fit.directions.T
+    return _mahalanobis(error, covariance) / len(error)
 
 
 def _mahalanobis(error: Array, covariance: Array) -> float:
