@@ -19,7 +19,6 @@ _PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
 app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, learn, show, check.", rich_markup_mode=None)
-app.command("learn")(map_learn.command)
 MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or any GeoJSON of polygons.")]
 
 
@@ -111,6 +110,9 @@ def build(
     if not len(the_map):
         note(f"landfix: {source}: no usable landmark, nothing written")
         raise typer.Exit(1)
+
+
+app.command("learn")(map_learn.command)
 
 
 @app.command()
