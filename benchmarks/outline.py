@@ -5,7 +5,8 @@ python -m benchmarks.outline --seed 1 --views 100 --only decoys
 
 Views are those of single_fix (benchmarks/single_fix_views.py): 10 to 120 m high, tilted up to 25 degrees, one to three landmarks,
 painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline is told a prior
-and the map, nothing else. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to out/outline/.
+and the map, nothing else. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to
+out/outline/.
 """
 
 import argparse
