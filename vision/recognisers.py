@@ -94,7 +94,7 @@ class Recognisers:
         assert image is not None  # the pipeline found one of them good
         found = register(rig, image, prior, known.picture, self._config.registration)
         laid = self._laid(known, found, t_ns, prior)
-        if laid.fix is not None or laid.report.outcome in {"no_ground", "outside"}:
+        if laid.fix is not None or laid.report.outcome == "no_ground":
             return laid
         told = self._by_features(known, rig, image, t_ns, prior)
         if told.fix is not None:
