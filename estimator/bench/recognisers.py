@@ -33,7 +33,7 @@ _INSIDE_9999: Final = 21.108  # chi-square of 3
 _NEXT_NS: Final = 500_000_000
 _NEAR_M: Final = 50.0  # of the prior: landmarks of the database that is compared with
 _RATIO, _RANSAC_PX, _INLIERS = 0.75, 3.0, 10
-METHODS: Final = ("landfix", "thesis", "SIFT+FLANN", "SIFT+FLANN, ground too")
+METHODS: Final = ("landfix", "thesis", "SIFT+FLANN", "SIFT+FLANN, ground")
 _ROOF_PX: Final = 3  # around a roof within which its key points lie
 
 
