@@ -7,7 +7,7 @@ HSV, HSI, Lab and YUV all are cylinders around the axis of the greys, so one des
     nothing known                   seed segmentation: histogram, good peaks by the peakiness test, thresholds in the valleys
     one channel (grey, thermal)     double threshold about the level around: what is darker or brighter, whichever it is
 
-The first two end as one table over all colours in steps of 4 levels, so a picture costs one look-up per pixel in any colour space.
+The first two end as one table over all colours in steps of 4 levels: one look-up per pixel, whatever the colour space.
 """
 
 from collections.abc import Sequence
