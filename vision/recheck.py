@@ -25,7 +25,7 @@ from vision.visibility import Kind, visible_edges
 Mask = NDArray[np.bool_]
 _HALF_PX = 8
 _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
-_OF_MAP = 2.0  # unless the map's outline is no better: so many of its standard deviations more
+_OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared; more would find anything within _HALF_PX
 _LEAST = 12  # points in both pictures that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
@@ -61,7 +61,7 @@ def recheck(
         seen = view(edges, samples, eye, *pose, scene.prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
         slack = _OF_MAP * outline_sigma[mark] * eye.camera.fx / np.maximum(seen.x_c[:, 2], 1e-3)
-        near.append(good & (np.abs(offset) < _NEAR_PX + slack))
+        near.append(good & (np.abs(offset) < np.hypot(_NEAR_PX, slack)))
         usable.append(good)
         offsets.append(offset)
         normals.append(seen.normal)
