@@ -8,10 +8,10 @@ from scipy.stats import chi2
 from models import so3
 from models.messages import Array
 from tests.vision import ground_scene as scene
-from vision.ground_picture import GroundPicture, Heights
+from vision.ground_picture import GroundPicture, Heights, pyramid
 from vision.identify import Prior
 from vision.pose import difference
-from vision.registration import NotRegistered, Registered, RegistrationConfig, register, shift_of_ground
+from vision.registration import NotRegistered, Registered, RegistrationConfig, _search, register, shift_of_ground
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
 _CONFIG = RegistrationConfig()
@@ -54,7 +54,11 @@ def test_a_camera_that_looks_ahead() -> None:
         p_n, q = np.array([-40.0, 10.0, -100.0]), so3.from_euler(0.02, 0.44, 0.3)
         q0 = so3.normalise(so3.multiply(so3.from_euler(0.0, 0.0, 0.05), q))
         prior = Prior(p_n + np.array([7.0, -6.0, 6.0]), q0, np.diag(_SIGMA**2))
-        found = register(scene.RIG, scene.shot(ground, p_n, so3.matrix(q), rng), prior, scene.map_picture(ground))
+        image, picture = scene.shot(ground, p_n, so3.matrix(q), rng), scene.map_picture(ground)
+        place = _search(scene.RIG, pyramid(image), prior, picture, _CONFIG)
+        assert not isinstance(place, NotRegistered)
+        assert np.linalg.norm((place.p_n - p_n)[:2]) < 1.2, "turned about the vehicle, not about what it sees"
+        found = register(scene.RIG, image, prior, picture)
         assert isinstance(found, Registered)
         assert found.is_sure(_CONFIG)
         assert np.linalg.norm(found.pose.joint_p_n - p_n) < 0.8
