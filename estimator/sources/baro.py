@@ -26,6 +26,9 @@ class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
     false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.01
+    lie_s: Annotated[
+        float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last (a port in the wind, weather)")
+    ] = 60.0
     spacing_s: Annotated[
         float, Meta(ge=0, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 1.0
