@@ -174,7 +174,7 @@ def _log(config: Config) -> Iterator[Check]:
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     try:
         if existing == folder:
-            claim(folder).close()
+            _try_to_claim(folder)
         with tempfile.TemporaryFile(dir=existing):
             pass
     except FolderError as error:
@@ -189,6 +189,15 @@ def _log(config: Config) -> Iterator[Check]:
     found = f"{folder}: {free / 1e9:.1f} GB free"
     advice = f"the log pauses below {config.log.least_free_mb:.0f} MB: delete old ones, or set [log] keep_gb"
     yield judge("log.folder", found, fail=free < least, warn=free < 10.0 * least, advice=advice)
+
+
+def _try_to_claim(folder: Path) -> None:
+    """Raises FolderError where another records there."""
+    known = set(folder.iterdir())
+    lock = claim(folder)
+    lock.close()
+    if Path(lock.name) not in known:
+        Path(lock.name).unlink()
 
 
 def package(home: Path, owners: Sequence[int] | None = None) -> Check:
