@@ -38,7 +38,7 @@ soak: install  ## the daemon under load for an hour: latency, memory, drops, and
 
 site: install  ## the documentation as pages to browse, links checked: site/index.html
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
-	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build
 
 install: $(VENV)/.installed $(VENV)/.kernels
 
