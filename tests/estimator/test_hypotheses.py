@@ -239,3 +239,18 @@ def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() 
     assert bank.members[0] is honest
     assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().lie_s)
     assert "/gnss/velocity" not in follower.doubts
+
+
+def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
+    """Both refused the one before; neither calls this one the same falsehood because the other foresaw it a little better."""
+    one, other = _member(_state(0.0, 0.0, 0.0)), _member(_state(0.0, 0.0, 0.0), weight=-1.0)
+    other.filter.x[X.V] = (0.3, 0.0, 0.0)
+    for member in (one, other):
+        member.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
+    bank = Hypotheses([one, other])
+    aid = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (0.3, 0.0, 0.0), None), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
+    assert [member.doubts for member in bank.members] == [{}, {}]
