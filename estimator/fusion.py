@@ -308,7 +308,7 @@ class Fusion:
             radius,
             attitude,
             self._reset_counter,
-            {topic: source.phase.value for topic, source in sorted(tracker.sources.items())},
+            {topic: source.phase_at(t_ns).value for topic, source in sorted(tracker.sources.items())},
             dict(sorted(self._counts.items())),
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,

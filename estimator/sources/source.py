@@ -170,6 +170,7 @@ class SourceState(NamedTuple):
 
     phase: Phase = Phase.STOPPED
     last_ns: int = _NEVER  # newest measurement
+    silent_ns: int = _NEVER  # so long without another, and the source has stopped
     fused_ns: int = _NEVER
     passed: int = 0  # in a row, while starting
     held_until_ns: int = _NEVER
@@ -178,13 +179,17 @@ class SourceState(NamedTuple):
     def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no one to vouch."""
         state = self
-        if t_ns - self.last_ns > rules.timeout_s * 1e9:
+        if t_ns > self.silent_ns:
             state = state._replace(phase=Phase.STARTING, passed=0, sums=())
         if state.phase is Phase.STOPPED and t_ns >= state.held_until_ns:
             state = state._replace(phase=Phase.STARTING, passed=0, sums=())
         if state.phase is Phase.STARTING and (state.passed >= rules.probation or (alone and t_ns >= state.held_until_ns)):
             state = state._replace(phase=Phase.ACTIVE)
-        return state._replace(last_ns=t_ns)
+        return state._replace(last_ns=t_ns, silent_ns=t_ns + round(rules.timeout_s * 1e9))
+
+    def phase_at(self, t_ns: int) -> Phase:
+        """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
+        return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
     def judge(
         self, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array

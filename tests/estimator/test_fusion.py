@@ -127,6 +127,9 @@ def test_without_fixes_the_mode_is_dead_reckoning_and_sigma_grows_with_the_age()
     assert all(b.radius95_m > a.radius95_m for a, b in pairwise(after))
     assert after[-1].absolute_age_s == pytest.approx((after[-1].t_ns - lost_ns) * 1e-9)
     assert after[-1].radius95_m > 5.0 * after[0].radius95_m
+    told = [(h.t_ns - lost_ns, h.sources["/pose_fix"]) for h in after]
+    assert [phase for _, phase in told] == ["active" if silent_ns <= 5 * SECOND else "stopped" for silent_ns, _ in told]
+    assert "stopped" in dict(told).values()
 
 
 # --- the IMU is silent -----------------------------------------------------------------------------------------------------

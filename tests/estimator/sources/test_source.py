@@ -110,6 +110,14 @@ def test_silence_stops_a_source_and_its_return_is_on_probation() -> None:
     assert back.passed == 1
 
 
+def test_a_silent_source_is_told_as_stopped_though_nothing_comes_to_stop_it() -> None:
+    state = _active(100.0)
+    assert [state.phase_at(t * SECOND) for t in (100, 105, 106)] == [Phase.ACTIVE, Phase.ACTIVE, Phase.STOPPED]
+    assert SourceState().phase_at(0) is Phase.STOPPED
+    starting = _meet(SourceState(), 100.0)
+    assert [starting.phase_at(t * SECOND) for t in (101, 106)] == [Phase.STARTING, Phase.STOPPED]
+
+
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_source_that_drifts_beside_another_is_held_off_and_then_on_probation_again(alone: bool) -> None:
     """alone: the other has gone meanwhile, so that no one is left to vouch."""
@@ -137,7 +145,7 @@ def test_a_source_that_is_alone_is_not_blamed_for_a_drift() -> None:
 
 def test_without_hold_off_no_drift_stops_it() -> None:
     rules = SourceRules(hold_s=0.0)
-    state = SourceState(phase=Phase.ACTIVE, last_ns=0)
+    state = SourceState(phase=Phase.ACTIVE, last_ns=0, silent_ns=SECOND)
     for k in range(100):
         state = state.arrive(rules, k * SECOND, alone=False)
         state = state.judge(rules, k * SECOND, alone=False, passed=True, fused=True, nu=np.full(3, 9.0), sigma=SIGMA)
