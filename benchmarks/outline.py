@@ -23,9 +23,9 @@ from rich.progress import track
 
 from benchmarks.outline_report import Outcome, as_text
 from benchmarks.outline_views import DECOYS, PRIOR_PX, decoy, draw, prior_of
+from benchmarks.sift import sift_and_flann
 from benchmarks.single_fix_bound import bound
 from benchmarks.single_fix_views import View
-from benchmarks.test_vision_stages import sift_and_flann
 from models import so3
 from models.landmarks import LandmarkMap
 from models.messages import Array
@@ -118,12 +118,10 @@ def speed(seed: int, number: int) -> list[Outcome]:
         return []
     prior = prior_of(shown.view, PRIOR_PX)
     _fixed("", shown.view, shown.pictures, prior)
-    try:
-        sift, points, _ = sift_and_flann(*shown.pictures)
-    except (AssertionError, cv2.error):
+    theirs = sift_and_flann(*shown.pictures)
+    if theirs is None or theirs.points < 500:
         return []
-    outcome = _fixed("speed", shown.view, shown.pictures, prior)
-    return [msgspec.structs.replace(outcome, sift_s=sift)] if points >= 500 else []
+    return [msgspec.structs.replace(_fixed("speed", shown.view, shown.pictures, prior), sift_s=theirs.seconds)]
 
 
 PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "decoys": decoys, "speed": speed}
