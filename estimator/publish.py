@@ -1,16 +1,27 @@
 """What leaves the estimator on the wire, and how often: the same for the daemon, the replay and the simulation."""
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
+from estimator.strict_toml import ConfigError
 from logs.codec import Encoded, encode, encode_slow
+from logs.reader import Attachment
 from models.messages import Estimate, Output
 
 OVERLAY_TOPIC = "/landfix/overlay"
 CONFIG_ATTACHMENT = "config.toml"  # of a log: what the estimator was configured with
+
+
+def file_attachment(kind: str, path: Path) -> Attachment:
+    """A file that the configuration names (`calibration`, `map`), as a log keeps it. Raises ConfigError."""
+    try:
+        return Attachment(f"{kind}/{path.name}", "application/octet-stream", path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
 
 
 class OutputConfig(msgspec.Struct, frozen=True):

@@ -6,7 +6,7 @@ an output gives the same file again.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
@@ -17,7 +17,8 @@ from estimator.tally import ReplaySummary, Tally
 from estimator.version import version
 from logs import schemas
 from logs.codec import Decoder, is_own_transform
-from logs.reader import LogError, LogReader, Record
+from logs.parts import PartsReader, files_of
+from logs.reader import Attachment, LogError, Record
 from logs.recorder import Recorder
 from models.messages import Output
 
@@ -63,24 +64,29 @@ class SeesAgain(Protocol):
 
 
 def replay(
-    source: Path,
+    source: Path | Sequence[Path],
     out: Path,
     config: ReplayConfig,
     progress: Callable[[float], None] | None = None,
     sight: SeesAgain | None = None,
+    attachments: Sequence[Attachment] = (),
 ) -> ReplaySummary:
-    """Replay the log `source` into `out`; progress is told the fraction done. Raises LogError for a file that is no log.
+    """Replay the log `source` (or its parts, or their folder) into `out`; progress is told the fraction done. Raises LogError.
 
-    sight: looks at the pictures of the log again; None: the fixes in it are taken.
+    sight: looks at the pictures of the log again; None: the fixes in it are taken. attachments: files that the configuration
+    names (publish.file_attachment), instead of the log's own of that kind.
     """
-    if source.exists() and out.exists() and out.samefile(source):
+    parts = files_of(source)
+    if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     fusion, decoder, publisher, tally = Fusion(config.fusion()), config.decoder(), Publisher(config.output), Tally()
     text = config.toml().encode()
     began = time.perf_counter()
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
-    with LogReader(source) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
-        recorder.attach(CONFIG_ATTACHMENT, "application/toml", text)
+    kept = [Attachment(CONFIG_ATTACHMENT, "application/toml", text), *attachments]
+    with PartsReader(parts) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
+        for attachment in kept:
+            recorder.attach(*attachment)
         for record in (seen for read in reader for seen in (sight.records(read) if sight else (read,))):
             topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
             if _is_own_output(topic, schema, data):
@@ -97,10 +103,16 @@ def replay(
                     recorder.write(*encoded, log_time_ns)
             if progress and tally.records % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
-        for name, media_type, content in reader.attachments:
-            if name != CONFIG_ATTACHMENT:
-                recorder.attach(name, media_type, content)
-    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks)
+        kinds = {_kind(attachment) for attachment in kept}
+        for attachment in reader.attachments:
+            if _kind(attachment) not in kinds:
+                recorder.attach(*attachment)
+    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing)
+
+
+def _kind(attachment: Attachment) -> str:
+    """What it is, whatever its file was called: config.toml, calibration, map ..."""
+    return attachment.name.partition("/")[0]
 
 
 def _is_own_output(topic: str, schema: str, data: bytes) -> bool:

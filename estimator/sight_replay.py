@@ -6,7 +6,7 @@ the replay, and answers replay_latency_ms later.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +16,8 @@ from estimator.sight import Sight
 from estimator.vision_requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.codec import VISION_REQUEST_TOPIC, Encoded, decode_vision_request, encode
 from logs.markers import TOPIC as LANDMARKS_TOPIC
-from logs.reader import LogReader, Record
+from logs.parts import PartsReader
+from logs.reader import Record
 from logs.stamps import stamp_of
 from models.messages import Output, PictureName, VisionRequest
 
@@ -44,7 +45,9 @@ class PictureTally(msgspec.Struct):
 class SightReplay:
     """Puts the answers of vision among the records of a log. left, right: topics of the pictures."""
 
-    def __init__(self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path) -> None:
+    def __init__(
+        self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
+    ) -> None:
         self._sight, self._latency_ns = sight, round(config.replay_latency_ms * 1e6)
         self._side = {**dict.fromkeys(left, "left"), **dict.fromkeys(right, "right")}
         self._repeats = _has_requests(source)
@@ -127,7 +130,7 @@ class SightReplay:
         return answers
 
 
-def _has_requests(source: Path) -> bool:
+def _has_requests(source: Path | Sequence[Path]) -> bool:
     """Whether vision was asked in the flight of this log."""
-    with LogReader(source) as reader:
+    with PartsReader(source) as reader:
         return any(record.topic == VISION_REQUEST_TOPIC for record in reader)

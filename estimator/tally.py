@@ -27,6 +27,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     internal_errors: int
     torn: bool
     skipped_chunks: int = 0
+    missing: str = ""  # parts of the flight that were not there: the estimate is not the one that was flown
 
 
 class Tally:
@@ -77,7 +78,7 @@ class Tally:
         if isfinite(health.radius95_m):
             self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
 
-    def summary(self, elapsed_s: float, torn: bool, skipped_chunks: int) -> ReplaySummary:
+    def summary(self, elapsed_s: float, torn: bool, skipped_chunks: int, missing: str) -> ReplaySummary:
         """All of it, at the end."""
         fixes: dict[str, Counter[str]] = {}
         for (topic, *_), reason in self._decisions.items():
@@ -98,4 +99,5 @@ class Tally:
             internal_errors=self._internal,
             torn=torn,
             skipped_chunks=skipped_chunks,
+            missing=missing,
         )

@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from estimator.config import Config
     from estimator.sight_replay import SightReplay
     from estimator.tally import ReplaySummary
+    from logs.reader import Attachment
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN.mcap", help="Log with the sensors' messages.")],
+    source: Annotated[
+        list[Path], typer.Argument(metavar="IN.mcap...", help="Log with the sensors' messages; all its parts, or their folder.")
+    ],
     out: Out,
     config: ConfigFile = None,
     from_images: Annotated[
@@ -28,7 +31,8 @@ def command(
 ) -> None:
     """Run a log through the estimator.
 
-    The same bits come out that the flight would have published with this configuration.
+    The same bits come out that the flight would have published with this configuration. A log that was rotated into parts is one
+    flight: give all of them, in any order, or their folder. A later part alone begins in the air and aligns anew.
     OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and for every
     measurement what became of it and why (/landfix/aid_status).
 
@@ -36,29 +40,48 @@ def command(
     Examples:
       landfix replay flight.mcap -o estimate.mcap
       landfix replay flight.mcap -o estimate.mcap -c vehicle.toml --json
+      landfix replay logs/landfix-20260501T101500000Z-*.mcap -o estimate.mcap -c vehicle.toml
       landfix replay flight.mcap -o smoothed.mcap -c vehicle.toml --smooth
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
     from estimator.config import load
     from estimator.replay import replay
+    from logs.parts import files_of
 
-    loaded = load(config)
-    sight = _sight(loaded, config.parent if config else Path(), source) if from_images else None
-    with progress(f"replay {source.name}") as report:
-        summary = replay(source, out, loaded, report, sight)
+    loaded, folder = load(config), config.parent if config else Path()
+    parts = [file for given in source for file in files_of(given)]
+    sight = _sight(loaded, folder, parts) if from_images else None
+    with progress(f"replay {parts[0].name}") as report:
+        summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder))
     if smooth:
         _add_smoothed(out, loaded)
     if sight:
         note(f"landfix: {sight.tally}")
     if summary.torn:
-        note(f"landfix: {source} is torn; replayed up to its last whole record")
+        note(f"landfix: {parts[0] if len(parts) == 1 else 'a part'} is torn; replayed up to its last whole record")
+    if summary.missing:
+        note(f"landfix: without {summary.missing} of this flight the estimate aligns anew, and is not the one that was flown")
     if json:
         print_json(summary)
     else:
         print_summary(summary, out)
 
 
-def _sight(config: "Config", folder: Path, source: Path) -> "SightReplay":
+def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
+    """Rig and map that the configuration names, for whoever draws with the output; those that are not there are told."""
+    from estimator.config import ConfigError
+    from estimator.publish import file_attachment
+
+    found = []
+    for kind, file in config.files().items():
+        try:
+            found.append(file_attachment(kind, folder / file))
+        except ConfigError as error:
+            note(f"landfix: {error}; the output keeps the log's {kind}, if that has one")
+    return found
+
+
+def _sight(config: "Config", folder: Path, source: "list[Path]") -> "SightReplay":
     """What looks at the pictures of the log. Raises ConfigError."""
     from estimator.config import ConfigError
     from estimator.sight_files import load_sight

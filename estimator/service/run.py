@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
-from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher
+from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
 from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
@@ -176,13 +176,8 @@ def _subscriptions(config: RunConfig) -> dict[str, str]:
 
 def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
     """The configuration, and the files it names. Raises ConfigError."""
-    kept = [Attachment(CONFIG_ATTACHMENT, "application/toml", config.toml().encode())]
-    for name, given in config.files().items():
-        try:
-            kept.append(Attachment(f"{name}/{Path(given).name}", "application/octet-stream", (folder / given).read_bytes()))
-        except OSError as error:
-            raise ConfigError(f"{folder / given}: {(error.strerror or 'cannot be read').lower()}") from None
-    return kept
+    kept = Attachment(CONFIG_ATTACHMENT, "application/toml", config.toml().encode())
+    return [kept, *(file_attachment(kind, folder / file) for kind, file in config.files().items())]
 
 
 def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None:
