@@ -117,13 +117,13 @@ class Eskf:
 
     def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
         """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
-        nu, h = z.evaluate(self.x, gyro_b)
-        if len(self.cov) > E.SIZE:
-            h = np.hstack([h, np.zeros((len(nu), len(self.cov) - E.SIZE))])
-            for block, jacobian in slow:
-                columns = self.slow.columns[block]
-                h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
-            nu = nu - h[:, E.SIZE :] @ self.slow.mean
+        nu, by_state = z.evaluate(self.x, gyro_b)
+        h = np.zeros((len(nu), len(self.cov)))
+        h[:, : E.SIZE] = by_state
+        for block, jacobian in slow:
+            columns = self.slow.columns[block]
+            h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
+        nu = nu - h[:, E.SIZE :] @ self.slow.mean
         noise = z.noise
         s = innovation_covariance(self.cov, h, noise)
         if isinstance(z, PartialPose):
@@ -141,9 +141,7 @@ class Eskf:
         """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
         dx, cov = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
         if len(cov) > E.SIZE:
-            considered = E.SIZE + np.flatnonzero(self.slow.estimated == 0.0)
-            kept = np.ix_(considered, considered)
-            cov[kept] = self.cov[kept]
+            put_back(cov, self.cov, self.slow.estimated)
             self.slow = self.slow.moved(dx[E.SIZE :])
         self.cov = cov
         return dx[: E.SIZE]
@@ -151,6 +149,15 @@ class Eskf:
 
 _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
 _P, _V, _T, _G, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.SIZE
+
+
+@njit(cache=True)
+def put_back(cov: Array, before: Array, estimated: Array) -> None:
+    """The block of the considered states, in place, as it was before the update; estimated: (n - 15,) 0 where considered."""
+    for i in range(estimated.shape[0]):
+        for j in range(estimated.shape[0]):
+            if estimated[i] == 0.0 and estimated[j] == 0.0:
+                cov[_N + i, _N + j] = before[_N + i, _N + j]
 
 
 @njit(cache=True)

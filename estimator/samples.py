@@ -52,7 +52,7 @@ class ImuBuffer:
         """Index of the first sample later than t_ns (count where there is none)."""
         if self.previous_ns <= t_ns:
             return self.count - 1 if t_ns < self.newest_ns else self.count
-        return int(np.searchsorted(self.t_ns[: self.count], t_ns, side="right"))
+        return int(self.t_ns[: self.count].searchsorted(t_ns, "right"))
 
     def forget_before(self, t_ns: int) -> None:
         """Drop samples older than t_ns."""

@@ -59,7 +59,7 @@ class SlowErrors:
 
     def moved(self, by: Array) -> "SlowErrors":
         """With the means of what is estimated moved; by: (k,)."""
-        return replace(self, mean=self.mean + self.estimated * by)
+        return SlowErrors(self.columns, self.tau_s, self.sigma2, self.mean + self.estimated * by, self.estimated)
 
 
 NO_SLOW_ERRORS = SlowErrors({}, *(np.zeros(0) for _ in range(4)))
