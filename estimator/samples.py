@@ -30,7 +30,7 @@ class ImuBuffer:
             self._grow()
         k = self.count
         if s.t_ns <= self.newest_ns:
-            k = int(np.searchsorted(self.t_ns[: self.count], s.t_ns))
+            k = int(self.t_ns[: self.count].searchsorted(s.t_ns))
             if self.t_ns[k] == s.t_ns:
                 row = s.gyro_b + s.accel_b
                 if row >= tuple(self.u[k].tolist()):
@@ -55,9 +55,9 @@ class ImuBuffer:
         return int(self.t_ns[: self.count].searchsorted(t_ns, "right"))
 
     def forget_before(self, t_ns: int) -> None:
-        """Drop samples older than t_ns."""
-        k = int(np.searchsorted(self.t_ns[: self.count], t_ns))
-        if k:
+        """Drop samples older than t_ns, once they are half of all: to move the others costs as much as there are of them."""
+        k = int(self.t_ns[: self.count].searchsorted(t_ns))
+        if 2 * k >= self.count:
             self.t_ns[: self.count - k] = self.t_ns[k : self.count]
             self.u[: self.count - k] = self.u[k : self.count]
             self.count -= k
