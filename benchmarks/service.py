@@ -1,16 +1,17 @@
-"""The daemon under load for minutes: latency, processor, memory, drops, and whether its log says the same again.
+"""The daemon under load for minutes: latency, processor, memory, drops, fixes, and whether its log says the same again.
 
-    python -m benchmarks.service [--minutes 10] [--image-hz 10] [--realtime] [--json]
+    python -m benchmarks.service [--minutes 10] [--mavlink] [--realtime] [--json]
 
-Three processes on this machine: `landfix run`, the vehicle of benchmarks.service_vehicle (400 Hz IMU, 5 Hz GNSS, 1 Hz pose fixes,
-two VGA cameras) and, within it, the subscriber that times the estimates. Latency is from an IMU sample's stamp to its estimate in
-the subscriber's hands: two hops over Zenoh and the estimator between them.
+Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
+10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
+the estimator between them. The pictures are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
 """
 
 import argparse
 import json
 import os
-import resource
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -18,76 +19,88 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.service_vehicle import ORIGIN, TOPICS
+from benchmarks import service_pictures
+from benchmarks.service_vehicle import ORIGIN
+from benchmarks.service_watch import child, watch
 from estimator.config import parse
 from estimator.replay import replay
 from estimator.service.zenoh_bus import OUTPUTS
+from logs.decoding import LANDMARK_FIX_TOPIC
 from logs.reader import LogReader
 
 _OWN_WORDS = "/landfix/daemon"
-_WARM_S = 30.0  # the beginning is not counted as growth
+_ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # a circle at constant speed tells the heading too slowly
 
 
-def configuration(folder: Path, port: int) -> str:
+def configuration(folder: Path, port: int, mavlink_port: int | None) -> str:
     """The vehicle's."""
+    link = f'[mavlink]\nendpoint = "udpin:127.0.0.1:{mavlink_port}"\nimu_hz = 400.0\ngnss_hz = 5.0\n' if mavlink_port else ""
     return f"""
 [map]
 origin = {[*ORIGIN.lla]}
+landmarks = "{folder / "map.geojson"}"
+[rig]
+file = "{folder / "rig.yaml"}"
 [zenoh]
 listen = ["tcp/127.0.0.1:{port}"]
 [log]
 folder = "{folder / "logs"}"
-"""
+{link}"""
 
 
-def run(minutes: float, image_hz: float, port: int, folder: Path) -> dict[str, Any]:
+def run(minutes: float, port: int, mavlink_port: int | None, folder: Path) -> dict[str, Any]:
     """One run; what was measured."""
-    text = configuration(folder, port)
+    text = configuration(folder, port, mavlink_port)
     (folder / "vehicle.toml").write_text(text)
     began_s = time.monotonic()
-    daemon = subprocess.Popen([sys.executable, "-m", "estimator", "run", "-c", str(folder / "vehicle.toml")])
-    while not list((folder / "logs").glob("*.mcap")):
+    daemon = _python("estimator", "run", "-c", str(folder / "vehicle.toml"))
+    while not _listening(port):
         time.sleep(0.05)
     start_s = time.monotonic() - began_s
-    time.sleep(1.0)
-    words = ["--connect", f"tcp/127.0.0.1:{port}", "--seconds", str(60.0 * minutes), "--image-hz", str(image_hz)]
-    vehicle = subprocess.Popen([sys.executable, "-m", "benchmarks.service_vehicle", *words], stdout=subprocess.PIPE)
-    memory, cpu = _watch(daemon.pid, vehicle)
-    said, _ = vehicle.communicate()
-    daemon.terminate()
-    daemon.wait()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    subscriber = _python("benchmarks.service_subscriber", "--connect", endpoint)
+    assert subscriber.stdout is not None
+    assert subscriber.stdout.readline() == b"ready\n"
+    words = ["--connect", endpoint, "--seconds", str(60.0 * minutes), "--pictures", str(folder / "turn.mcap"), *_ALIGNMENT]
+    if mavlink_port:
+        vehicle = _python("benchmarks.service_autopilot", "--to", f"127.0.0.1:{mavlink_port}", *words)
+    else:
+        vehicle = _python("benchmarks.service_vehicle", *words)
+    vision = child(daemon.pid, "spawn_main")
+    if os.sched_getscheduler(0) == os.SCHED_RR:
+        os.sched_setscheduler(vision, os.SCHED_RR, os.sched_param(1))
+    processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
+    used = watch(processes, lambda: vehicle.poll() is not None)
+    flown = json.loads(vehicle.communicate()[0])
+    time.sleep(1.5)  # the status is of the last full second
+    subscriber.send_signal(signal.SIGTERM)
+    heard = json.loads(subscriber.communicate()[0])
+    daemon.send_signal(signal.SIGTERM)
+    daemon.communicate()
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    result: dict[str, Any] = json.loads(said)
     (log,) = (folder / "logs").glob("*.mcap")
-    logged = _counts(log)
-    result |= {"start_s": round(start_s, 1), **memory, **cpu, "log_mb": round(log.stat().st_size / 1e6, 1)}
-    result["not_logged"] = {topic: n - logged.get(topic, 0) for topic, n in result["sent"].items()}
-    result["estimates_logged"] = logged.get("/landfix/odometry", 0)
-    result["replay_says_the_same"] = _same(log, text, folder)
+    logged, status = _counts(log), heard.pop("daemon")
+    told = "log ", "vision ", "zenoh ", "mavlink ", "handling"
+    result: dict[str, Any] = (heard | flown) | {
+        "start_s": round(start_s, 1),
+        "processes": used,
+        "not_logged": {topic: n - logged.get(topic, 0) for topic, n in flown["sent"].items()},
+        "fixes": logged.get(LANDMARK_FIX_TOPIC, 0),
+        "status": {name: value for name, value in status.items() if name.startswith(told)},
+        "estimates_logged": logged.get("/landfix/odometry", 0),
+        "log_mb": round(log.stat().st_size / 1e6, 1),
+        "replay_says_the_same": _same(log, text, folder),
+    }
     return result
 
 
-def _watch(pid: int, vehicle: "subprocess.Popen[bytes]") -> tuple[dict[str, float], dict[str, float]]:
-    """Memory and processor time of a process, until the vehicle has landed."""
-    samples = []
-    while vehicle.poll() is None:
-        samples.append((time.monotonic(), _rss_mb(pid), _cpu_s(pid)))
-        time.sleep(1.0)
-    warm = [s for s in samples if s[0] - samples[0][0] > min(_WARM_S, (samples[-1][0] - samples[0][0]) / 2)]
-    (t0, rss0, cpu0), (t1, rss1, cpu1) = warm[0], warm[-1]
-    growth_mb = rss1 - rss0
-    memory = {"rss_mb": round(rss1, 1), "rss_growth_mb": round(growth_mb, 2)}
-    return memory, {"cpu_percent": round(100.0 * (cpu1 - cpu0) / (t1 - t0), 1)}
+def _python(module: str, *words: str) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen([sys.executable, "-m", module, *words], stdout=subprocess.PIPE)
 
 
-def _rss_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def _listening(port: int) -> bool:
+    with socket.socket() as s:
+        return s.connect_ex(("127.0.0.1", port)) == 0
 
 
 def _counts(log: Path) -> dict[str, int]:
@@ -113,23 +126,24 @@ def _same(log: Path, text: str, folder: Path) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--image-hz", type=float, default=10.0)
     parser.add_argument("--port", type=int, default=17447)
-    parser.add_argument("--realtime", action="store_true", help="SCHED_RR, for a machine that is busy; needs root")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where log and replay are kept")
+    parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
+    parser.add_argument("--realtime", action="store_true", help="SCHED_RR, vision below the rest, for a busy machine; needs root")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where pictures, log and replay are kept")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    if given.realtime:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
-    with tempfile.TemporaryDirectory() as folder:
-        result = run(given.minutes, given.image_hz, given.port, given.keep or Path(folder))
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.keep or Path(temporary)
+        if not (folder / "turn.mcap").exists():
+            service_pictures.write(folder)
+        if given.realtime:
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))
+        result = run(given.minutes, given.port, given.port + 1 if given.mavlink else None, folder)
+    for name, value in result.items() if not given.json else ():
+        print(f"{name:24} {value}")
     if given.json:
         print(json.dumps(result))
-        return
-    for name, value in result.items():
-        print(f"{name:24} {value}")
-    lost = [topic for topic, n in result["not_logged"].items() if n and topic in TOPICS]
-    sys.exit(bool(lost) or not result["replay_says_the_same"])
+    sys.exit(any(result["not_logged"].values()) or bool(result["not_finite"]) or not result["replay_says_the_same"])
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ counted. A process that dies, or does not answer in time, is started anew, each 
 """
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections import deque
@@ -25,6 +26,7 @@ from logs.decoding import LANDMARK_FIX_TOPIC
 from logs.stamps import stamp_of
 from models.messages import Vec3
 
+_GIVES_WAY: Final = 5  # to the loop, which has little to do but at once
 _START_S: Final = 60.0  # a map of a million landmarks takes a while
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
 _IDLE_S: Final = 0.05
@@ -37,6 +39,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
+    os.nice(_GIVES_WAY)
     from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
     try:

@@ -1,0 +1,63 @@
+"""Processor time and memory of running processes, from /proc."""
+
+import os
+import resource
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+_WARM_S = 30.0  # the beginning is not counted as growth
+
+
+class _Reading(NamedTuple):
+    s: float
+    rss_mb: float
+    cpu_s: float
+
+
+def watch(processes: dict[str, int], over: Callable[[], bool]) -> dict[str, dict[str, float]]:
+    """Of each process (name -> id) once a second until it is over: share of a core, memory, and how much that grew once warm."""
+    readings: dict[str, list[_Reading]] = {name: [] for name in processes}
+    while not over():
+        for name, pid in processes.items():
+            with suppress(FileNotFoundError):  # it is gone
+                readings[name].append(_Reading(time.monotonic(), _rss_mb(pid), _cpu_s(pid)))
+        time.sleep(1.0)
+    return {name: _summary(taken) for name, taken in readings.items()}
+
+
+def child(pid: int, words: str) -> int:
+    """The child of a process whose command line contains these words; waits for it."""
+    while True:
+        for other in Path(f"/proc/{pid}/task/{pid}/children").read_text().split() + _of_threads(pid):
+            if words in Path(f"/proc/{other}/cmdline").read_text():
+                return int(other)
+        time.sleep(0.1)
+
+
+def _of_threads(pid: int) -> list[str]:
+    """Children that another thread than the first has started."""
+    return [other for task in Path(f"/proc/{pid}/task").iterdir() for other in (task / "children").read_text().split()]
+
+
+def _summary(taken: list[_Reading]) -> dict[str, float]:
+    first, last = taken[0], taken[-1]
+    warm = next((r for r in taken if r.s - first.s >= min(_WARM_S, (last.s - first.s) / 2)), last)
+    share = (last.cpu_s - warm.cpu_s) / max(last.s - warm.s, 1e-9)
+    return {
+        "cpu_percent": round(100.0 * share, 1),
+        "rss_mb": round(last.rss_mb, 1),
+        "rss_growth_mb": round(last.rss_mb - warm.rss_mb, 2),
+    }
+
+
+def _rss_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
