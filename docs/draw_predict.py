@@ -42,7 +42,7 @@ def main() -> None:
 
 def _strength(picture: Image) -> Image:
     (level,) = levels(picture, RIG.left, (8,))
-    strength = np.clip(level.field[:, :, 6] * 6.0, 0.0, 255.0).astype(np.uint8)
+    strength = np.clip(level.whole()[:, :, 6] * 6.0, 0.0, 255.0).astype(np.uint8)
     large = cv2.resize(strength, (RIG.left.width, RIG.left.height), interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(np.repeat(large[:, :, None], 3, axis=2))
 

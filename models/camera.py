@@ -151,6 +151,8 @@ def _fold(distortion: tuple[float, ...]) -> float:
     into the picture once more.
     """
     k1, k2, _, _, k3, k4, k5, k6 = distortion
+    if not any(distortion):
+        return math.inf
     p, q = np.polynomial.Polynomial([1.0, k1, k2, k3]), np.polynomial.Polynomial([1.0, k4, k5, k6])
     two_s = np.polynomial.Polynomial([0.0, 2.0])
     slope = (p + two_s * p.deriv()) * q - two_s * p * q.deriv()

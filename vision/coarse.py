@@ -19,6 +19,7 @@ import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
@@ -30,7 +31,7 @@ from vision.rectify import Image
 from vision.reduced import Level, levels
 from vision.sensitivity import Eye
 from vision.visibility import MapError, Prisms
-from vision.voters import voters
+from vision.voters import chromas, voters
 from vision.votes import vote
 
 Mask = NDArray[np.bool_]
@@ -88,7 +89,7 @@ class Search:
     def __init__(self, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, config: CoarseConfig) -> None:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
-        self.body = Prisms.of(landmarks)
+        self.body, self.chroma = Prisms.of(landmarks), chromas(landmarks)
 
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
@@ -102,8 +103,8 @@ class Search:
             )
         ]
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
-        found = [self._near(middle, self.motion.gain @ q, size // middle.level.size) for q in self._wide(wide)]
-        ranked = sorted((self._near(fine, c.error, 2) for c in found), key=lambda c: -c.score)
+        found = [self._climb(middle, self.motion.gain @ q, size // middle.level.size) for q in self._wide(wide)]
+        ranked = sorted((self._climb(fine, c.error, 2) for c in found), key=lambda c: -c.score)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
     def _reduction(self) -> int:
@@ -136,6 +137,11 @@ class Search:
         peaks = [np.array([grid.su[a], grid.sv[b], *grid.others[other[a, b]]]) for a, b in _peaks(best)[: 3 * self.config.peaks]]
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.peaks]
 
+    def _climb(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
+        """The better of the place near an error and the place near that one: turn and scale follow only from the first look."""
+        first = self._near(stage, error, steps)
+        return max(first, self._near(stage, first.error, steps), key=lambda c: c.score)
+
     def _near(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
         """Every landmark's own place near an error of the prior, and the pose and map errors that follow."""
         level, free = stage.level, stage.free + _SLACK
@@ -145,7 +151,7 @@ class Search:
         votes, length = stage.vote(error, s, s, everywhere)
         inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
         common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
-        places = np.array([_own_place(one, common, int(radius)) for one, radius in zip(votes, free, strict=True)])
+        places = _own_places(votes, common, free)
         k, (a, b) = np.arange(len(votes)), np.rint(places).astype(int).T
         length = length[k, a, b]
         support = votes[k, a, b] + self.config.expected * length
@@ -178,18 +184,19 @@ class _Stage:
         self.level, self.motion, self.expected = level, search.motion, search.config.expected
         self.eye = Eye(level.camera, search.eye.R_kb, search.eye.p_bk, search.eye.right)
         pose = self.motion.pose(np.zeros(6))
-        self.voters = voters(self.eye, search.landmarks, search.body, pose, reach_px / level.size, points)
-        depth = np.array([mark.roof_d for mark in search.landmarks]) - self.eye.pose(*pose)[0][2]
+        self.voters = voters(self.eye, search.body, search.chroma, pose, reach_px / level.size, points)
+        depth = search.body.base_d - search.body.height_m - self.eye.pose(*pose)[0][2]
         self.free = np.rint(2.0 * search.map_sigma * level.camera.fx / np.maximum(depth, 1.0))  # px that the map leaves open
-        self.floor = _FLOOR * float(np.median(level.field[::2, ::2, 6])) + 0.5
+        self.floor = _FLOOR * level.typical() + 0.5
 
     def vote(self, error: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
         """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts beside an error of the prior."""
         assert self.voters is not None
         v, c, marks = self.voters, self.level.camera, len(self.free)
         aimed = v.aimed(self.eye, self.motion.pose(error), self.motion.gain[:, :2])
+        field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
         support, length = vote(
-            self.level.field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
+            field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
             su, sv, inside,
         )  # fmt: skip
         return support - self.expected * length, length
@@ -272,17 +279,28 @@ def _peaks(score: Array) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in places[np.argsort(-score[top], kind="stable")]]
 
 
-def _own_place(votes: Array, common: NDArray[np.int64], radius: int) -> Array:
-    """Row and column, to a fraction, of a landmark's best place within radius of the common one."""
-    low = np.maximum(common - radius, 0)
-    window = votes[low[0] : common[0] + radius + 1, low[1] : common[1] + radius + 1]
-    at = low + np.array(np.unravel_index(int(np.argmax(window)), window.shape))
-    place = at.astype(float)
-    for axis in range(2):
-        step = np.eye(2, dtype=int)[axis]
-        if 0 < at[axis] < votes.shape[axis] - 1:
-            before, here, after = (float(votes[tuple(at + k * step)]) for k in (-1, 0, 1))
-            curvature = before - 2.0 * here + after
-            if curvature < 0.0:
-                place[axis] += min(max(0.5 * (before - after) / curvature, -0.5), 0.5)
-    return place
+@njit(cache=True)
+def _own_places(votes: Array, common: NDArray[np.int64], free: Array) -> Array:
+    """Row and column (L, 2), to a fraction, of each landmark's best place in votes (L, U, V), at most free (L,) from common."""
+    places = np.empty((len(votes), 2))
+    for k in range(len(votes)):
+        one, radius = votes[k], int(free[k])
+        a, b = common[0], common[1]
+        best = -np.inf
+        for i in range(max(common[0] - radius, 0), min(common[0] + radius + 1, one.shape[0])):
+            for j in range(max(common[1] - radius, 0), min(common[1] + radius + 1, one.shape[1])):
+                if one[i, j] > best:
+                    best, a, b = one[i, j], i, j
+        places[k, 0], places[k, 1] = a, b
+        if 0 < a < one.shape[0] - 1:
+            places[k, 0] += _top(one[a - 1, b], one[a, b], one[a + 1, b])
+        if 0 < b < one.shape[1] - 1:
+            places[k, 1] += _top(one[a, b - 1], one[a, b], one[a, b + 1])
+    return places
+
+
+@njit(cache=True)
+def _top(before: float, here: float, after: float) -> float:
+    """Where the parabola through three values has its top, -0.5 ... 0.5; 0 where it has none."""
+    curvature = before - 2.0 * here + after
+    return min(max(0.5 * (before - after) / curvature, -0.5), 0.5) if curvature < 0.0 else 0.0

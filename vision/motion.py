@@ -9,6 +9,7 @@ for the likeliest pose that shows it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -93,8 +94,12 @@ def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array
 
 def straight(eye: Eye) -> Eye:
     """The same camera without distortion."""
-    c = eye.camera
-    return Eye(CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy), eye.R_kb, eye.p_bk, eye.right)
+    return Eye(_pinhole(eye.camera), eye.R_kb, eye.p_bk, eye.right)
+
+
+@lru_cache(maxsize=8)
+def _pinhole(c: CameraModel) -> CameraModel:
+    return CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy)
 
 
 def _roof(mark: Landmark) -> Array:

@@ -8,6 +8,7 @@ left of them.
 
 import math
 from collections.abc import Sequence
+from statistics import median
 
 import msgspec
 import numpy as np
@@ -57,7 +58,7 @@ class PredictPath:
     def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
         """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
         eye = self._eye(pictures)
-        marks = _in_view(eye, near, prior, self._limit_px(eye))[: self._config.most_voting]
+        marks = _in_view(eye, near, prior, self._limit_px(eye), self._config.most_voting)
         move = motion(eye, marks, prior) if marks else None
         return None if move is None else (marks, move)
 
@@ -112,24 +113,22 @@ class PredictPath:
         return Result(None, report_of(t_ns, outcome, f"{pictures.remark}predicted: {detail}", said), tuple(said))
 
 
-def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float) -> list[Landmark]:
-    """Landmarks whose roof comes within limit_px of the picture, those with most of it in view first."""
+def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
+    """Landmarks whose roof comes within limit_px of the picture, those with most of it in view first, at most `most`."""
     pinhole = straight(eye)
     p_nk, R_nk = pinhole.pose(np.asarray(prior.p_n, dtype=float), prior.R_nb)
-    c, ranked = pinhole.camera, []
-    for number, mark in enumerate(near):
-        roof = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
-        x_c = (roof - p_nk) @ R_nk
-        if not (x_c[:, 2] > 0.2 * np.linalg.norm(x_c, axis=1)).all():
-            continue
-        px = c.project(x_c)
-        low, high = px.min(axis=0), px.max(axis=0)
-        size = np.array([c.width, c.height])
-        beside = np.maximum(np.maximum(low - size, -high), 0.0).max()
-        if beside < limit_px:
-            inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0))
-            ranked.append((-float(inside), float(beside), number, c.fx / float(np.median(x_c[:, 2]))))
-    return [as_seen(near[number], px_per_m) for _, _, number, px_per_m in sorted(ranked)]
+    c, count = pinhole.camera, [len(mark.outline_n) for mark in near]
+    roofs = np.column_stack((np.concatenate([m.outline_n for m in near]), np.repeat([m.roof_d for m in near], count)))
+    x_c, first = (roofs - p_nk) @ R_nk, np.cumsum([0, *count[:-1]])
+    before = np.logical_and.reduceat(x_c[:, 2] > 0.2 * np.linalg.norm(x_c, axis=1), first)
+    px, size = c.project(x_c), np.array([c.width, c.height])
+    low, high = np.minimum.reduceat(px, first), np.maximum.reduceat(px, first)
+    beside = np.maximum(np.maximum(low - size, -high), 0.0).max(axis=1)
+    inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0), axis=1)
+    seen = np.flatnonzero(before & (beside < limit_px))
+    chosen = seen[np.lexsort((seen, beside[seen], -inside[seen]))][:most]
+    depth = [median(x_c[first[k] : first[k] + count[k], 2].tolist()) for k in chosen]
+    return [as_seen(near[k], c.fx / z) for k, z in zip(chosen, depth, strict=True)]
 
 
 def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:

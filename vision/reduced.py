@@ -3,32 +3,57 @@
     u_s = (u + 1/2) / s - 1/2                         (pixel of the picture reduced s times, pixel centres at integers)
 
 A field (H, W, 8) holds dI/du of three channels, dI/dv of three channels, and the length of all six together; the last one is
-empty, so that a pixel is half a line of the cache.
+empty, so that a pixel is half a line of the cache. It is made tile by tile, where outlines are looked for: elsewhere it is noise.
 """
 
-from dataclasses import dataclass
+import math
 from functools import lru_cache
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
+from models.messages import Array
 from vision.rectify import Image
 
 Field = NDArray[np.float32]
 Plane = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 _UNSEEN = -1.0  # length where the camera saw nothing
-_SOBEL = 0.125  # kernel -> grey values per pixel
+_SOBEL = np.float32(0.125)  # kernel -> grey values per pixel
+_TILE = 16  # px
+_SAMPLE = 5000  # pixels, about, that tell the typical gradient
 
 
-@dataclass(frozen=True, slots=True)
 class Level:
     """A picture reduced `size` times as a camera without distortion would have taken it, and its field."""
 
-    size: int
-    camera: CameraModel
-    field: Field
+    def __init__(self, size: int, camera: CameraModel, picture: Image, unseen: Mask) -> None:
+        self.size, self.camera, self._unseen = size, camera, unseen
+        self._picture = np.ascontiguousarray(picture if picture.ndim == 3 else picture[:, :, None])
+        height, width = picture.shape[:2]
+        self._field = np.empty((height, width, 8), dtype=np.float32)
+        self._made = np.zeros((-(-height // _TILE), -(-width // _TILE)), dtype=np.bool_)
+
+    def typical(self) -> float:
+        """Median length of the gradient, of some thousand pixels."""
+        step = max(2, math.isqrt(self._made.size * _TILE**2 // _SAMPLE))
+        return float(np.median(_lengths(self._picture, self._unseen, step)))
+
+    def whole(self) -> Field:
+        """All of the field."""
+        for y, x in np.argwhere(~self._made):
+            _fill(self._field, self._picture, self._unseen, y * _TILE, x * _TILE)
+        self._made[:] = True
+        return self._field
+
+    def field(self, aimed: Array, u: tuple[float, float], v: tuple[float, float]) -> Field:
+        """The field where points aimed (N, 11), as vote() takes them, come to lie at shifts from u[0] to u[1], v[0] to v[1]."""
+        c = self.camera
+        _make(self._field, self._made, self._picture, self._unseen, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, u, v)
+        return self._field
 
 
 def levels(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
@@ -40,32 +65,87 @@ def levels(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[
         before = size
         small, maps, unseen = _straight(camera, size)
         straight = reduced if maps is None else cv2.remap(reduced, maps[0], maps[1], cv2.INTER_LINEAR)
-        made.append(Level(size, small, _field(straight, unseen)))
+        made.append(Level(size, small, straight, unseen))
     return made
 
 
-def _field(picture: Image, unseen: NDArray[np.bool_] | None) -> Field:
-    image = picture if picture.ndim == 3 else picture[:, :, None]
-    channels = min(image.shape[2], 3)
-    field = np.zeros((*image.shape[:2], 8), dtype=np.float32)
-    for k, (du, dv) in enumerate(((1, 0), (0, 1))):
-        slope = cv2.Sobel(picture, cv2.CV_32F, du, dv, ksize=3, scale=_SOBEL)
-        field[:, :, 3 * k : 3 * k + channels] = slope.reshape(*image.shape[:2], -1)[:, :, :channels]
-    field[:, :, 6] = np.sqrt(sum(field[:, :, k] ** 2 for k in range(6)))
-    if unseen is not None:
-        field[unseen, 6] = _UNSEEN
-    return field
+@njit(cache=True)
+def _make(
+    field: Field, made: Mask, picture: Image, unseen: Mask, camera: Array, aimed: Array, su: tuple[float, float],
+    sv: tuple[float, float],
+) -> None:  # fmt: skip
+    """Make the tiles that the points reach. u and v are quotients of what is linear in the shifts: largest at its corners."""
+    rows, columns = field.shape[0], field.shape[1]
+    for i in range(len(aimed)):
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+        for a in su:
+            for b in sv:
+                z = aimed[i, 2] + a * aimed[i, 5] + b * aimed[i, 8]
+                if z <= 0.0:  # nobody knows where to
+                    left, right, top, bottom = -np.inf, np.inf, -np.inf, np.inf
+                    continue
+                u = camera[0] * (aimed[i, 0] + a * aimed[i, 3] + b * aimed[i, 6]) / z + camera[2]
+                v = camera[1] * (aimed[i, 1] + a * aimed[i, 4] + b * aimed[i, 7]) / z + camera[3]
+                left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+        if right < -1.0 or left > columns or bottom < -1.0 or top > rows:
+            continue
+        first, last = int(max(left - 0.5, 0.0)) // _TILE, int(min(right + 1.5, columns - 1.0)) // _TILE
+        for y in range(int(max(top - 0.5, 0.0)) // _TILE, int(min(bottom + 1.5, rows - 1.0)) // _TILE + 1):
+            for x in range(first, last + 1):
+                if not made[y, x]:
+                    made[y, x] = True
+                    _fill(field, picture, unseen, y * _TILE, x * _TILE)
+
+
+@njit(cache=True)
+def _fill(field: Field, picture: Image, unseen: Mask, top: int, left: int) -> None:
+    """The field of one tile."""
+    rows, columns = field.shape[0], field.shape[1]
+    for y in range(top, min(top + _TILE, rows)):
+        for x in range(left, min(left + _TILE, columns)):
+            length = _gradient(picture, y, x, field[y, x])
+            field[y, x, 6] = _UNSEEN if unseen[y, x] else length
+
+
+@njit(cache=True)
+def _gradient(picture: Image, y: int, x: int, out: NDArray[np.float32]) -> float:
+    """Sobel's derivatives of all channels at a pixel, into out; returns their length. The picture is mirrored at its border."""
+    rows, columns, channels = picture.shape
+    above, below = y - 1 if y > 0 else min(1, rows - 1), y + 1 if y < rows - 1 else max(rows - 2, 0)
+    before, after = x - 1 if x > 0 else min(1, columns - 1), x + 1 if x < columns - 1 else max(columns - 2, 0)
+    out[:6] = 0.0
+    square = np.float32(0.0)
+    for c in range(channels):
+        nw, n, ne = np.int32(picture[above, before, c]), np.int32(picture[above, x, c]), np.int32(picture[above, after, c])
+        w, e = np.int32(picture[y, before, c]), np.int32(picture[y, after, c])
+        sw, s, se = np.int32(picture[below, before, c]), np.int32(picture[below, x, c]), np.int32(picture[below, after, c])
+        du = _SOBEL * np.float32(ne + 2 * e + se - nw - 2 * w - sw)
+        dv = _SOBEL * np.float32(sw + 2 * s + se - nw - 2 * n - ne)
+        out[c], out[3 + c] = du, dv
+        square += du * du + dv * dv
+    return float(np.sqrt(square))
+
+
+@njit(cache=True)
+def _lengths(picture: Image, unseen: Mask, step: int) -> NDArray[np.float32]:
+    """Lengths of the gradient at every step-th pixel of every step-th row."""
+    rows, columns = (picture.shape[0] + step - 1) // step, (picture.shape[1] + step - 1) // step
+    lengths, room = np.empty((rows, columns), dtype=np.float32), np.empty(8, dtype=np.float32)
+    for y in range(rows):
+        for x in range(columns):
+            lengths[y, x] = _UNSEEN if unseen[step * y, step * x] else _gradient(picture, step * y, step * x, room)
+    return lengths
 
 
 @lru_cache(maxsize=16)
-def _straight(camera: CameraModel, size: int) -> tuple[CameraModel, tuple[Plane, Plane] | None, NDArray[np.bool_] | None]:
+def _straight(camera: CameraModel, size: int) -> tuple[CameraModel, tuple[Plane, Plane] | None, Mask]:
     """The reduced camera without distortion, where in the reduced picture its pixels come from, and which nobody saw."""
     width, height = camera.width // size, camera.height // size
     small = CameraModel(
         width, height, camera.fx / size, camera.fy / size, (camera.cx + 0.5) / size - 0.5, (camera.cy + 0.5) / size - 0.5
     )
     if not any(camera.distortion):
-        return small, None, None
+        return small, None, np.zeros((height, width), dtype=np.bool_)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     px = camera.project(small.ray(np.column_stack((u.ravel(), v.ravel()))))
     unseen = ~camera.contains(px, 2.0 * size).reshape(height, width)

@@ -53,10 +53,10 @@ class Voters:
         return aim(self.points_n, self.direction_n, pose[0], gain, p_nk, R_nk, eye.camera.fx, eye.camera.fy)
 
 
-def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, reach_px: float, most: int) -> Voters | None:
+def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> Voters | None:
     """About `most` points of what is seen from a pose and comes into the picture within reach_px; None where there is nothing.
 
-    eye: with the camera of the reduced picture, without distortion.
+    eye: with the camera of the reduced picture, without distortion; chroma (L, 3): chromas() of the landmarks.
     """
     p_nk, _ = eye.pose(*pose)
     eye = Eye(_enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
@@ -74,7 +74,8 @@ def voters(eye: Eye, landmarks: Sequence[Landmark], body: Prisms, pose: Pose, re
     if chosen.sum() < _LEAST:
         return None
     count = np.bincount(chain[samples.edge], minlength=len(total))
-    return _chosen(edges, samples, chosen, chain, np.bincount(chain, length, len(total)) / np.maximum(count, 1), landmarks, p_nk)
+    apart = np.bincount(chain, length, len(total)) / np.maximum(count, 1)
+    return _chosen(edges, samples, chosen, chain, apart, body, chroma, p_nk)
 
 
 @lru_cache(maxsize=32)
@@ -114,22 +115,26 @@ def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) ->
 
 def _chosen(
     edges: ModelEdges, samples: Samples, chosen: NDArray[np.bool_], chain: Indices, length: Array,
-    landmarks: Sequence[Landmark], p_nk: Array,
+    body: Prisms, chroma: Array, p_nk: Array,
 ) -> Voters:  # fmt: skip
     edge = samples.edge[chosen]
     chain_ids, first = np.unique(chain[edge], return_index=True)
     ids = edge[first]
     mark = edges.landmark[ids]
-    chroma = np.array([_chroma(m) for m in landmarks])[mark] * (edges.kind[ids] == Kind.ROOF)[:, None]
-    depth = np.array([m.roof_d for m in landmarks]) - p_nk[2]
+    sided = chroma[mark] * (edges.kind[ids] == Kind.ROOF)[:, None]
+    depth = body.base_d - body.height_m - p_nk[2]
     return Voters(
         samples.points_n[chosen], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], np.append(first, len(edge)),
-        mark, length[chain_ids], chroma, depth,
+        mark, length[chain_ids], sided, depth,
     )  # fmt: skip
 
 
+def chromas(landmarks: Sequence[Landmark]) -> Array:
+    """Unit vectors (L, 3) of the colours without their grey part, 0 where there is none."""
+    return np.array([_chroma(mark) for mark in landmarks])
+
+
 def _chroma(mark: Landmark) -> Array:
-    """Unit vector of the colour without its grey part, 0 where there is none."""
     if mark.colour_bgr is None:
         return np.zeros(3)
     chroma = np.array(mark.colour_bgr, dtype=float) - np.mean(mark.colour_bgr)

@@ -23,7 +23,7 @@ from vision.synthetic.ground import Ground
 from vision.synthetic.render import render
 from vision.synthetic.world import Look, Sun, World
 from vision.visibility import Prisms
-from vision.voters import chains, voters
+from vision.voters import chains, chromas, voters
 from vision.votes import aim, vote
 
 HEIGHT_M = 40.0
@@ -173,7 +173,7 @@ def step_field(sign: float, noise: float, size: int = 60) -> tuple[Field, Camera
     camera = CameraModel(size, size, 100.0, 100.0, 0.5 * size, 0.5 * size)
     picture = np.full((size, size, 3), 100.0) + np.random.default_rng(1).normal(0.0, noise, (size, size, 3))
     picture[:, size // 2 :] += sign * np.array([10.0, 20.0, 40.0])
-    return levels(np.clip(picture, 0, 255).astype(np.uint8), camera, (1,))[0].field, camera
+    return levels(np.clip(picture, 0, 255).astype(np.uint8), camera, (1,))[0].whole(), camera
 
 
 def edge_votes(field: Field, camera: CameraModel, chroma: Array, points: int = 14, apart_px: float = 3.0) -> Array:
@@ -219,7 +219,7 @@ def test_a_reduced_picture_is_the_camera_without_its_lens() -> None:
     (u, v) = RIG.left.project(point)[0]
     cv2.circle(picture, (round(float(u)), round(float(v))), 12, 255, -1)
     for level in levels(picture, RIG.left, (2, 4, 8)):
-        weight = level.field[:, :, 6].astype(float).clip(0.0)
+        weight = level.whole()[:, :, 6].astype(float).clip(0.0)
         rows, columns = np.indices(weight.shape)
         middle = np.array([(columns * weight).sum(), (rows * weight).sum()]) / weight.sum()
         np.testing.assert_allclose(middle, level.camera.project(point)[0], atol=0.6)
@@ -229,8 +229,8 @@ def test_what_the_lens_did_not_see_has_no_votes() -> None:
     """A lens that draws the corners inwards shows less than the reduced camera has room for."""
     cushion = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (0.15, 0.0, 0.0, 0.0))
     (level,) = levels(np.full((480, 640), 90, dtype=np.uint8), cushion, (8,))
-    assert level.field[0, 0, 6] == -1.0
-    assert level.field[30, 40, 6] == 0.0
+    assert level.whole()[0, 0, 6] == -1.0
+    assert level.whole()[30, 40, 6] == 0.0
 
 
 def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
@@ -238,7 +238,7 @@ def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
     angle = -2.0 * np.pi * np.arange(40) / 40
     curve = Landmark.of("round", 5.0 * np.column_stack((np.cos(angle), np.sin(angle))), 0.0, 0.0)
     small = Eye(CameraModel(80, 60, 75.0, 75.0, 39.5, 29.5), EYE.R_kb, EYE.p_bk, right=False)
-    made = voters(small, [curve], Prisms.of([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
+    made = voters(small, Prisms.of([curve]), chromas([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
     assert made is not None
     assert 6 <= len(made.mark) <= 16
     assert abs((made.length * np.diff(made.first)).sum() / (2.0 * np.pi * 5.0 * 75.0 / 20.0) - 1.0) < 0.1
