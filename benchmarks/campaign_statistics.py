@@ -2,8 +2,12 @@
 
 n * mean(NEES) ~ chi2(n * dof)           two-sided bands of a cell                      (Bar-Shalom 2001, eq. 5.4.2-8)
 efficiency = sqrt(mean |e|^2 / mean tr B),   B the posterior Cramer-Rao bound           (Tichavsky 1998)
+
+The cells of one flight are not independent: a run's biases and its last errors go on from instant to instant. Few seeds put many
+cells outside together. Runs are independent, so the mean over a whole flight has a standard error from the scatter between them.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
@@ -13,9 +17,10 @@ import numpy as np
 from benchmarks.campaign_flights import Flight, Instant
 from benchmarks.campaign_runs import BLOCKS, PARTS, Score
 from logs.metrics import chi2_band
-from models.messages import Reason
+from models.messages import Array, Reason
 
 INSIDE, OUTSIDE = 0.95, 0.9999  # probabilities of the two bands
+MOST_ERRORS = 3.0  # standard errors that a mean may be off
 _MET = frozenset({Reason.FUSED, Reason.GATED, Reason.ALIGNING, Reason.PROBATION})  # used, or looked at as it should be
 
 
@@ -55,12 +60,29 @@ class Efficiency(msgspec.Struct, frozen=True):
         return self.rmse / self.bound
 
 
+class Whole(msgspec.Struct, frozen=True):
+    """NEES/dof of one part over a whole flight: mean over runs, and the standard error of that mean from their scatter."""
+
+    part: str
+    mean: float
+    error: float
+
+    @property
+    def honest(self) -> bool:
+        """Not further from 1 than chance explains."""
+        return abs(self.mean - 1.0) <= MOST_ERRORS * self.error
+
+    def __str__(self) -> str:
+        return f"{self.mean:.2f}±{self.error:.2f}"
+
+
 class Result(msgspec.Struct, frozen=True):
     """A flight over all its seeds; fixes: valid measurements by what became of them."""
 
     name: str
     matched: bool
     runs: int
+    wholes: list[Whole]
     consistency: list[Consistency]
     efficiency: list[Efficiency]
     fixes: dict[str, int]
@@ -96,7 +118,16 @@ def judge(flight: Flight, scores: Sequence[Score]) -> Result:
     fixes: Counter[str] = Counter()
     for score in scores:
         fixes.update(score.fixes)
-    return Result(flight.name, flight.matched, len(scores), cells, efficiencies, dict(fixes), sum(s.internal for s in scores))
+    wholes = [whole(part, nees[:, :, j], len(indices)) for j, (part, indices) in enumerate(PARTS.items())]
+    internal = sum(s.internal for s in scores)
+    return Result(flight.name, flight.matched, len(scores), wholes, cells, efficiencies, dict(fixes), internal)
+
+
+def whole(part: str, values: Array, dof: int) -> Whole:
+    """Of NEES values (runs, instants), nan where there was no estimate."""
+    each = np.array([run[~np.isnan(run)].mean() / dof for run in values if not np.isnan(run).all()])
+    error = float(each.std(ddof=1)) / math.sqrt(len(each)) if len(each) > 1 else math.inf
+    return Whole(part, float(each.mean()), error)
 
 
 def consistency(instant: Instant, part: str, values: np.ndarray[tuple[int], np.dtype[np.float64]], dof: int) -> Consistency:

@@ -56,6 +56,7 @@ def test_nees_of_pose_velocity_and_state_stays_in_its_band(name: str) -> None:
     assert result.missing == 0
     assert [cell for cell in result.consistency if beyond(cell)] == []
     assert sum(cell.inside for cell in result.consistency) >= 0.85 * len(result.consistency)
+    assert all(whole.honest for whole in result.wholes)
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -82,3 +83,4 @@ def test_a_filter_with_wrong_process_noise_is_found_out(process_scale: float, si
     found = [cell for cell in result.consistency if beyond(cell)]
     assert {beyond(cell) for cell in found} == {side}
     assert {"pose", "full"} <= {cell.part for cell in found}
+    assert all((whole.mean - 1.0) * side > 0.0 and not whole.honest for whole in result.wholes if whole.part != "velocity")

@@ -224,6 +224,22 @@ def test_a_jump_is_told_with_its_size_and_counted() -> None:
     assert big.delta_p_n[1] == pytest.approx(8.0, abs=1.5)
 
 
+def test_a_jump_in_attitude_is_told_about_the_axes_of_n() -> None:
+    """R_new = exp(delta_theta_n) R_old: a vehicle on its side and nose up, whose fixes turn to the right; its body axes are others."""
+    rest, turn_n = so3.from_euler(1.3, 0.6, 0.4), np.array([0.0, 0.0, 0.8])
+    felt = vec3(so3.matrix(rest).T @ np.array([0.0, 0.0, -9.80665]))
+    messages: list[Input] = []
+    for m in hover(45.0, rate_hz=50.0):
+        if isinstance(m, PoseFix):
+            q = so3.multiply(so3.quat_exp(turn_n), rest) if m.t_ns > EPOCH_NS + 10 * SECOND else rest
+            messages.append(msgspec.structs.replace(m, q_nb_wxyz=(float(q[0]), float(q[1]), float(q[2]), float(q[3]))))
+        else:
+            messages.append(msgspec.structs.replace(m, accel_b=felt))
+    run = Run(Fusion(FusionConfig())).feed(messages)
+    big = max(run.resets, key=lambda r: float(np.linalg.norm(r.delta_theta_n)))
+    np.testing.assert_allclose(big.delta_theta_n, turn_n, atol=0.05)
+
+
 def test_an_ordinary_correction_is_no_reset(hovering: Run) -> None:
     assert not hovering.resets
     assert {e.reset_counter for e in hovering.estimates} == {0}
