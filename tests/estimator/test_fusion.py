@@ -225,7 +225,7 @@ def test_a_jump_is_told_with_its_size_and_counted() -> None:
 
 
 def test_a_jump_in_attitude_is_told_about_the_axes_of_n() -> None:
-    """R_new = exp(delta_theta_n) R_old: a vehicle on its side and nose up, whose fixes turn to the right; its body axes are others."""
+    """R_new = exp(delta_theta_n) R_old: fixes on a vehicle that lies on its side, nose up, turn about the vertical."""
     rest, turn_n = so3.from_euler(1.3, 0.6, 0.4), np.array([0.0, 0.0, 0.8])
     felt = vec3(so3.matrix(rest).T @ np.array([0.0, 0.0, -9.80665]))
     messages: list[Input] = []
