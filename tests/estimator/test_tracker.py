@@ -71,6 +71,23 @@ def test_a_copy_goes_its_own_way() -> None:
     assert copy.hypotheses.lead.x[X.P][0] > 0.1
 
 
+def test_a_velocity_between_samples_is_seen_with_the_rate_of_its_own_time() -> None:
+    """An antenna on a boom of 10 m goes at w x l: the rate grows by 0.1 rad/s in an IMU step, 1 m/s at the antenna."""
+    samples, step_ns, share = ImuBuffer(), SECOND // 100, 0.3
+    tracker, boom_m = _aligned(_samples(4.0)), 10.0
+    for k in range(3):
+        t = EPOCH_NS + 4 * SECOND + k * step_ns
+        samples.insert(ImuSample(t, t, (0.0, 0.0, 0.1 * k), (0.0, 0.0, -9.80665)))
+    t_ns = EPOCH_NS + 4 * SECOND + step_ns + round(share * step_ns)
+    rate = 0.1 * (1.0 + share)
+    velocity = GnssVelocity(t_ns, t_ns, (0.0, rate * boom_m, 0.0), np.eye(3) * 0.01)
+    aid = velocity_aid(velocity, GnssConfig(antenna_b_m=(boom_m, 0.0, 0.0)))
+    assert isinstance(aid, Aid)
+    tracker.propagate(samples, t_ns)
+    decision = tracker.process(aid, samples)
+    np.testing.assert_allclose(decision.innovation, 0.0, atol=0.1)
+
+
 def test_equal_measurements_make_equal_trackers() -> None:
     one, two = _aligned(_samples(5.0)), _aligned(_samples(5.0))
     assert one.hypotheses is not None
