@@ -24,7 +24,7 @@ from estimator.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import imu, so3
 from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
 from models.messages import Array
-from models.state import E, X, sound
+from models.state import E, retract, sound
 
 _LONG_S = 1e9
 _LN_2PI = math.log(2.0 * math.pi)
@@ -147,8 +147,7 @@ class Eskf:
         return dx[: E.SIZE]
 
 
-_XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
-_P, _V, _T, _G, _N = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.SIZE
+_T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
 
 
 @njit(cache=True)
@@ -163,13 +162,8 @@ def put_back(cov: Array, before: Array, estimated: Array) -> None:
 @njit(cache=True)
 def inject(x: Array, cov: Array, dx: Array) -> bool:
     """x <- x (+) dx and P <- G P G^T, in place; dx (15,). False where the result is not sound."""
-    for i in range(_XQ - _XP):
-        x[_XP + i] += dx[_P + i]
-    for i in range(_N - _G):
-        x[_XG + i] += dx[_G + i]
-    theta = dx[_T:_G]
-    x[_XQ:_XG] = so3.normalise(so3.multiply(x[_XQ:_XG], so3.quat_exp(theta)))
-    g = np.eye(3) - 0.5 * so3.skew(theta)
+    x[:] = retract(x, dx)
+    g = np.eye(3) - 0.5 * so3.skew(dx[_T:_G])
     n = cov.shape[0]
     row = np.empty(3)
     for j in range(n):

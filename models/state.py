@@ -68,25 +68,28 @@ class NavState:
         return so3.matrix(self.q_nb_wxyz)
 
 
+# Compiled code reads plain integers: before and behind the attitude, the errors add up.
+_XQ, _XG, _T, _G, _N = X.Q.start, X.BG.start, E.THETA.start, E.BG.start, E.SIZE
+
+
+@njit(cache=True)
 def retract(x: Array, dx: Array) -> Array:
     """x (+) dx: packed state (16,) moved by the error (15,)."""
-    y = np.empty(X.SIZE)
-    y[X.P], y[X.V] = x[X.P] + dx[E.P], x[X.V] + dx[E.V]
-    y[X.Q] = so3.normalise(so3.multiply(x[X.Q], so3.quat_exp(dx[E.THETA])))
-    y[X.BG], y[X.BA] = x[X.BG] + dx[E.BG], x[X.BA] + dx[E.BA]
+    y = np.empty_like(x)
+    y[:_XQ] = x[:_XQ] + dx[:_T]
+    y[_XQ:_XG] = so3.normalise(so3.multiply(x[_XQ:_XG], so3.quat_exp(dx[_T:_G])))
+    y[_XG:] = x[_XG:] + dx[_G:]
     return y
 
 
+@njit(cache=True)
 def local(x: Array, y: Array) -> Array:
     """dx with x (+) dx = y."""
-    dx = np.empty(E.SIZE)
-    dx[E.P], dx[E.V] = y[X.P] - x[X.P], y[X.V] - x[X.V]
-    dx[E.THETA] = so3.quat_log(so3.multiply(so3.conjugate(x[X.Q]), y[X.Q]))
-    dx[E.BG], dx[E.BA] = y[X.BG] - x[X.BG], y[X.BA] - x[X.BA]
+    dx = np.empty(_N)
+    dx[:_T] = y[:_XQ] - x[:_XQ]
+    dx[_T:_G] = so3.quat_log(so3.multiply(so3.conjugate(x[_XQ:_XG]), y[_XQ:_XG]))
+    dx[_G:] = y[_XG:] - x[_XG:]
     return dx
-
-
-_N = E.SIZE
 
 
 def carried(cov: Array, jacobian: Array) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 
 from estimator.sources.pose import FARTHEST_M, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
-from models import so3
 from models.measurements import DIRECTION_SCALE, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 
@@ -50,7 +49,7 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
         slow_errors = (*slow_errors, lasting(fix.topic, covariance, config))
         noise = noise * (1.0 - config.lasting_share)
     p_n, q = pose
-    z = PartialPose(p_n, so3.normalise(q), directions, readings, noise)
+    z = PartialPose(p_n, q, directions, readings, noise)
     content = (p_n.tobytes(), q.tobytes(), covariance.tobytes(), directions.tobytes(), readings.tobytes())
     return Aid(
         t_ns=fix.t_ns,

@@ -88,7 +88,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if config.lasting_share > 0 and given.all():
         slow_errors = (*slow_errors, lasting(fix.topic, noise, config))
         noise = noise * (1.0 - config.lasting_share)
-    z: Measurement = Pose(p_n, so3.normalise(q), noise, rows, attitude)
+    z: Measurement = Pose(p_n, q, noise, rows, attitude)
     widths = [FALSE_POSITION_M if row < 3 else FALSE_ATTITUDE_RAD for row in rows]
     return Aid(
         t_ns=fix.t_ns,
@@ -106,15 +106,15 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
 
 def pose_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], *, with_attitude: bool) -> tuple[Array, Array] | Refusal:
     """Position and unit quaternion of a fix, zero and identity where they are not given."""
-    p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz)
-    if not np.isfinite(p_n[given[:3]]).all() or (with_attitude and not np.isfinite(q).all()):
+    p_n, q = np.where(given[:3], fix.p_n, 0.0), fix.q_nb_wxyz if with_attitude else (1.0, 0.0, 0.0, 0.0)
+    norm = math.hypot(*q)
+    if not np.isfinite(p_n).all() or not math.isfinite(norm):
         return Refusal(Reason.NOT_FINITE, "pose")
-    if np.abs(p_n[given[:3]]).max(initial=0.0) > FARTHEST_M:
+    if np.abs(p_n).max() > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
-    norm = math.hypot(*q.tolist()) if with_attitude else 1.0
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    return np.where(given[:3], p_n, 0.0), (q / norm if with_attitude else np.array([1.0, 0.0, 0.0, 0.0]))
+    return p_n, np.array(q) / norm
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
