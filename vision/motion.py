@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models import so3
 from models.camera import CameraModel
@@ -19,10 +20,11 @@ from models.landmarks import Landmark
 from models.messages import Array
 from vision.identify import Prior
 from vision.pose import Pose
-from vision.sensitivity import Eye
+from vision.sensitivity import Eye, part_in_view
 
 _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
 
+_LEAST = 3  # points that tell how the picture moves
 _ASIDE = 0.1  # of the picture's width: what lies farther outside does not count
 
 
@@ -60,20 +62,22 @@ class Motion:
 
 
 def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | None:
-    """Of the roofs as predicted by the prior; None where they are not before the camera."""
+    """Of what is in view, or hardly aside, of the roofs as predicted by the prior; None where they are not before the camera."""
     pinhole = straight(eye)
     p_n = np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
-    points = np.concatenate([np.empty((0, 3)), *(_roof(mark) for mark in landmarks)])
+    aside, corners = _ASIDE * eye.camera.width, np.concatenate([np.empty((0, 3)), *(_roof(mark) for mark in landmarks)])
+    points = corners[pinhole.camera.contains(pinhole.camera.project((corners - p_nk) @ R_nk), -aside)]
+    if len(points) < _LEAST and landmarks:  # of what is larger than the picture sides are seen, not corners
+        points = roofs_in_view(pinhole, landmarks, (p_n, prior.R_nb), aside)[0]
+    if len(points) < _LEAST:  # all may come into view yet
+        points = corners
     x_c = (points - p_nk) @ R_nk
     before = x_c[:, 2] > 0.1 * np.linalg.norm(x_c, axis=1)
-    if before.sum() < 3:
+    if before.sum() < _LEAST:
         return None
     points, x_c = points[before], x_c[before]
     px = pinhole.camera.project(x_c)
-    shown = pinhole.camera.contains(px, -_ASIDE * eye.camera.width)
-    if shown.sum() >= 3:  # what is far aside does not come into view, or hardly
-        points, x_c, px = points[shown], x_c[shown], px[shown]
     middle = px.mean(axis=0)
     r = px - middle
     D = moved(pinhole.camera, x_c, points - p_n, R_nk)
@@ -83,6 +87,29 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
     radius = max(1.3 * math.sqrt(float(np.mean(np.sum(r**2, axis=1)))), 1.0)
     roof_px = eye.camera.fx * float(np.median([mark.width_m for mark in landmarks])) / float(np.median(x_c[:, 2]))
     return Motion(prior, J, Q, np.linalg.solve(Q, J @ P).T, middle, radius, roof_px)
+
+
+def roofs_in_view(eye: Eye, landmarks: Sequence[Landmark], pose: Pose, aside_px: float) -> tuple[Array, NDArray[np.int64]]:
+    """Ends (N, 3) of what the picture, enlarged by aside_px all around, shows of the roofs' sides, and whose they are (N,)."""
+    wide = Eye(enlarged(eye.camera, math.ceil(aside_px)), eye.R_kb, eye.p_bk, eye.right)
+    count = np.array([len(mark.outline_n) for mark in landmarks])
+    outlines = np.concatenate([mark.outline_n for mark in landmarks])
+    start = np.column_stack((outlines, np.repeat([mark.roof_d for mark in landmarks], count)))
+    last, following = np.cumsum(count) - 1, np.arange(1, len(start) + 1)
+    following[last] -= count
+    end = start[following]
+    part = part_in_view(wide, start, end, pose)
+    seen = part[:, 0] < part[:, 1]
+    whose = np.repeat(np.arange(len(count)), count)[seen]
+    along, part = (end - start)[seen], part[seen]
+    ends = np.stack((start[seen] + part[:, :1] * along, end[seen] - (1.0 - part[:, 1:]) * along), axis=1)
+    return ends.reshape(-1, 3), np.repeat(whose, 2)
+
+
+@lru_cache(maxsize=32)
+def enlarged(camera: CameraModel, by: int) -> CameraModel:
+    """A camera without distortion with `by` more pixels on each side."""
+    return CameraModel(camera.width + 2 * by, camera.height + 2 * by, camera.fx, camera.fy, camera.cx + by, camera.cy + by)
 
 
 def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array:

@@ -8,7 +8,6 @@ left of them.
 
 import math
 from collections.abc import Sequence
-from statistics import median
 
 import msgspec
 import numpy as np
@@ -21,7 +20,7 @@ from vision import verify
 from vision.coarse import Candidate, CoarseConfig, Search, limit_px
 from vision.detail import as_seen
 from vision.identify import Prior
-from vision.motion import Motion, motion, straight
+from vision.motion import Motion, motion, roofs_in_view, straight
 from vision.pictures import Pictures
 from vision.place import Fitter
 from vision.pose import PoseConfig
@@ -114,21 +113,20 @@ class PredictPath:
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
-    """Landmarks whose roof comes within limit_px of the picture, those with most of it in view first, at most `most`."""
-    pinhole = straight(eye)
-    p_nk, R_nk = pinhole.pose(np.asarray(prior.p_n, dtype=float), prior.R_nb)
-    c, count = pinhole.camera, [len(mark.outline_n) for mark in near]
-    roofs = np.column_stack((np.concatenate([m.outline_n for m in near]), np.repeat([m.roof_d for m in near], count)))
-    x_c, first = (roofs - p_nk) @ R_nk, np.cumsum([0, *count[:-1]])
-    before = np.logical_and.reduceat(x_c[:, 2] > 0.2 * np.linalg.norm(x_c, axis=1), first)
+    """At most `most` landmarks of whose roof something comes within limit_px of the picture, those with most in view first."""
+    pinhole, p_n = straight(eye), np.asarray(prior.p_n, dtype=float)
+    p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
+    ends, mark = roofs_in_view(pinhole, near, (p_n, prior.R_nb), limit_px)
+    marks, first = np.unique(mark, return_index=True)
+    if not len(marks):
+        return []
+    c, x_c = pinhole.camera, (ends - p_nk) @ R_nk
     px, size = c.project(x_c), np.array([c.width, c.height])
     low, high = np.minimum.reduceat(px, first), np.maximum.reduceat(px, first)
     beside = np.maximum(np.maximum(low - size, -high), 0.0).max(axis=1)
     inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0), axis=1)
-    seen = np.flatnonzero(before & (beside < limit_px))
-    chosen = seen[np.lexsort((seen, beside[seen], -inside[seen]))][:most]
-    depth = [median(x_c[first[k] : first[k] + count[k], 2].tolist()) for k in chosen]
-    return [as_seen(near[k], c.fx / z) for k, z in zip(chosen, depth, strict=True)]
+    depth = np.add.reduceat(x_c[:, 2], first) / np.diff(first, append=len(ends))
+    return [as_seen(near[marks[k]], c.fx / depth[k]) for k in np.lexsort((marks, beside, -inside))[:most]]
 
 
 def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:

@@ -80,13 +80,19 @@ def sample_edges(
     """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the picture, at most `most` on one."""
     p_nk, R_nk = eye.pose(p_n, R_nb)
     count = len(edges.kind)
-    ends_c = (np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk
-    part = _in_view(ends_c[:count], ends_c[count:], _borders(eye.camera))
+    part = part_in_view(eye, edges.start_n, edges.end_n, (p_n, R_nb))
     along = edges.end_n - edges.start_n
     cut = np.concatenate((edges.start_n + part[:, :1] * along, edges.end_n - (1.0 - part[:, 1:]) * along))
     px = eye.camera.project((cut - p_nk) @ R_nk)
     chosen = part[:, 0] < part[:, 1] if wanted is None else wanted & (part[:, 0] < part[:, 1])
     return Samples(*_sample(edges.start_n, edges.end_n, part, px[:count], px[count:], spacing_px, most, chosen))
+
+
+def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Array]) -> Array:
+    """From where to where (E, 2), of 0 ... 1, edges are in view; nowhere: the first is not smaller."""
+    p_nk, R_nk = eye.pose(*pose)
+    ends_c = (np.concatenate((start_n, end_n)) - p_nk) @ R_nk
+    return np.asarray(_in_view(ends_c[: len(start_n)], ends_c[len(start_n) :], _borders(eye.camera)))
 
 
 @lru_cache(maxsize=8)

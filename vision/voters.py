@@ -6,15 +6,14 @@ Roof edges, and feet and corners of walls as far as they are not drowned by the 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
+from vision.motion import enlarged
 from vision.pose import Pose
 from vision.sensitivity import Eye, Samples, edge_gaps, sample_edges, view
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
@@ -59,7 +58,7 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
     eye: with the camera of the reduced picture, without distortion; chroma (L, 3): chromas() of the landmarks.
     """
     p_nk, _ = eye.pose(*pose)
-    eye = Eye(_enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
+    eye = Eye(enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
     edges = visible_edges(body, p_nk)
     samples = sample_edges(edges, eye, *pose, 1.0, _MOST_ON_EDGE)
     if len(samples.t) > most:
@@ -76,12 +75,6 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
     count = np.bincount(chain[samples.edge], minlength=len(total))
     apart = np.bincount(chain, length, len(total)) / np.maximum(count, 1)
     return _chosen(edges, samples, chosen, chain, apart, body, chroma, p_nk)
-
-
-@lru_cache(maxsize=32)
-def _enlarged(camera: CameraModel, by: int) -> CameraModel:
-    """The camera with `by` more pixels on each side."""
-    return CameraModel(camera.width + 2 * by, camera.height + 2 * by, camera.fx, camera.fy, camera.cx + by, camera.cy + by)
 
 
 def _in_picture(edges: ModelEdges, eye: Eye, pose: Pose) -> tuple[Array, Array]:

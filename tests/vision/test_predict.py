@@ -12,10 +12,13 @@ from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from tests.vision.part_views import part_view
 from tests.vision.roofs import nadir_rig
 from vision.identify import Prior
+from vision.motion import motion
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.rectify import Image
+from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
@@ -178,6 +181,30 @@ def test_auto_is_predict_where_the_prior_is_good() -> None:
     assert a.fix.p_n == b.fix.p_n
     alone = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig(path="segment"))
     assert "predicted" not in alone.process(view.left, view.right, 0, drawn(view, 1)).report.detail
+
+
+@pytest.mark.parametrize("kind", ["corner", "strip"])
+def test_auto_predicts_what_is_larger_than_the_picture(kind: str) -> None:
+    """One corner of a roof as wide as the picture; a strip whose corners lie 200 m aside, almost beside the camera."""
+    view = part_view(kind, 0)
+    auto = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig())
+    result = auto.process(*view.pictures, 0, view.prior)
+    if result.report.outcome == "waiting":
+        result = auto.process(*view.pictures, 1_000_000_000, view.prior)
+    assert "predicted" in result.report.detail
+    assert result.fix is not None
+    assert result.pose is not None
+    e = view.p_n - result.pose.joint_p_n
+    assert e @ np.linalg.solve(result.pose.joint_covariance[:3, :3], e) < CHI2_9999_OF_3
+
+
+def test_what_is_left_open_is_counted_where_the_picture_is() -> None:
+    """A corner of a large roof moves as the picture does, not as the roof's middle far outside."""
+    view = part_view("corner", 0)
+    eye = eyes(view.rig)[0]
+    move = motion(eye, view.landmarks, view.prior)
+    assert move is not None
+    assert eye.camera.contains(move.middle[None])[0]
 
 
 def test_grey_pictures_with_a_map_of_colours() -> None:
