@@ -246,6 +246,23 @@ def test_estimation_is_the_kalman_filter_of_the_larger_state() -> None:
     np.testing.assert_allclose(eskf.cov[-2:, -2:], block, atol=1e-12)
 
 
+def test_only_what_is_considered_is_put_back_not_its_correlation_with_what_is_estimated() -> None:
+    eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
+    slope = _zero_and_slope(eskf.x)
+    eskf.consider("map", np.eye(6) * 0.09, 1e9)
+    eskf.update(eskf.innovation(_pose_of(_truth(), 0.1), GYRO, [("map", None)]))  # from now on the state knows of the map
+    eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))
+    eskf.zero("baro", eskf.innovation(z, GYRO, [("baro", slope)]))
+    before, seen = eskf.cov.copy(), eskf.innovation(_pose_of(_truth(), 0.2), GYRO, [("map", None)])
+    full = before - before @ seen.h.T @ np.linalg.solve(seen.s, seen.h @ before)
+    eskf.update(seen)
+    mapped, baro = slice(E.SIZE, E.SIZE + 6), slice(E.SIZE + 6, E.SIZE + 8)
+    np.testing.assert_array_equal(eskf.cov[mapped, mapped], before[mapped, mapped])
+    np.testing.assert_allclose(eskf.cov[mapped, baro], full[mapped, baro], atol=1e-12)
+    np.testing.assert_array_equal(eskf.cov[baro, mapped], eskf.cov[mapped, baro].T)
+    assert np.abs(full - before)[mapped, baro].max() > 1e-4
+
+
 def test_an_estimated_error_walks() -> None:
     eskf, samples = _filter(), _at_rest(2001)
     eskf.consider("baro", np.diag([1.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))

@@ -141,6 +141,16 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
     assert _aid(_fix(covariance_common=np.zeros((6, 6)))).slow_errors == ()
 
 
+def test_a_frame_that_does_not_say_how_level_it_is_leans_about_both_horizontal_axes() -> None:
+    (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5)).slow_errors
+    assert slow.block == "/pose_fix"
+    assert slow.jacobian is not None
+    moved = slow.jacobian(LEVEL)
+    lean = math.radians(0.5) ** 2
+    np.testing.assert_allclose(moved @ slow.covariance @ moved.T, np.diag([0.0, 0.0, 0.0, lean, lean, 0.0]), atol=1e-15)
+    assert _aid(_fix(), PoseConfig(tilt_deg=0.0)).slow_errors == ()
+
+
 def test_a_common_part_of_what_is_not_given_is_left_out() -> None:
     common = np.diag([0.04, 0.04, 1e150, 0.01, 0.01, 0.01])
     (slow,) = _aid(_fix(covariance=_without([2], 1e9), covariance_common=common)).slow_errors
