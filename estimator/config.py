@@ -59,6 +59,9 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = (
         _TOPICS.baro
     )
+    attitude: Annotated[
+        _Topics, Meta(description="topics of PoseWithCovarianceStamped of which the attitude helps to align; none: none is used")
+    ] = _TOPICS.attitude
     pose_fix: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/PoseWithCovarianceStamped in map")] = (
         _TOPICS.pose_fix
     )

@@ -31,6 +31,7 @@ from models.messages import Array
 from models.state import E, NavState, X
 
 _HEADINGS = 8
+_LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
@@ -106,6 +107,20 @@ def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Arr
     headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
     filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
     return Hypotheses([Hypothesis(f, fused_ns=t_ns, established_ns=t_ns) for f in filters])
+
+
+def start_from_attitude(
+    t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
+) -> Hypotheses | None:
+    """One filter at a position fix, with an attitude that somebody else believes; None where that contradicts gravity."""
+    levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
+    off = so3.quat_log(so3.multiply(levelled, so3.conjugate(prior.q_nb_wxyz)))[:2]
+    tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2
+    if off @ np.linalg.solve(tilt, off) > gate(_LEVEL_GATE, 2):
+        return None
+    noise = np.zeros((6, 6))
+    noise[:3, :3], noise[3:, 3:] = z.noise[:3, :3], prior.noise
+    return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
 
 
 def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:

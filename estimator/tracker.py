@@ -29,6 +29,7 @@ _NEVER = -(2**62)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
+_FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
@@ -90,6 +91,7 @@ class Tracker:
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
         self.still: Still | None = None
+        self.prior: tuple[int, Pose] | None = None
         self.stretch: Stretch | None = None
         self.plausibility = Plausibility(Phase.STARTING, "no IMU yet")
         self.sources: dict[str, SourceState] = {}
@@ -150,6 +152,8 @@ class Tracker:
         z = aid.measurement(self.origin)
         if z is None:
             return Decision(Reason.NO_ORIGIN, detail="give [map] origin to use GNSS beside fixes on a local map")
+        if aid.alignment_only:
+            return self._believe(aid, z)
         state = self.sources.get(aid.topic, SourceState())
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
@@ -219,6 +223,13 @@ class Tracker:
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
+    def _believe(self, aid: Aid, z: Measurement) -> Decision:
+        """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
+        if self.hypotheses is not None:
+            return Decision(Reason.THINNED, detail="for the alignment alone")
+        self.prior = (aid.t_ns, z) if isinstance(z, Pose) else None
+        return Decision(Reason.ALIGNING, detail="waiting for a position")
+
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
@@ -259,6 +270,8 @@ class Tracker:
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
         config = self.config.initialise
+        if self._start_from_prior(z, at):
+            return Decision(Reason.ALIGNING)
         if at.still:
             self.still = Still(at, z, self.still.since if self.still else z)
             return Decision(Reason.ALIGNING, detail="at rest: the heading shows when the vehicle moves")
@@ -274,6 +287,14 @@ class Tracker:
             member.filter.propagate(samples, index, self.t_ns)
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
+
+    def _start_from_prior(self, z: Position | Pose, at: Level) -> bool:
+        """Whether there is an attitude to begin with, of now and not against gravity."""
+        if self.prior is None or self.t_ns - self.prior[0] > _FRESH_NS:
+            return False
+        self.hypotheses = initialise.start_from_attitude(self.t_ns, z, at, self.prior[1], self.constants, self.config.initialise)
+        self.stretch = Stretch.of(self.hypotheses.lead) if self.hypotheses else None
+        return self.hypotheses is not None
 
     def _has_moved(self, z: Measurement) -> bool:
         """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""

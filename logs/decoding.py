@@ -13,6 +13,7 @@ from models import so3
 from models.messages import (
     AidStatus,
     Array,
+    AttitudePrior,
     Baro,
     Checkpoint,
     GnssFix,
@@ -48,6 +49,7 @@ class Topics(msgspec.Struct, frozen=True):
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
     baro: tuple[str, ...] = ()  # off until configured
+    attitude: tuple[str, ...] = ()  # off until configured
     pose_fix: tuple[str, ...] = ("/pose_fix",)
     left_image: tuple[str, ...] = ("/left/image",)
     right_image: tuple[str, ...] = ("/right/image",)
@@ -89,6 +91,7 @@ class Decoder:
         self._route(topics.gnss, schemas.NAV_SAT_FIX, _gnss)
         self._route(topics.gnss_velocity, schemas.TWIST, _gnss_velocity)
         self._route(topics.baro, schemas.PRESSURE, _baro)
+        self._route(topics.attitude, schemas.POSE_FIX, _attitude)
         self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
         self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)
         self._route((TICK_TOPIC,), schemas.HEADER, _tick)
@@ -221,6 +224,12 @@ def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
 
 def _baro(topic: str, message: Any, arrived_ns: int) -> Baro:
     return Baro(_t_ns(message.header.stamp), arrived_ns, message.fluid_pressure, message.variance, topic)
+
+
+def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:
+    """Of a pose the rotation; its position is not looked at."""
+    _, q_nb_wxyz, covariance = _pose(message.pose)
+    return AttitudePrior(_t_ns(message.header.stamp), arrived_ns, q_nb_wxyz, covariance[3:, 3:], topic)
 
 
 def _pose_fix(topic: str, message: Any, arrived_ns: int) -> PoseFix:

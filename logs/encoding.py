@@ -12,6 +12,7 @@ from models.frames import Origin
 from models.messages import (
     AidStatus,
     Array,
+    AttitudePrior,
     Baro,
     Checkpoint,
     Estimate,
@@ -42,6 +43,7 @@ _MAP: Final = "map"
 _BODY: Final = "base_link"
 _BODY_FRD: Final = "base_link_frd"
 _COVARIANCE_UNKNOWN, _COVARIANCE_KNOWN = 0, 3  # sensor_msgs/msg/NavSatFix
+_NOT_GIVEN_M2: Final = 1e6
 _OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/msg/DiagnosticStatus
 _LEVEL: Final = {
     Mode.STARTING: _WARN,
@@ -125,6 +127,11 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
         case Baro():
             pressure, header = message.pressure_pa, header_of(message.t_ns, _BODY)
             return packed(message.topic, schemas.PRESSURE, header=header, fluid_pressure=pressure, variance=message.variance_pa2)
+        case AttitudePrior():
+            covariance = np.diag([_NOT_GIVEN_M2] * 3 + [0.0] * 3)
+            covariance[3:, 3:] = message.covariance
+            pose = _pose_with_covariance((0.0, 0.0, 0.0), message.q_nb_wxyz, covariance)
+            return packed(message.topic, schemas.POSE_FIX, header=header_of(message.t_ns, _MAP), pose=pose)
         case Tick():
             return packed(message.topic, schemas.HEADER, stamp=_time(message.t_ns), frame_id="")
         case Checkpoint():

@@ -142,6 +142,19 @@ class Baro(msgspec.Struct, frozen=True, eq=False):
     topic: str = "/baro"
 
 
+class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
+    """Attitude of the body as somebody else believes it, to begin the alignment with; never fused in flight.
+
+    covariance: (3, 3) rad^2, of the error about the axes of n, as in PoseFix.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    q_nb_wxyz: Quat
+    covariance: Array
+    topic: str = "/attitude"
+
+
 class Tick(msgspec.Struct, frozen=True, eq=False):
     """The only clock Fusion has: "it is now t_ns". Lets it go on when the IMU is silent."""
 
@@ -176,7 +189,9 @@ class Unusable(msgspec.Struct, frozen=True, eq=False):
     detail: str
 
 
-Input: TypeAlias = ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | Tick | Checkpoint | Unusable
+Input: TypeAlias = (
+    ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | AttitudePrior | Tick | Checkpoint | Unusable
+)
 
 
 class Mode(StrEnum):
@@ -197,7 +212,7 @@ class Reason(StrEnum):
     PROBATION = "probation"  # source has just come (back); consistent, but not yet trusted
     STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
     ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
-    THINNED = "thinned"  # too soon after the last one to be news
+    THINNED = "thinned"  # no news: too soon after the last one, or a prior that is not needed any more
     TOO_OLD = "too_old"  # older than history_s
     IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
     DUPLICATE = "duplicate"  # same content already there

@@ -18,7 +18,7 @@ from estimator.service.px4_messages import position_sigmas
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, Baro, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
+from models.messages import Array, AttitudePrior, Baro, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
 from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
@@ -87,6 +87,13 @@ def baro(message: Any, t_ns: int, topic: str) -> Baro | None:
     if message.id != 0 or not message.fields_updated & _PRESSURE:
         return None
     return Baro(t_ns, t_ns, _HPA_PA * message.abs_pressure, 0.0, topic)
+
+
+def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str) -> AttitudePrior:
+    """ATTITUDE, roll, pitch and heading in rad; sigma_deg: of its tilt and of its heading, for it tells none."""
+    tilt, heading = (math.radians(sigma) ** 2 for sigma in sigma_deg)
+    w, x, y, z = so3.from_euler(message.roll, message.pitch, message.yaw).tolist()
+    return AttitudePrior(t_ns, t_ns, (w, x, y, z), np.diag([tilt, tilt, heading]), topic)
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:

@@ -2,12 +2,13 @@
 
 from typing import Protocol
 
+from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig, baro_aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid, Refusal
-from models.messages import Baro, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix
+from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix
 
 
 class SourcesConfig(Protocol):
@@ -36,5 +37,7 @@ def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
             return velocity_aid(message, config.gnss)
         case Baro():
             return baro_aid(message, config.baro)
+        case AttitudePrior():
+            return attitude_aid(message)
         case _:
             return None

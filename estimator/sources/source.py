@@ -54,7 +54,7 @@ class Aid:
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
     on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
-    there is to say of it once it is judged.
+    there is to say of it once it is judged; alignment_only: a prior, not fused in flight.
     """
 
     t_ns: int
@@ -70,6 +70,7 @@ class Aid:
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
     detail: str = ""
+    alignment_only: bool = False
 
     @property
     def witness(self) -> str:

@@ -33,6 +33,7 @@ from models.frames import ENU_FROM_NED, FLU_FROM_FRD, Origin
 from models.messages import (
     AidStatus,
     Array,
+    AttitudePrior,
     Baro,
     Estimate,
     GnssFix,
@@ -57,7 +58,7 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
-ALL = Topics(baro=("/baro",))  # every input, the optional one too
+ALL = Topics(baro=("/baro",), attitude=("/attitude",))  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -120,6 +121,7 @@ def inputs() -> list[Input]:
             readings=np.arange(4.0),
         ),
         Baro(T_NS, ARRIVED_NS, 95_321.5, 4.0),
+        AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]
 

@@ -23,7 +23,7 @@ from models import so3
 from models.messages import AidStatus, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Mode, Reason
 from models.state import X
 from tests.service.autopilot import ARDUPILOT, PASSPHRASE, PX4, SerialAutopilot, UdpAutopilot
-from tests.service.flying import assert_replay_says_the_same, in_thread, logs_of, odometry, toml
+from tests.service.flying import assert_replay_says_the_same, in_thread, logs_of, odometry, records, toml
 
 SECOND = 1_000_000_000
 IMU, GPS, GPS2, SYSTEM_TIME, RAW = 105, 24, 124, 2, 27
@@ -381,7 +381,8 @@ def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_byt
     """Its receiver falls silent on the way: from then on the fixes from outside are news to it."""
     rng = np.random.default_rng(2)
     with closing(UdpAutopilot()) as autopilot:
-        section = f'[mavlink]\nendpoint = "udpout:127.0.0.1:{autopilot.port}"\n[autopilot]\ngnss_quiet_s = 0.5\n'
+        section = f'[mavlink]\nendpoint = "udpout:127.0.0.1:{autopilot.port}"\nattitude_sigma_deg = [1.0, 3.0]\n'
+        section += '[inputs]\nattitude = "/attitude"\n[autopilot]\ngnss_quiet_s = 0.5\n'
         text = toml(tmp_path, 1, more=section, zenoh_keys="enabled = false")
         with in_thread(parse(text), tmp_path) as daemon:
             autopilot.until(lambda: len(autopilot.of("TIMESYNC")) > 3, "clocks are in step")
@@ -401,6 +402,7 @@ def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_byt
     estimates = odometry(log)
     errors = np.linalg.norm([np.subtract(e.p_n, truth(e.t_ns)[0]) for e in estimates[-50:]], axis=1)
     assert len(estimates) > 200
+    assert len(records(log, "/attitude")) > 10
     assert 0.005 < errors.mean() < 0.5
     assert 10 < alone < len(told) < 120
     assert told[-1].quality == 100
@@ -425,6 +427,9 @@ def _fly(autopilot: UdpAutopilot, daemon: Daemon, seconds: float, rng: np.random
         )
         if k % 20 == 0:
             autopilot.heartbeat()
+            autopilot.say(
+                mavlink.MAVLink_attitude_message(stamp_us // 1000, *so3.to_euler(so3.from_matrix(truth(t_ns)[2])), 0, 0, 0)
+            )
             daemon.mailbox.put(pose_fix(t_ns - 80_000_000, rng))
             if has_gnss:
                 autopilot.say(_gps_raw_int(t_ns - 80_000_000, boot_ns, rng))

@@ -10,10 +10,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from estimator.service import mavlink_codec as codec
 from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.mavlink_inputs import Inputs
+from estimator.strict_toml import ConfigError
 from logs.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, Baro, Estimate, GnssFix, GnssVelocity, Mode
+from models.messages import Array, AttitudePrior, Baro, Estimate, GnssFix, GnssVelocity, Mode
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -117,6 +118,26 @@ def test_a_pressure_is_in_pascal_and_told_once() -> None:
     ]  # fmt: skip
     for off in (Inputs(MavlinkConfig(baro=False), Topics(baro=("/baro",)), 0.0), Inputs(MavlinkConfig(), Topics(), 0.0)):
         assert not any(isinstance(m, Baro) for m in off.measured(highres(950.25), T0, T0, codec.PX4))
+
+
+def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
+    message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
+    config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
+    inputs = Inputs(config, topics, 0.0)
+    (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+    assert isinstance(read, AttitudePrior)
+    np.testing.assert_allclose(so3.to_euler(np.array(read.q_nb_wxyz)), [0.1, -0.2, 2.5], rtol=1e-6)
+    np.testing.assert_allclose(np.degrees(np.sqrt(np.diag(read.covariance))), [2.0, 2.0, 10.0])
+    assert (read.t_ns, read.topic, codec.stamp_ns(message)) == (T0, "/attitude", 7_000_000_000)
+    assert dict(inputs.requests(T0, codec.ARDUPILOT))[30] == 500_000
+    assert 30 in inputs.wanted
+
+
+def test_an_attitude_is_not_asked_for_unless_configured() -> None:
+    off = Inputs(MavlinkConfig(), Topics(attitude=("/attitude",)), 0.0)
+    assert 30 not in {*off.wanted, *dict(off.requests(T0, codec.PX4))}
+    with pytest.raises(ConfigError, match="name a topic for it"):
+        Inputs(MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(), 0.0)
 
 
 @pytest.mark.parametrize("imu", [True, False])

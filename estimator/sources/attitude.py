@@ -1,0 +1,27 @@
+"""The attitude that an autopilot believes, as a prior for the alignment: levelling and heading before motion has shown them.
+
+It is taken once and never fused in flight: it rests on the same IMU, and often the same GNSS, as our own estimate, and its errors
+repeat from message to message. Fused as white noise it would count all that twice.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from estimator.sources.pose import PoseConfig, given_components, pose_aid
+from estimator.sources.source import Aid, Refusal
+from models.messages import AttitudePrior, PoseFix, Reason
+
+_CONFIG: Final = PoseConfig(tilt_deg=0.0)
+
+
+def attitude_aid(prior: AttitudePrior) -> Aid | Refusal:
+    """A pose without a position, of which the alignment alone makes use."""
+    if not given_components(np.diag(np.r_[0.0, 0.0, 0.0, np.diag(prior.covariance)]))[3:].all():
+        return Refusal(Reason.UNSUPPORTED, "an attitude to begin with is given whole")
+    covariance = np.full((6, 6), np.nan)
+    covariance[3:, 3:] = prior.covariance
+    fix = PoseFix(prior.t_ns, prior.arrived_ns, (0.0, 0.0, 0.0), prior.q_nb_wxyz, covariance, topic=prior.topic)
+    aid = pose_aid(fix, _CONFIG)
+    return aid if isinstance(aid, Refusal) else replace(aid, kind="attitude", alignment_only=True)

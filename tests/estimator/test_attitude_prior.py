@@ -1,0 +1,119 @@
+"""An attitude that an autopilot believes: it begins the alignment, and is never fused."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from estimator.fusion import FusionConfig
+from estimator.sources.aids import aid_of
+from estimator.sources.source import Aid, Refusal
+from models import so3
+from models.messages import AttitudePrior, Reason, vec3
+from models.sim.scenario import EPOCH_NS, Simulation
+from models.state import E, X
+from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, same, simulated
+
+TILT, HEADING = math.radians(2.0), math.radians(4.0)
+NOISE = np.diag([TILT**2, TILT**2, HEADING**2])
+TOML = 'duration_s = 12.0\n[vehicle]\nkind = "multirotor"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n'
+
+
+@cache
+def _simulation(seed: int = 1) -> Simulation:
+    return simulated(TOML, seed)
+
+
+def _prior(simulation: Simulation, k: int, off_n: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> AttitudePrior:
+    """The truth, k half seconds on, turned by off_n [rad] about the axes of n."""
+    truth = simulation.truth
+    at = int(np.searchsorted(truth.t_ns, EPOCH_NS + k * SECOND // 2))
+    w, x, y, z = so3.multiply(so3.quat_exp(np.array(off_n)), so3.from_matrix(truth.R_nb[at])).tolist()
+    return AttitudePrior(int(truth.t_ns[at]), int(truth.t_ns[at]), (w, x, y, z), NOISE)
+
+
+def _flown(priors: list[AttitudePrior], seed: int = 1) -> Run:
+    simulation = _simulation(seed)
+    return fly(simulation, messages=by_arrival([*simulation.messages, *priors]))
+
+
+def _drawn(seed: int) -> tuple[float, float, float]:
+    """An error as large as it says; the same in every message, as an autopilot's is."""
+    return vec3(np.random.default_rng(seed).normal(size=3) * [TILT, TILT, HEADING])
+
+
+def test_with_it_the_estimate_begins_at_once_and_is_honest() -> None:
+    """GIVEN a hover in which GNSS does not show the heading; THEN it begins after 3 s, with NEES / 15 about 1."""
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([]).estimates)
+    nees = []
+    for seed in range(1, 6):
+        simulation = _simulation(seed)
+        run = _flown([_prior(simulation, k, _drawn(seed)) for k in range(24)], seed)
+        first = run.estimates[0]
+        assert first.t_ns < EPOCH_NS + 3 * SECOND
+        off = error(first, simulation.truth)
+        nees.append(off @ np.linalg.solve(first.covariance, off) / E.SIZE)
+        assert not run.internal_errors()
+        assert "/attitude" not in run.health[-1].sources
+    assert 0.4 < np.mean(nees) < 2.2
+
+
+def test_once_it_has_begun_no_prior_changes_a_bit() -> None:
+    simulation = _simulation()
+    true = _flown([_prior(simulation, k) for k in range(24)])
+    false = _flown([_prior(simulation, k, (0.0, 0.0, 0.0) if k < 6 else (1.0, -0.5, 2.0)) for k in range(24)])
+    assert len(true.estimates) == len(false.estimates) > 900
+    assert all(same(a, b) for a, b in zip(true.estimates, false.estimates, strict=True))
+    reasons = true.reasons("/attitude")
+    assert set(reasons) == {Reason.ALIGNING, Reason.THINNED}
+    assert reasons[Reason.THINNED] > 15
+
+
+def test_a_late_prior_leads_where_a_punctual_one_does() -> None:
+    priors = [_prior(_simulation(), k) for k in range(24)]
+    late = [AttitudePrior(p.t_ns, p.arrived_ns + SECOND // 2, p.q_nb_wxyz, p.covariance) for p in priors]
+    assert same(_flown(priors).estimates[-1], _flown(late).estimates[-1])
+
+
+@pytest.mark.parametrize("off_n", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0)])
+def test_one_against_gravity_is_not_begun_with(off_n: tuple[float, float, float]) -> None:
+    run = _flown([_prior(_simulation(), k, off_n) for k in range(24)])
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in run.estimates)
+    assert not run.internal_errors()
+
+
+def test_one_of_long_ago_is_not_begun_with() -> None:
+    believed = _prior(_simulation(), 0)
+    stale = AttitudePrior(EPOCH_NS - 2 * SECOND, EPOCH_NS, believed.q_nb_wxyz, believed.covariance)
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([stale]).estimates)
+
+
+def test_it_starts_with_its_covariance_about_the_bodys_axes() -> None:
+    run = _flown([_prior(_simulation(), k) for k in range(24)])
+    first = run.estimates[0]
+    r_nb = so3.matrix(first.nav[X.Q])
+    sigma = np.sqrt(np.diag(r_nb @ first.covariance[E.THETA, E.THETA] @ r_nb.T))
+    assert 0.5 * HEADING < sigma[2] < 1.1 * HEADING
+    assert (sigma[:2] < 1.1 * TILT).all()
+
+
+@pytest.mark.parametrize(
+    ("prior", "reason"),
+    [
+        (AttitudePrior(1, 1, (1.0, 0.0, 0.0, 0.0), np.diag([1e-3, 1e-3, 100.0])), Reason.UNSUPPORTED),
+        (AttitudePrior(1, 1, (1.0, 0.0, 0.0, 0.0), np.zeros((3, 3))), Reason.NOT_PSD),
+        (AttitudePrior(1, 1, (math.nan, 0.0, 0.0, 0.0), NOISE), Reason.NOT_FINITE),
+        (AttitudePrior(1, 1, (2.0, 0.0, 0.0, 0.0), NOISE), Reason.IMPLAUSIBLE),
+    ],
+)
+def test_what_is_no_attitude_is_refused_with_its_reason(prior: AttitudePrior, reason: Reason) -> None:
+    refusal = aid_of(prior, FusionConfig())
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is reason
+
+
+def test_it_is_no_absolute_source() -> None:
+    aid = aid_of(_prior(_simulation(), 3), FusionConfig())
+    assert isinstance(aid, Aid)
+    assert (aid.kind, aid.absolute, aid.alignment_only, aid.slow_errors) == ("attitude", False, True, ())
