@@ -96,7 +96,8 @@ class LandmarkPipeline:
         result = self._predict.locate(pictures, marks, move, t_ns)
         if result.fix is not None:
             self._segment.clear()
-        return result if only or result.fix is not None or self._predict.narrow(pictures, move, _WIDE) else None
+        settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed
+        return result if only or settled or self._predict.narrow(pictures, move, _WIDE) else None
 
     def _near(self, prior: Prior) -> list[Landmark]:
         """Landmarks that may be in view: 4 sigma around what the left camera overlooks, nearest first."""

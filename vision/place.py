@@ -24,6 +24,7 @@ from vision.verify import Fitted, VerifyConfig
 
 Views = tuple[Image | None, Image | None]
 _MOST_FITS = 3
+_WINDOW_PX = (8, 8)  # about a place the search found, which is good to a few px; a wider one meets feet of walls and rims of shadows
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
 _LEAST_SHARE = 0.5  # of what the better picture shows
 
@@ -33,7 +34,8 @@ class Fitter:
 
     def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int) -> None:
         self._rig, self._config, self._most = rig, config, most
-        self._pose = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
+        self._wide = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
+        self._pose = msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=_WINDOW_PX))
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
@@ -91,7 +93,7 @@ class Fitter:
 
     def _swapped(self, views: Views, marks: list[Landmark], start: Pose, shift_m: Array, prior: Prior) -> bool:
         """Whether the outlines lie in both pictures once they are taken the other way round."""
-        fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._pose, shift_m)
+        fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
 
 

@@ -25,7 +25,8 @@ from vision.visibility import Kind, visible_edges
 Mask = NDArray[np.bool_]
 _HALF_PX = 8
 _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
-_OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared; more would find anything within _HALF_PX
+_OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared,
+_FARTHEST_PX = 4.0  # but half the window at most: else anything in it would do
 _LEAST = 12  # points in both pictures that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
@@ -61,7 +62,7 @@ def recheck(
         seen = view(edges, samples, eye, *pose, scene.prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
         slack = _OF_MAP * outline_sigma[mark] * eye.camera.fx / np.maximum(seen.x_c[:, 2], 1e-3)
-        near.append(good & (np.abs(offset) < np.hypot(_NEAR_PX, slack)))
+        near.append(good & (np.abs(offset) < np.minimum(np.hypot(_NEAR_PX, slack), _FARTHEST_PX)))
         usable.append(good)
         offsets.append(offset)
         normals.append(seen.normal)
