@@ -24,7 +24,7 @@ from vision.verify import Fitted, VerifyConfig
 
 Views = tuple[Image | None, Image | None]
 _MOST_FITS = 3
-_WINDOW_PX = (8, 8)  # about a place the search found, which is good to a few px; a wider one meets feet of walls and rims of shadows
+_WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
 _LEAST_SHARE = 0.5  # of what the better picture shows
 
