@@ -21,23 +21,21 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.outline_report import Outcome, as_text
+from benchmarks.fix_outcome import Outcome, outcome_of
+from benchmarks.outline_report import as_text
 from benchmarks.outline_views import DECOYS, PRIOR_PX, decoy, draw, prior_of
 from benchmarks.sift import sift_and_flann
 from benchmarks.single_fix_bound import bound
 from benchmarks.single_fix_views import View
-from models import so3
 from models.landmarks import LandmarkMap
-from models.messages import Array
 from vision.identify import Prior
 from vision.look import LookConfig
 from vision.pipeline import LandmarkPipeline, PipelineConfig
-from vision.pose import PoseConfig, PoseEstimate, difference, estimate_pose
+from vision.pose import PoseConfig, PoseEstimate, estimate_pose
 from vision.rectify import Image
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "outline"
 ORIGIN = (47.3977, 8.5456, 488.0)
-WRONG_M, WRONG_CHI2 = 3.0, 21.11  # 99.99 % of 3 degrees of freedom
 OFF_PX = (20.0, 40.0, 80.0, 120.0, 160.0)
 WIDE = PoseConfig(look=LookConfig(search_px=(28, 14)))  # the default's 16 px do not reach 20
 PARTS = ("converge", "accuracy", "partial", "decoys", "speed")
@@ -78,15 +76,9 @@ def converge(seed: int, number: int) -> list[Outcome]:
     view, off = shown.view, {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
     alone = prior_of(view, PRIOR_PX, 20.0, only_shift=True)
     fit = estimate_pose(view.rig, shown.pictures, view.landmarks, (alone.p_n, alone.R_nb), alone, WIDE)
-    outcomes = [
-        _outcome(
-            f"fine stage alone, 20 px, map {view.cell.map_sigma_m} m",
-            view,
-            fit if isinstance(fit, PoseEstimate) else None,
-            "no pose",
-        )
-    ]
-    return outcomes + [_fixed(f"coarse search, {d:.0f} px", view, shown.pictures, prior) for d, prior in off.items()]
+    fitted = outcome_of(view, fit, "") if isinstance(fit, PoseEstimate) else outcome_of(view, None, f"{fit.reason}: {fit.detail}")
+    fitted = msgspec.structs.replace(fitted, name=f"fine stage alone, 20 px, map {view.cell.map_sigma_m} m")
+    return [fitted] + [_fixed(f"coarse search, {d:.0f} px", view, shown.pictures, prior) for d, prior in off.items()]
 
 
 def accuracy(seed: int, number: int) -> list[Outcome]:
@@ -128,7 +120,7 @@ PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "de
 
 
 def _fixed(
-    part: str, view: View, pictures: tuple[Image, Image], prior: Prior, share: float = 1.0, *, with_bound: bool = False
+    name: str, view: View, pictures: tuple[Image, Image], prior: Prior, share: float = 1.0, *, with_bound: bool = False
 ) -> Outcome:
     """The pipeline's answer."""
     pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
@@ -137,7 +129,8 @@ def _fixed(
     seconds = time.process_time() - begin
     limit = float(np.sqrt(np.trace(bound(_believing(view, prior))[:3, :3]))) if with_bound else 0.0
     said = f"{result.report.outcome}: {result.report.detail}"
-    return msgspec.structs.replace(_outcome(part, view, result.pose, said), share=share, seconds=seconds, bound_m=limit)
+    found = outcome_of(view, result.pose, said)
+    return msgspec.structs.replace(found, name=name, share=share, seconds=seconds, bound_m=limit)
 
 
 def _believing(view: View, prior: Prior) -> View:
@@ -145,27 +138,6 @@ def _believing(view: View, prior: Prior) -> View:
     return View(
         view.cell, view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rig, view.landmarks, prior, view.rng
     )
-
-
-def _outcome(part: str, view: View, fit: PoseEstimate | None, said: str) -> Outcome:
-    cell = view.cell
-    what = (part, cell.height_m, cell.tilt_deg, cell.marks, cell.roof, cell.map_sigma_m, cell.take)
-    if fit is None:
-        return Outcome(*what, said)
-    joint, alone = _error(view, fit.joint_p_n, fit.joint_R_nb), _error(view, fit.p_n, fit.R_nb)
-    position, error = _squared(joint[:3], fit.joint_covariance[:3, :3]), float(np.linalg.norm(joint[:3]))
-    return Outcome(
-        *what, "", error, position / 3.0, _squared(joint, fit.joint_covariance) / 6.0,
-        _squared(alone, fit.covariance + fit.covariance_common) / 6.0, error > WRONG_M and position > WRONG_CHI2,
-    )  # fmt: skip
-
-
-def _error(view: View, p_n: Array, R_nb: Array) -> Array:
-    return difference(view.p_n, view.R_nb, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)))
-
-
-def _squared(error: Array, covariance: Array) -> float:
-    return float(error @ np.linalg.solve(covariance, error))
 
 
 if __name__ == "__main__":

@@ -4,44 +4,18 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-import msgspec
 import numpy as np
 
-BAND = (0.7, 1.5)  # what the mean squared Mahalanobis distance per degree of freedom should be in
+from benchmarks.fix_outcome import BAND, Outcome
+
 SHARES = (0.0, 0.3, 0.5, 0.7, 1.01)
 GATE = 27.86 / 6.0  # 99.99 % of 6: a fix outside its own ellipse did not converge where it says
 
 
-class Outcome(msgspec.Struct, frozen=True):
-    """One picture and what the path made of it.
-
-    error_m: of the position, prior and pictures together; position, pose: squared Mahalanobis distances of that posterior over 3
-    and 6; alone: over 6, of the pictures without the prior; wrong: off by more than 3 m and outside its own 99.99 % ellipse.
-    """
-
-    part: str
-    height_m: float
-    tilt_deg: float
-    marks: int
-    roof: str
-    map_sigma_m: float
-    take: str
-    reason: str  # empty: a fix
-    error_m: float = 0.0
-    position: float = 0.0
-    pose: float = 0.0
-    alone: float = 0.0
-    wrong: bool = False
-    share: float = 1.0
-    bound_m: float = 0.0
-    seconds: float = 0.0
-    sift_s: float = 0.0
-
-
 def cells(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, list[Outcome]]]:
     """What is compared: each part, and of accuracy and partial views their cells."""
-    for part in dict.fromkeys(o.part for o in outcomes):
-        some = [o for o in outcomes if o.part == part]
+    for part in dict.fromkeys(o.name for o in outcomes):
+        some = [o for o in outcomes if o.name == part]
         if part == "accuracy":
             for marks in (1, 2, 3):
                 for sharp in (True, False):
@@ -81,7 +55,7 @@ def as_text(outcomes: Sequence[Outcome]) -> str:
             f"p90 {1e3 * np.quantile(ours, 0.9):.1f} ms, "
             f"{1.0 / np.median(ours):.0f} pairs a second; {np.median(ours / theirs):.2f} of SIFT + FLANN"
         )
-    reasons = Counter((o.part, o.reason.split(":")[0]) for o in outcomes if o.reason)
+    reasons = Counter((o.name, o.reason.split(":")[0]) for o in outcomes if o.reason)
     lines += [f"  no fix, {part}: {reason} {count}" for (part, reason), count in sorted(reasons.items())]
     return "\n".join(lines)
 

@@ -18,19 +18,18 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from benchmarks.fix_outcome import Outcome, outcome_of
 from benchmarks.single_fix_bound import bound
-from benchmarks.single_fix_report import Outcome, as_text, plot, table
+from benchmarks.single_fix_report import as_text, plot, table
 from benchmarks.single_fix_views import View, draw_view
-from models import so3
 from models.messages import Array
-from vision.pose import NoPose, PoseEstimate, difference, estimate_pose
+from vision.pose import NoPose, estimate_pose
 from vision.sensitivity import eyes
 from vision.start import centroid_and_size, start_from_regions
 from vision.synthetic.render import render_pair
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "single_fix"
 REGION_PX = 1.5  # noise of the regions' centres and sizes
-WRONG_M, WRONG_CHI2 = 3.0, 21.11  # 99.99 % of 3 degrees of freedom
 
 
 def main() -> None:
@@ -60,21 +59,13 @@ def main() -> None:
 def run_view(job: tuple[int, int]) -> Outcome:
     """Render one view, fit it, and compare with the truth."""
     view = draw_view(*job)
-    cell = view.cell
-    what = (job[1], cell.height_m, cell.tilt_deg, cell.marks, cell.roof, cell.map_sigma_m, cell.take)
     pictures = render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
     p_n, R_nb, shift = start_from_regions(eyes(view.rig)[0], view.landmarks, *_regions(view), view.prior)
     fit = estimate_pose(view.rig, pictures, view.landmarks, (p_n, R_nb), view.prior, shift_m=shift)
     if isinstance(fit, NoPose):
-        return Outcome(*what, fit.reason)
-    joint = _error(view, fit.joint_p_n, fit.joint_R_nb)
-    position = _mahalanobis(joint[:3], fit.joint_covariance[:3, :3])
-    error = float(np.linalg.norm(joint[:3]))
-    return Outcome(
-        *what, "", error, float(np.sqrt(np.trace(bound(view)[:3, :3]))), position / 3.0,
-        _mahalanobis(joint, fit.joint_covariance) / 6.0, _alone(view, fit),
-        error > WRONG_M and position > WRONG_CHI2,
-    )  # fmt: skip
+        return msgspec.structs.replace(outcome_of(view, None, fit.reason), number=job[1])
+    limit = float(np.sqrt(np.trace(bound(view)[:3, :3])))
+    return msgspec.structs.replace(outcome_of(view, fit, ""), number=job[1], bound_m=limit)
 
 
 def _regions(view: View) -> tuple[Array, Array]:
@@ -88,22 +79,6 @@ def _regions(view: View) -> tuple[Array, Array]:
         centres.append(centre + view.rng.normal(0.0, REGION_PX, 2))
         sizes.append(size + view.rng.normal(0.0, REGION_PX))
     return np.array(centres), np.array(sizes)
-
-
-def _error(view: View, p_n: Array, R_nb: Array) -> Array:
-    return difference(view.p_n, view.R_nb, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)))
-
-
-def _alone(view: View, fit: PoseEstimate) -> float:
-    """Squared Mahalanobis distance of the pictures' own reading, per direction."""
-    error, covariance = _error(view, fit.p_n, fit.R_nb), fit.covariance + fit.covariance_common
-    if fit.directions is not None and fit.readings is not None:
-        error, covariance = fit.directions @ error - fit.readings, fit.directions @ covariance @ fit.directions.T
-    return _mahalanobis(error, covariance) / len(error)
-
-
-def _mahalanobis(error: Array, covariance: Array) -> float:
-    return float(error @ np.linalg.solve(covariance, error))
 
 
 if __name__ == "__main__":

@@ -8,33 +8,10 @@ import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
+from benchmarks.fix_outcome import BAND, Outcome
+
 HEIGHTS_M = ((10.0, 20.0), (20.0, 40.0), (40.0, 80.0), (80.0, 121.0))
 TILTS_DEG = ((0.0, 5.0), (5.0, 12.0), (12.0, 18.0), (18.0, 26.0))
-BAND = (0.7, 1.5)  # what the mean squared Mahalanobis distance per degree of freedom should be in
-
-
-class Outcome(msgspec.Struct, frozen=True):
-    """One view and its fix.
-
-    error_m, bound_m: of the position, prior and pictures together; position, pose: squared Mahalanobis distances of that
-    posterior over 3 and 6; alone: over 6, of the pictures without the prior; wrong: off by more than 3 m and outside its own
-    99.99 % ellipse.
-    """
-
-    number: int
-    height_m: float
-    tilt_deg: float
-    marks: int
-    roof: str
-    map_sigma_m: float
-    take: str
-    reason: str  # empty: a fix
-    error_m: float = 0.0
-    bound_m: float = 0.0
-    position: float = 0.0
-    pose: float = 0.0
-    alone: float = 0.0
-    wrong: bool = False
 
 
 class Row(msgspec.Struct, frozen=True):
