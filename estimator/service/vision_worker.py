@@ -163,12 +163,12 @@ class VisionWorker:
         if answers is None:
             self._restart("does not answer")
             return
+        for answer in answers:
+            self._tell(answer)
         self._state, self._backoff_s, self._is_warm = "seeing", _FIRST_BACKOFF_S, True
         self._answers += 1
         self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
-        for answer in answers:
-            self._tell(answer)
         if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
             self._draw(self._screen)
 

@@ -10,7 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import zenoh
 
 from benchmarks.service_vehicle import ORIGIN, Vehicle, connected
@@ -23,6 +25,7 @@ from estimator.service.status import TOPIC as DAEMON_TOPIC
 from estimator.service.zenoh_bus import OUTPUTS
 from logs.codec import Odometry, decode_odometry
 from logs.reader import LogReader, Record
+from logs.schemas import STORE
 
 ODOMETRY = "/landfix/odometry"
 _PATIENCE_S = 180.0  # a machine may be busy; nothing here waits longer than it must
@@ -126,6 +129,23 @@ def records(log: Path, *topics: str) -> list[Record]:
 def odometry(log: Path) -> list[Odometry]:
     """The estimates of a log."""
     return [decode_odometry(r.data) for r in records(log, ODOMETRY)]
+
+
+def assert_sound(*logs: Path) -> None:
+    """No estimate was ever not a number, none in a log came twice or backwards, and the logs lost no input.
+
+    What a full disk tears off is written again into the next log, so that logs may have records in common.
+    """
+    told = [o for log in logs for o in odometry(log)]
+    assert np.isfinite([[*o.p_n, *o.q_nb_wxyz] for o in told]).all()
+    variances = np.array([np.diag(o.pose_covariance) for o in told])
+    assert np.isfinite(variances).all()
+    assert (variances > 0.0).all()
+    for log in logs:
+        assert (np.diff([o.t_ns for o in odometry(log)]) > 0).all()
+    for record in (r for log in logs for r in records(log, DAEMON_TOPIC)):
+        message: Any = STORE.deserialize_cdr(record.data, record.schema)
+        assert {"log lost_inputs": "0"}.items() <= {v.key: v.value for v in message.status[0].values}.items()
 
 
 def said(log: Path) -> list[tuple[str, int, bytes]]:
