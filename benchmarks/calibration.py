@@ -101,7 +101,7 @@ def rendered(runs: int) -> dict[str, Any]:
     """Stereo on rendered pairs through the corner finder: noise 3 grey levels, blur 0.7 px."""
     truth = rig()
     painters = [synthetic.Painter(c, BOARD) for c in (truth.left, truth.right)]
-    stereo_e, stereo_C, left_e, left_C, rms = [], [], [], [], []
+    stereo_e, stereo_C, left_e, left_C, right_e, right_C, rms, widened = [], [], [], [], [], [], [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         pairs = []
@@ -117,10 +117,14 @@ def rendered(runs: int) -> dict[str, Any]:
         stereo_C.append(_some(result.rig.covariance_rc))
         left_e.append(_camera_error(VGA, result.rig.left))
         left_C.append(_some(result.rig.left.covariance))
+        right_e.append(_camera_error(truth.right, result.rig.right))
+        right_C.append(_some(result.rig.right.covariance))
         rms.append(result.solution.rms)
+        widened.append(result.solution.widened)
     return {
-        "left": consistency(CAMERA_NAMES, left_e, left_C), "stereo": consistency(POSE_NAMES, stereo_e, stereo_C),
-        "rms_px": float(np.mean(rms)),
+        "left": consistency(CAMERA_NAMES, left_e, left_C), "right": consistency(CAMERA_NAMES, right_e, right_C),
+        "stereo": consistency(POSE_NAMES, stereo_e, stereo_C),
+        "rms_px": float(np.mean(rms)), "share_widened": float(np.mean(np.array(widened) > 1.0)),
     }  # fmt: skip
 
 

@@ -27,13 +27,14 @@ from models import so3
 from models.messages import Array
 
 OUT = Path("out/bench_calibration")
-SHORTEST_S = 2.4  # of a rest: enough for the density
 DATA_SHEETS = {  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz)
     "euroc": ("ADIS16448, as published with the set", 1.7e-4, 2.0e-3),
-    "tumvi_room": ("BMI160, as published with the set", 1.6e-4, 2.8e-3),
-    "inertialnav_logs": ("scatter on the ground / sqrt(50 Hz), its README", 4.1e-5, 1.05e-3),
+    "tumvi_room": ("BMI160, data sheet BST-BMI160-DS000: 0.007 deg/s, 180 ug", 1.2e-4, 1.8e-3),
+    "inertialnav_logs": ("Pixhawk: MPU-6000, data sheet PS-MPU-6000A-00: 0.005 deg/s, 400 ug", 8.7e-5, 3.9e-3),
+    "ardupilot_logs": ("Pixhawk: MPU-6000, data sheet PS-MPU-6000A-00: 0.005 deg/s, 400 ug", 8.7e-5, 3.9e-3),
     "rtk_drive_walk": ("author's configuration; here the engine runs", 6.6e-5, 6.9e-4),
-    "umn_thor75": ("scatter on the ground / sqrt(50 Hz), its README", 4.2e-4, 2.8e-3),
+    "umn_thor75": ("not named; scatter on the ground / sqrt(50 Hz), its README", 4.2e-4, 2.8e-3),
+    "quad_rtk_dot": ("Xsens DOT, from memory: 0.007 deg/s, 120 ug", 1.2e-4, 1.2e-3),
 }
 
 
@@ -114,23 +115,46 @@ def read_imu(path: Path) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 def at_rest(flights: Path) -> Table:
-    """Allan deviation of the longest rest of every flight that has one of ten seconds."""
+    """Allan deviation of the longest rest of every IMU; where there is none, the scatter of the quietest half second."""
     rows = []
-    for path in sorted(flights.glob("**/imu.csv.gz")):
-        name = path.parent.relative_to(flights).as_posix()
-        sheet = DATA_SHEETS.get(name.partition("/")[0], ("", float("nan"), float("nan")))
+    for path in sorted(flights.glob("**/imu*.csv.gz")):
+        name = path.relative_to(flights).as_posix().removesuffix(".csv.gz").removesuffix("/imu")
+        sheet = (
+            DATA_SHEETS[name.partition("/")[0]] if "/imu2" not in name else ("Pixhawk's second IMU, not named", np.nan, np.nan)
+        )
+        recording, seen = read_imu(path), tuple[str, ...]()
         try:
-            found = imu.static_noise(*read_imu(path), shortest_s=SHORTEST_S)
-        except CalibrationError as error:
-            rows.append((name, str(error)[:60], "", "", "", "", "", ""))
-            continue
-        c = found.config()
-        rows.append((
-            name, f"{found.duration_s:.0f}", f"{found.rate_hz:.0f}", number(c["gyro_noise"]), number(sheet[1]),
-            number(c["accel_noise"]), number(sheet[2]), sheet[0],
-        ))  # fmt: skip
-    columns = ("flight", "rest s", "Hz", "gyro", "data sheet", "accel", "data sheet", "IMU")
+            found = imu.static_noise(*recording)
+        except CalibrationError:
+            gyro, accel = quietest(*recording)
+            seen = (
+                "0.5",
+                f"{1e9 / np.median(np.diff(recording[0])):.0f}",
+                "",
+                "",
+                f"{number(gyro)} (scatter)",
+                f"{number(accel)} (scatter)",
+            )
+        else:
+            g, a = imu.worst(found.gyro), imu.worst(found.accel)
+            white = "never" if np.isnan(found.white_from_s) else f"{found.white_from_s:.2f}"
+            seen = (
+                f"{found.duration_s:.1f}", f"{found.rate_hz:.0f}", white, f"{found.longest_tau_s:.2f}",
+                *(f"{number(n.density)} +- {100.0 * n.density_sigma / n.density:.0f} %" for n in (g, a)),
+            )  # fmt: skip
+        rows.append((name, *seen[:5], number(sheet[1]), seen[5], number(sheet[2]), sheet[0]))
+    columns = ("IMU", "rest s", "Hz", "white from s", "known to s", "gyro", "data sheet", "accel", "data sheet", "which")
     return Table("Noise density at rest (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)), worst axis", columns, rows)
+
+
+def quietest(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> tuple[float, float]:
+    """Scatter of the quietest half second over the root of the rate: the density, were it white."""
+    rate = 1e9 / float(np.median(np.diff(t_ns)))
+    n = int(0.5 * rate)
+    k = len(t_ns) // n
+    scatter = [x[: k * n].reshape(k, n, 3).std(axis=1).max(axis=1) / np.sqrt(rate) for x in (gyro, accel)]
+    best = int(np.argmin(scatter[0] / np.median(scatter[0]) + scatter[1] / np.median(scatter[1])))
+    return float(scatter[0][best]), float(scatter[1][best])
 
 
 def main() -> None:

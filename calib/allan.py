@@ -5,6 +5,10 @@
 
 with theta the integrated signal, N the noise density [unit / sqrt(Hz)], B the bias instability, K the random walk
 [unit / s / sqrt(Hz)]. N and K have the units of the configuration: [imu] gyro_noise, accel_noise, gyro_walk, accel_walk.
+
+At short times a recording is often not white: the IMU or its autopilot smoothed it (the curve lies low), or something hummed (a
+hump that falls with 1 / tau). The curve is fitted from the shortest time on from which it is of the three kinds above. Where it
+never is, N is the density at the longest time, sigma(tau) sqrt(tau), and nothing is said of B and K.
 """
 
 from dataclasses import dataclass
@@ -18,21 +22,34 @@ from models.messages import Array
 
 _FEWEST: Final = 200  # samples
 _FEWEST_CLUSTERS: Final = 9  # of the longest time: fewer are all noise
+_FEWEST_POINTS: Final = 4  # that three unknowns are fitted to
+_FITS: Final = 2.5  # sigma of the worst point, up to which the curve is of the three kinds
+_SEEN: Final = 2.0  # sigma
 _INSTABILITY = 2.0 * np.log(2.0) / np.pi
 
 
 @dataclass(frozen=True)
 class Noise:
-    """One axis: density N, instability B, walk K with the standard deviations of N and K; tau_s and adev: the curve."""
+    """One axis: density N, instability B, walk K with their standard deviations; tau_s and adev: the curve.
+
+    white_from_s: shortest time that was fitted; nan where no part of the curve is of the three kinds: N of the longest time.
+    """
 
     density: float
     instability: float
     walk: float
     density_sigma: float
+    instability_sigma: float
     walk_sigma: float
+    white_from_s: float
     tau_s: Array
     adev: Array
     adev_sigma: Array
+
+    @property
+    def walk_seen(self) -> bool:
+        """Whether the record is long enough for the walk to be told from none."""
+        return self.walk > _SEEN * self.walk_sigma
 
     def model(self, tau_s: Array) -> Array:
         """The fitted Allan deviation."""
@@ -55,17 +72,33 @@ def allan_deviation(x: Array, rate_hz: float) -> tuple[Array, Array]:
 def noise(x: Array, rate_hz: float) -> Noise:
     """The noise of one axis at rest, x (K,) evenly sampled. Raises CalibrationError where the record is too short."""
     if len(x) < _FEWEST:
-        raise CalibrationError(f"{len(x)} samples at rest are too few for the Allan deviation")
+        raise CalibrationError(f"{len(x)} samples at rest are too few, {_FEWEST} are the least: log faster, or let it lie longer")
     if np.ptp(x) == 0.0:
         raise CalibrationError("an axis of the IMU always reads the same: dead, or rounded too coarsely")
     tau, adev = allan_deviation(x, rate_hz)
     # Relative error of a point: 1 / sqrt(2 (clusters - 1)) (IEEE 952, eq. C.24); overlapping gains little at long times.
     relative = 1.0 / np.sqrt(2.0 * np.maximum(len(x) / (tau * rate_hz) - 1.0, 1.0))
-    A = np.column_stack((1.0 / tau, np.full(len(tau), _INSTABILITY), tau / 3.0))
-    weight = 1.0 / (2.0 * relative * adev**2)
-    squares, _ = nnls(A * weight[:, None], adev**2 * weight)
-    C = np.linalg.pinv((A * weight[:, None]).T @ (A * weight[:, None]))
+    last = len(tau) - _FEWEST_POINTS
+    first = next((k for k in range(last + 1) if _fit(tau[k:], adev[k:], relative[k:])[2] < _FITS), None)
+    if first is None:
+        squares = np.array([adev[-1] ** 2 * tau[-1], 0.0, 0.0])
+        C = np.diag([(2.0 * relative[-1] * squares[0]) ** 2, np.inf, np.inf])
+    else:
+        first = min(first + 1, last) if first else 0  # an octave beyond what still bends the curve
+        squares, C, _ = _fit(tau[first:], adev[first:], relative[first:])
     n, b, k = np.sqrt(squares)
     spread = np.sqrt(np.diagonal(C))  # of the squares; where one is 0 within it, of the root it is its fourth root
     sigma = np.minimum(spread / (2.0 * np.maximum(np.sqrt(squares), 1e-30)), np.sqrt(spread))
-    return Noise(float(n), float(b), float(k), float(sigma[0]), float(sigma[2]), tau, adev, relative * adev)
+    return Noise(
+        float(n), float(b), float(k), float(sigma[0]), float(sigma[1]), float(sigma[2]),
+        float("nan") if first is None else float(tau[first]), tau, adev, relative * adev,
+    )  # fmt: skip
+
+
+def _fit(tau: Array, adev: Array, relative: Array) -> tuple[Array, Array, float]:
+    """N^2, B^2, K^2 (none negative), their covariance, and the worst point's distance from the curve [sigma]."""
+    A = np.column_stack((1.0 / tau, np.full(len(tau), _INSTABILITY), tau / 3.0))
+    weight = 1.0 / (2.0 * relative * adev**2)
+    squares, _ = nnls(A * weight[:, None], adev**2 * weight)
+    C = np.asarray(np.linalg.pinv((A * weight[:, None]).T @ (A * weight[:, None])), dtype=np.float64)
+    return squares, C, float(np.abs((A @ squares - adev**2) * weight).max())

@@ -20,7 +20,7 @@ from models.messages import Array
 _WINDOW_S: Final = 0.5
 _RESTLESS: Final = 3.0  # times the quietest windows' scatter
 _MOST_ACCEL, _MOST_GYRO = 0.6, 0.08  # m/s^2, rad/s: more scatter than this is motion, however even
-_SHORTEST_S: Final = 10.0  # of a rest that noise is taken from
+_SHORTEST_S: Final = 2.0  # of a rest that noise is taken from: enough for the density, for nothing else
 _POSITION_S: Final = 2.0
 _SAME_DIRECTION: Final = np.cos(np.deg2rad(20.0))
 _NOISE_PART: Final = 0.05  # of the variance at the shortest time that must be white
@@ -39,11 +39,21 @@ class Static:
     accel_mean: Array
 
     def config(self) -> dict[str, float]:
-        """What [imu] of the configuration takes: the worst axis of each."""
-        return {
-            "gyro_noise": max(n.density for n in self.gyro), "accel_noise": max(n.density for n in self.accel),
-            "gyro_walk": max(n.walk for n in self.gyro), "accel_walk": max(n.walk for n in self.accel),
-        }  # fmt: skip
+        """What [imu] of the configuration takes: the worst axis of each; a walk that was not seen is left out."""
+        noises = (("gyro", self.gyro), ("accel", self.accel))
+        density = {f"{name}_noise": max(n.density for n in axes) for name, axes in noises}
+        seen = {f"{name}_walk": [n.walk for n in axes if n.walk_seen] for name, axes in noises}
+        return density | {name: max(walks) for name, walks in seen.items() if walks}
+
+    @property
+    def longest_tau_s(self) -> float:
+        """Averaging time up to which the noise is known; slower changes were not seen."""
+        return float(min(n.tau_s[-1] for n in (*self.gyro, *self.accel)))
+
+    @property
+    def white_from_s(self) -> float:
+        """Averaging time from which on all axes are white; nan where one never is."""
+        return float(np.max([n.white_from_s for n in (*self.gyro, *self.accel)]))
 
 
 @dataclass(frozen=True)
@@ -80,12 +90,12 @@ def rests(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> list[slice]:
     return found
 
 
-def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array, shortest_s: float = _SHORTEST_S) -> Static:
-    """Noise in the longest rest. Raises CalibrationError where there is none of shortest_s."""
+def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
+    """Noise in the longest rest. Raises CalibrationError where there is none of two seconds."""
     check(t_ns, gyro, accel)
     found = rests(t_ns, gyro, accel)
     lengths = [1e-9 * float(t_ns[r.stop - 1] - t_ns[r.start]) for r in found]
-    if not found or max(lengths) < shortest_s:
+    if not found or max(lengths) < _SHORTEST_S:
         longest = max(lengths, default=0.0)
         raise CalibrationError(
             f"the IMU rests for {longest:.0f} s at most: let it lie still, ten minutes for the noise, hours for the walk"
@@ -95,7 +105,7 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array, shortest_s:
     even = np.arange(t_ns[best][0], t_ns[best][-1], 1e9 / rate)
     axes = [np.interp(even, t_ns[best].astype(np.float64), x[best, k]) for x in (gyro, accel) for k in range(3)]
     g0, g1, g2, a0, a1, a2 = noises = [noise(x, rate) for x in axes]
-    if any(n.density**2 < _NOISE_PART * n.tau_s[0] * n.adev[0] ** 2 for n in noises):
+    if not all(_is_noise(n) for n in noises):
         raise CalibrationError("where the IMU moved least its signal is still motion, not noise: let it lie still")
     return Static(
         max(lengths), rate, (g0, g1, g2), (a0, a1, a2), gyro[best].mean(axis=0), accel[best].mean(axis=0)
@@ -154,6 +164,12 @@ def _solve(f: Array, sigma: float, gravity: float) -> SixPosition:
     scatter = max(sigma, float(np.sqrt(residual @ residual / spare)) if spare > 0 else 0.0)
     covariance = np.asarray(scatter**2 * np.linalg.pinv(J.T @ J))
     return SixPosition(b, s, covariance, float(np.sqrt(np.mean(residual**2))), f)
+
+
+def _is_noise(n: Noise) -> bool:
+    """Whether a part of what was fitted is white where the fit begins."""
+    first = n.adev[n.tau_s == n.white_from_s]
+    return not len(first) or bool(n.density**2 >= _NOISE_PART * n.white_from_s * first[0] ** 2)
 
 
 def _rate(t_ns: NDArray[np.int64]) -> float:

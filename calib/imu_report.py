@@ -17,6 +17,7 @@ from models import so3
 
 _COLOURS = (VERMILLION, GREEN, BLUE)  # x y z
 _LONGER: Final = "let the IMU lie still for longer: ten minutes for the noise, hours for the random walk"
+_HUM: Final = "motors off, and nothing that hums near: the noise is not white"
 _MOVE: Final = "move more: turn briskly about all three axes and shake along all three, a minute, the whole board in view"
 _MODEL: Final = (
     "innovations are larger than the noise says: give [imu] the noise of landfix calibrate imu, fix the board, check stamps"
@@ -28,8 +29,9 @@ def of_static(result: Static) -> Verdict:
     """The verdict on noise figures."""
     spread = max(n.density_sigma / max(n.density, 1e-30) for n in (*result.gyro, *result.accel))
     return Verdict((
-        Fact("seconds at rest short of 600", max(600.0 - result.duration_s, 0.0), "s", 0.0, 580.0, _LONGER),
+        Fact("seconds at rest short of 600", max(600.0 - result.duration_s, 0.0), "s", 0.0, 590.0, _LONGER),
         Fact("sigma of the noise density", 100.0 * spread, "%", 3.0, 15.0, _LONGER),
+        Fact("averaging time from which the noise is white", result.white_from_s, "s", 0.2, 1.0, _HUM),
     ))  # fmt: skip
 
 
@@ -47,19 +49,35 @@ def of_camera_imu(result: CameraImu) -> Verdict:
 
 def static_tables(result: Static) -> list[Table]:
     """Noise of each axis, and what the configuration takes."""
-    rows = []
-    for name, unit, noises in (("gyro", "rad/s", result.gyro), ("accel", "m/s^2", result.accel)):
-        for axis, n in zip("xyz", noises, strict=True):
-            walk = (
-                f"{n.walk:.3g} +- {n.walk_sigma:.1g}" if n.walk > 2.0 * n.walk_sigma else f"< {n.walk + 2.0 * n.walk_sigma:.2g}"
-            )
-            rows.append((f"{name} {axis}", f"{n.density:.4g} +- {n.density_sigma:.1g}", walk, f"{n.instability:.3g}", unit))
-    config = [(key, f"{value:.3g}") for key, value in result.config().items()]
-    header = ("axis", "noise density [1/sqrt(Hz)]", "random walk [1/s/sqrt(Hz)]", "bias instability", "of")
-    return [
-        (f"At rest for {result.duration_s:.0f} s at {result.rate_hz:.0f} Hz", header, rows),
-        ("[imu] of the configuration, at least (vibration in flight adds to it, up to 20 times)", (), config),
+    rows = [
+        (
+            f"{name} {axis}", f"{n.density:.3g} +- {100.0 * n.density_sigma / n.density:.0f} %", _seconds(n.white_from_s),
+            _or_less(n.instability, n.instability_sigma), _or_less(n.walk, n.walk_sigma),
+        )
+        for name, noises in (("gyro", result.gyro), ("accel", result.accel))
+        for axis, n in zip("xyz", noises, strict=True)
+    ]  # fmt: skip
+    seen = [
+        ("at rest", f"{result.duration_s:.1f} s at {result.rate_hz:.0f} Hz"),
+        ("noise known up to", f"{result.longest_tau_s:.2g} s of averaging; what is slower was not seen"),
     ]
+    config = [(key, f"{value:.3g}") for key, value in result.config().items()] + [("in flight", "up to 20 times more: vibration")]
+    header = ("rad/s, m/s^2", "density [1/sqrt(Hz)]", "white from [s]", "instability", "walk [1/s/sqrt(Hz)]")
+    return [
+        ("Rest", (), seen), ("Noise", header, rows),
+        ("Configuration, section imu", (), config),
+    ]  # fmt: skip
+
+
+def _or_less(value: float, sigma: float) -> str:
+    """The value where it was seen, else what it is below."""
+    if not np.isfinite(sigma):
+        return "not seen"
+    return f"{value:.2g} +- {100.0 * sigma / value:.0f} %" if value > 2.0 * sigma else f"< {value + 2.0 * sigma:.2g}"
+
+
+def _seconds(t: float) -> str:
+    return "never" if np.isnan(t) else f"{t:.2g}"
 
 
 def six_table(result: SixPosition) -> Table:
@@ -141,7 +159,8 @@ def _draw_allan(axes: Axes, noises: tuple[Noise, Noise, Noise], what: str, unit:
             linewidth=0.8,
             label=f"{name}: N = {n.density:.3g}",
         )
-        axes.plot(n.tau_s, n.model(n.tau_s), color=colour, linewidth=0.9)
+        fitted = n.tau_s[n.tau_s >= n.white_from_s]
+        axes.plot(fitted, n.model(fitted), color=colour, linewidth=0.9)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("averaging time [s]")

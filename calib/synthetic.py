@@ -1,6 +1,7 @@
 """Pictures and views of a board by a known camera, for tests and benchmarks: what calibration must give back.
 
-Each pixel's ray meets the board's plane, x_o = R_oc (x_c - t), and takes the colour of the square there; four rays a pixel.
+Each pixel's ray meets the board's plane, x_o = R_oc (x_c - t), and takes the colour of the square there. A pixel that an edge
+crosses takes the mean of 55 rays on a Fibonacci lattice: on a square grid of rays an edge along the pixels would stand in steps.
 """
 
 from collections.abc import Sequence
@@ -12,9 +13,10 @@ from calib.bundle import Pose
 from calib.chessboard import Board, Grey, View
 from models import so3
 from models.camera import CameraModel, StereoRig
+from models.messages import Array
 
 _DARK, _BRIGHT, _WALL = 30.0, 220.0, 120.0
-_FINE = 2  # rays a pixel each way
+_LATTICE = np.array([((k + 0.5) / 55.0 - 0.5, (34 * k % 55 + 0.5) / 55.0 - 0.5) for k in range(55)])  # px
 
 
 class Painter:
@@ -22,30 +24,34 @@ class Painter:
 
     def __init__(self, camera: CameraModel, board: Board) -> None:
         self.camera, self.board = camera, board
-        fine = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-        u = (np.arange(camera.width)[:, None] + fine).ravel()
-        v = (np.arange(camera.height)[:, None] + fine).ravel()
-        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        self._rays = np.column_stack((camera.undistort(grid), np.ones(len(grid))))
+        v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+        plane = camera.undistort(np.column_stack((u.ravel(), v.ravel()))).reshape(camera.height, camera.width, 2)
+        self._plane = plane
+        self._by_v, self._by_u = (np.asarray(np.gradient(plane, axis=axis)) for axis in (0, 1))  # from pixel to pixel
 
     def paint(self, pose: Pose, rng: np.random.Generator, noise: float = 2.0, blur_px: float = 0.6) -> Grey:
         """The picture of a board at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma of the lens' blur."""
-        # x_o = R^T (s ray - t) with z_o = 0
-        rays_o, eye_o = self._rays @ pose.R, -pose.R.T @ pose.t
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = -eye_o[2] / rays_o[:, 2]
-            square = (eye_o[:2] + s[:, None] * rays_o[:, :2]) / self.board.square_m
-        i, j = np.floor(square + 1.0).T
-        inside = (s > 0) & (i >= 0) & (j >= 0) & (i <= self.board.columns) & (j <= self.board.rows)
-        paper = (s > 0) & (i >= -1) & (j >= -1) & (i <= self.board.columns + 1) & (j <= self.board.rows + 1)
-        dark = np.add(i, j) % 2 == 0  # the square inside corners 0 and columns + 1 is dark, as chessboard.find reads it
-        level = np.where(inside & dark, _DARK, np.where(paper, _BRIGHT, _WALL))
-        shape = (self.camera.height, _FINE, self.camera.width, _FINE)
-        picture = level.reshape(shape).mean(axis=(1, 3))
+        picture = self._levels(pose, self._plane)
+        around = np.ones((3, 3), np.uint8)
+        edge = cv2.dilate(picture, around) != cv2.erode(picture, around)
+        plane, by_u, by_v = self._plane[edge], self._by_u[edge], self._by_v[edge]
+        picture[edge] = np.mean([self._levels(pose, plane + du * by_u + dv * by_v) for du, dv in _LATTICE], axis=0)
         if blur_px > 0:
             picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px))
         noisy = np.rint(picture + rng.normal(0.0, noise, picture.shape))
         return np.asarray(np.clip(noisy, 0, 255), dtype=np.uint8)
+
+    def _levels(self, pose: Pose, plane: Array) -> Array:
+        """Grey levels (...) where the rays (x, y, 1) of plane (..., 2) end."""
+        # x_o = R^T (s ray - t) with z_o = 0
+        rays_o, eye_o = plane @ pose.R[:2] + pose.R[2], -pose.R.T @ pose.t
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = -eye_o[2] / rays_o[..., 2]
+            i, j = (np.floor((eye_o[k] + s * rays_o[..., k]) / self.board.square_m + 1.0) for k in (0, 1))
+        inside = (s > 0) & (i >= 0) & (j >= 0) & (i <= self.board.columns) & (j <= self.board.rows)
+        paper = (s > 0) & (i >= -1) & (j >= -1) & (i <= self.board.columns + 1) & (j <= self.board.rows + 1)
+        dark = (i + j) % 2 == 0  # the square inside corners 0 and columns + 1 is dark, as chessboard.find reads it
+        return np.where(inside & dark, _DARK, np.where(paper, _BRIGHT, _WALL))
 
 
 def poses(cameras: Sequence[tuple[CameraModel, Pose]], board: Board, count: int, rng: np.random.Generator) -> list[Pose]:

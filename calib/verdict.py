@@ -135,4 +135,5 @@ def uncovered(camera: CameraModel) -> float:
 
 def table(rows: Sequence[Figure]) -> list[tuple[str, str, str, str]]:
     """Name, value with unit, limits, grade: for a terminal or a page."""
-    return [(f.name, f"{f.value:.3g} {f.unit}".strip(), f"<= {f.good:g} / {f.usable:g}", f.grade.word) for f in rows]
+    values = ["not known" if np.isnan(f.value) else f"{f.value:.3g} {f.unit}".strip() for f in rows]
+    return [(f.name, value, f"<= {f.good:g} / {f.usable:g}", f.grade.word) for f, value in zip(rows, values, strict=True)]

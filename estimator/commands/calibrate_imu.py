@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from calib.imu import SixPosition, Static
     from estimator.config import Config
 
+_NOISE = ("density", "density_sigma", "white_from_s", "instability", "instability_sigma", "walk", "walk_sigma")
 _MOST_PICTURES = 6000  # five minutes at 20 Hz
 
 Log = Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log of the IMU; other recordings: landfix import first.")]
@@ -53,8 +54,7 @@ def imu_command(
         report_file or log.with_suffix(".html"), f"IMU of {log.name}", judged, tables, imu_report.static_figure(static)
     )
     if out is not None:
-        lines = "".join(f"{key} = {value:.6g}\n" for key, value in static.config().items() if value > 0.0)
-        options.write_text(out, f"[imu]  # at rest; vibration in flight adds to it\n{lines}")
+        options.write_text(out, _toml(static))
         written.append(out)
     options.tell(judged, tables, [], written, _imu_facts(static, sides) if json else None)
 
@@ -144,13 +144,21 @@ def _recording(log: Path, config: "Config", told: Callable[[float], None]) -> "R
     return Recording(t_ns[once], gyro, accel)
 
 
+def _toml(static: "Static") -> str:
+    """The noise as a configuration; what was not seen stays with its default."""
+    values = static.config()
+    lines = [f"{key} = {value:.6g}\n" for key, value in values.items()]
+    lines += [f"# {key}: not seen in {static.duration_s:.0f} s\n" for key in ("gyro_walk", "accel_walk") if key not in values]
+    return "[imu]  # at rest; vibration in flight adds to it\n" + "".join(lines)
+
+
 def _imu_facts(static: "Static", sides: "SixPosition | None") -> dict[str, Any]:
-    facts: dict[str, Any] = {"rest_s": static.duration_s, "rate_hz": static.rate_hz, "config": static.config()}
+    facts: dict[str, Any] = {
+        "rest_s": static.duration_s, "rate_hz": static.rate_hz, "longest_averaging_s": static.longest_tau_s,
+        "config": static.config(),
+    }  # fmt: skip
     for name in ("gyro", "accel"):
-        facts[name] = [
-            {key: getattr(n, key) for key in ("density", "density_sigma", "walk", "walk_sigma", "instability")}
-            for n in getattr(static, name)
-        ]  # fmt: skip
+        facts[name] = [{key: getattr(n, key) for key in _NOISE} for n in getattr(static, name)]
     if sides is not None:
         sigma = [float(v) ** 0.5 for v in sides.covariance.diagonal()]
         facts["six_position"] = {
