@@ -61,9 +61,9 @@ class Autopilot(Vehicle):
                 super().measure(message)
 
     def report(self) -> dict[str, Any]:
-        """What came back over MAVLink."""
+        """What was sent, and what came back over MAVLink."""
         late_ms = sorted(ns * 1e-6 for ns in self.odometry_ns) or [math.nan]
-        return {
+        return super().report() | {
             "mavlink_heard": self.heard,
             "mavlink_odometry_ms": {name: round(late_ms[math.ceil(q * len(late_ms)) - 1], 3) for name, q in _SHARES.items()},
             "timesync_round_trip_ms": round(1e-6 * min(self._round_trips_ns, default=0), 3),
