@@ -70,13 +70,13 @@ class Eskf:
         )  # fmt: skip
         self.t_ns = to_ns
 
-    def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> bool:
-        """From now on take the slow error `block` into account. False: it is known already.
+    def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> None:
+        """From now on take the slow error `block` into account, if it is not known already.
 
         covariance: (k, k), steady; with `walk` (k,), variance per second, that of the start of a random walk, which is estimated.
         """
         if block in self.slow.columns:
-            return False
+            return
         n, k = len(self.cov), len(covariance)
         wider = np.zeros((n + k, n + k))
         wider[:n, :n], wider[n:, n:] = self.cov, covariance
@@ -85,7 +85,6 @@ class Eskf:
             self.slow = self.slow.also(block, np.diag(covariance).copy(), tau_s, estimated=False)
         else:  # the limit of sigma^2 (1 - exp(-2 dt / tau)) for a long tau
             self.slow = self.slow.also(block, 0.5 * _LONG_S * walk, _LONG_S, estimated=True)
-        return True
 
     def zero(self, block: str, seen: Innovation) -> None:
         """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,

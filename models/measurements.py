@@ -34,10 +34,6 @@ class Measurement(Protocol):
     """What the filter asks of a measurement."""
 
     @property
-    def kind(self) -> str:
-        """Name for reports: position, velocity, pose, height ..."""
-
-    @property
     def noise(self) -> Array:
         """R, (m, m), of the given components."""
 
@@ -60,7 +56,6 @@ class Position:
     noise: Array
     rows: NDArray[np.intp]
     lever_b: Array
-    kind: str = "position"
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
         """See Measurement."""
@@ -75,7 +70,6 @@ class Velocity:
     z_n: Array
     noise: Array
     lever_b: Array
-    kind: str = "velocity"
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -99,7 +93,6 @@ class Pose:
     noise: Array
     rows: NDArray[np.intp]
     attitude: str = "full"  # full | tilt | yaw | none
-    kind: str = "pose"
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
         """See Measurement."""
@@ -124,7 +117,6 @@ class PartialPose:
     directions: Array
     readings: Array
     noise: Array
-    kind: str = "pose"
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -156,7 +148,6 @@ class Height:
 
     z_m: float
     noise: Array
-    kind: str = "height"
 
     @property
     def rows(self) -> NDArray[np.intp]:
