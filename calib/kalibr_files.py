@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from calib.errors import CalibrationError
-from calib.fisheye import rational
 from calib.plain_yaml import number, rows, sequence
 from calib.rig_yaml import FORWARD, UNKNOWN_POSE
 from models.camera import CameraModel, StereoRig
@@ -31,6 +30,8 @@ def camera(value: dict[str, Any], name: str, where: str) -> CameraModel:
         raise CalibrationError(f"{where}: {name}: resolution, intrinsics or distortion_coeffs missing or no numbers") from None
     if lens == "equidistant":
         try:
+            from calib.fisheye import rational  # noqa: PLC0415  (scipy.optimize: half a second that others do not need)
+
             return rational(fx, fy, cx, cy, np.array(distortion), (width, height))
         except CalibrationError as error:
             raise CalibrationError(f"{where}: {name}: {error}") from None

@@ -13,13 +13,13 @@ from logs import axes, schemas
 from logs.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
 from logs.evaluate import LONGEST_STEP_NS
 from logs.evidence import ODOMETRY_TOPIC
-from logs.metrics import horizontal_radius
 from logs.pictures import PictureError, decode_picture
 from logs.reader import Attachment, LogError, LogReader, Record
 from logs.stamps import stamp_of
 from logs.trajectory import decode, interpolate
 from models import so3
 from models.messages import LandmarkFix, PictureName, vec3
+from models.radius import horizontal_radius
 from vision.rectify import Image
 
 FIX_TOPIC: Final = "/landfix/fix"

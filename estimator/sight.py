@@ -11,12 +11,12 @@ from estimator.overlay_measure import Overlay, View
 from estimator.publish import OVERLAY_TOPIC
 from estimator.vision_requests import Shot
 from logs.codec import Encoded, encode, encode_input
-from logs.metrics import horizontal_radius
 from logs.pictures import Picture, PictureError, decode_picture, encode_picture
 from models import so3
 from models.camera import StereoRig
 from models.landmarks import LandmarkMap
 from models.messages import VisionReport, VisionRequest
+from models.radius import horizontal_radius
 from vision.identify import Prior
 from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
 

@@ -31,6 +31,7 @@ from logs.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
 from logs.metrics import Mask, Stats, Times
 from logs.trajectory import Trajectory, interpolate, nearest
 from models.messages import AidStatus, Array, Reason
+from models.radius import horizontal_radius
 
 ABSOLUTE_KINDS: Final = frozenset({"gnss_position", "pose"})  # measurements that say where, not only how fast or how high
 LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a longer hole
@@ -252,7 +253,7 @@ def _honesty(c: Comparison, aided: Mask) -> Honesty:
     attitude, velocity = c.truth.has_attitude, np.asarray(np.isfinite(c.v_error).all(axis=1))
     pose_error, pose_covariance = np.hstack([c.p_error, c.theta_error]), c.estimate.covariance.copy()
     pose_covariance[:, :3, :3] = c.p_covariance
-    radius = metrics.horizontal_radius(c.p_covariance[:, :2, :2])
+    radius = horizontal_radius(c.p_covariance[:, :2, :2])
     horizontal = np.linalg.norm(c.p_error[:, :2], axis=1)
     return Honesty(
         position=metrics.consistency(nees_p, 3),
@@ -271,7 +272,7 @@ def _outage(source: str, span: tuple[int, int], comparison: Comparison, start: i
     c = comparison[metrics.within(comparison.t_ns, [span])]
     attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.truth.has_attitude], axis=1))
     nees_p = metrics.nees(c.p_error, c.p_covariance)
-    radius = metrics.horizontal_radius(c.p_covariance[-1:, :2, :2])
+    radius = horizontal_radius(c.p_covariance[-1:, :2, :2])
     return Outage(
         source=source,
         start_s=(span[0] - start) * 1e-9,

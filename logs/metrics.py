@@ -9,17 +9,12 @@ freedom); Bar-Shalom, Li & Kirubarajan 2001 (Estimation with Applications, secti
 """
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import quad
-from scipy.interpolate import CubicSpline
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scipy.special import erf
 from scipy.stats import chi2
 
 from models.messages import Array
@@ -257,41 +252,6 @@ def nis(innovation: Array, sigma: Array) -> Array:
     """
     total: Array = ((innovation / sigma) ** 2).sum(axis=1)
     return total
-
-
-@cache
-def _radius_table(probability: float) -> CubicSpline:
-    """r / sigma_1 over k = sigma_2 / sigma_1 in 0..1, the root of the equation in horizontal_radius."""
-
-    def excess(r: float, k: float) -> float:
-        def inner(u: float) -> float:
-            x = r * np.sin(u)
-            half = r * np.cos(u)
-            across = 1.0 if k == 0.0 else erf(half / (k * np.sqrt(2.0)))
-            return float(np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi) * across * half)
-
-        return 2.0 * float(quad(inner, 0.0, 0.5 * np.pi, limit=200)[0]) - probability
-
-    ratios = np.linspace(0.0, 1.0, 41)
-    return CubicSpline(ratios, [brentq(excess, 0.1, 10.0, args=(k,)) for k in ratios])
-
-
-def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
-    """Radius r [m] of the circle that holds a horizontal error of covariance (n, 2, 2) with the probability given, (n,).
-
-        P(x^2 + y^2 <= r^2) = probability,  x ~ N(0, s1^2), y ~ N(0, s2^2),  s1 >= s2 the semi-axes
-        = int_{-r}^{r} phi(x / s1) / s1  erf( sqrt(r^2 - x^2) / (s2 sqrt 2) ) dx
-
-    1.960 s1 for a line, 2.448 s for a circle (at 95 %). Solved once over the ratio s2 / s1 and splined (error below 1e-6);
-    nan where P is not finite.
-    """
-    radius = np.full(len(covariance), np.nan)
-    finite = np.isfinite(covariance).all(axis=(1, 2))
-    sigma = np.sqrt(np.clip(np.linalg.eigvalsh(covariance[finite]), 0.0, None))
-    small, large = sigma[:, 0], sigma[:, 1]
-    ratio = np.divide(small, large, out=np.zeros_like(small), where=large > 0.0)
-    radius[finite] = large * _radius_table(probability)(ratio)
-    return radius
 
 
 def waits(valid_ns: Times, arrived_ns: Times) -> Times:

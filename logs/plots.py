@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from logs import metrics
 from logs.evaluate import Comparison, compare
 from logs.evidence import Evidence
 from logs.metrics import Indices, Times, within
 from models.messages import Array
+from models.radius import horizontal_radius
 
 BLACK, BLUE, GREEN, VERMILLION, SKY, ORANGE = "#000000", "#0072B2", "#009E73", "#D55E00", "#56B4E9", "#E69F00"
 _BAND: Final = "#CDE7F7"  # a light SKY, opaque: the same inside an outage's shade
@@ -109,7 +109,7 @@ def draw_horizontal_error(axes: Axes, evidence: Evidence, outages: Spans) -> Non
     c, start = compare(evidence.estimate, evidence.truth), int(evidence.estimate.t_ns[0])
     told = evidence.estimate if not len(c) else c.estimate
     t, few = _seconds(told.t_ns, start), _thinned(len(told))
-    radius = metrics.horizontal_radius(c.p_covariance[:, :2, :2] if len(c) else told.covariance[:, :2, :2])
+    radius = horizontal_radius(c.p_covariance[:, :2, :2] if len(c) else told.covariance[:, :2, :2])
     t_whole, radius_whole = _broken_at_holes(t[few], radius[few])
     axes.fill_between(t_whole, radius_whole, 1e-9, color=_BAND, linewidth=0, zorder=1)
     _line(axes, t_whole, radius_whole, BLUE, "95 % radius", linewidth=1.2)

@@ -13,12 +13,13 @@ from rosbags.serde import SerdeError
 from logs import schemas
 from logs.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
 from logs.evidence import ODOMETRY_TOPIC
-from logs.metrics import Indices, Times, horizontal_radius
+from logs.metrics import Indices, Times
 from logs.reader import Record
 from logs.report_buckets import Buckets
 from logs.stamps import stamp_of
 from logs.trajectory import Trajectory, decode
 from models.messages import Array, LandmarkFix, VisionReport, VisionRequest
+from models.radius import horizontal_radius
 
 HEALTH_TOPIC, DAEMON_TOPIC = "/landfix/health", "/landfix/daemon"
 FIX_TOPIC, VISION_TOPIC = "/landfix/fix", "/landfix/vision"

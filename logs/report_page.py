@@ -15,13 +15,13 @@ from logs.evaluate import Comparison, compare
 from logs.evaluation import Evaluation
 from logs.evaluation_table import number
 from logs.evidence import Evidence
-from logs.metrics import horizontal_radius
 from logs.report_charts import Chart, Drawing, Span
 from logs.report_gather import Gathered
 from logs.report_words import Finding, Level, duration, refusals, summary
 from models import web_page
 from models.landmarks import Landmark
 from models.messages import Reason
+from models.radius import horizontal_radius
 from models.web_page import text
 
 _SHOWN_BYTES: Final = 40_000  # of an attached text

@@ -7,9 +7,10 @@ import numpy as np
 
 from logs.evaluation import AidSummary, Evaluation
 from logs.evidence import Evidence
-from logs.metrics import Consistency, horizontal_radius
+from logs.metrics import Consistency
 from logs.report_gather import Gathered
 from models.messages import Mode, Reason
+from models.radius import horizontal_radius
 from models.web_page import BAD, GOOD, USABLE
 
 _MANY_REFUSED: Final = 0.2

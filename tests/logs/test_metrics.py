@@ -43,7 +43,6 @@ def test_nothing_gives_nan_not_an_exception() -> None:
     assert np.isnan(m.drift(none, none).end_m)
     assert m.nees(none, np.empty((0, 3, 3))).shape == (0,)
     assert np.isnan(m.consistency(np.empty(0), 3).mean)
-    assert m.horizontal_radius(np.empty((0, 2, 2))).shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -231,22 +230,6 @@ def test_nis_has_the_expectation_of_its_dof_whatever_the_correlation() -> None:
     values = m.nis(rng.multivariate_normal([0, 0], S, size=20_000), np.sqrt(np.diag(S)))
     assert values.mean() == pytest.approx(2.0, abs=0.06)
     np.testing.assert_allclose(m.nis(np.array([[1.0, 4.0]]), np.array([[1.0, 2.0]])), [5.0])
-
-
-def test_horizontal_radius_limits() -> None:
-    """A circle: sqrt(chi2_2); a line: the normal's two-sided quantile; it turns and scales with the ellipse."""
-    r = m.horizontal_radius(np.array([np.eye(2), np.diag([0.0, 4.0]), 9.0 * np.eye(2), np.zeros((2, 2)), np.diag([np.nan, 1.0])]))
-    np.testing.assert_allclose(r, [2.447747, 2 * 1.959964, 3 * 2.447747, 0.0, np.nan], atol=1e-5)
-
-
-@pytest.mark.parametrize("minor", [0.03, 0.4, 0.8])
-def test_horizontal_radius_holds_95_percent(minor: float) -> None:
-    rng = np.random.default_rng(8)
-    turn = Rotation.from_rotvec([0, 0, 0.7]).as_matrix()[:2, :2]
-    covariance = turn @ np.diag([1.0, minor**2]) @ turn.T
-    error = rng.multivariate_normal([0, 0], covariance, size=200_000)
-    inside = np.linalg.norm(error, axis=1) <= m.horizontal_radius(covariance[None])[0]
-    assert inside.mean() == pytest.approx(0.95, abs=0.002)
 
 
 def test_waits_end_when_newer_information_arrives() -> None:
