@@ -114,6 +114,7 @@ class Vehicle:
         self._pixels = self._rng.integers(0, 255, _VGA, np.uint8).tobytes()
         self.sent: dict[str, int] = {}
         self.latency_ns: list[int] = []
+        self.flown_ns = self.heard_ns = 0  # stamps of the last sample sent, and of the last estimate
         key = zenoh_keys.rmw_key(0, "/landfix/odometry", schemas.ODOMETRY)
         self._subscriber = session.declare_subscriber(key, self._receive)
 
@@ -163,6 +164,7 @@ class Vehicle:
         time.sleep(0.5)  # until the daemon is known
         for k, t_ns in enumerate(_paced(seconds, period_ns)):
             self.measure(imu(t_ns, self._rng))
+            self.flown_ns = t_ns
             if _due(k, gnss_hz, imu_hz):
                 for message in gnss(t_ns, self._rng):
                     self.measure(message)
@@ -179,6 +181,7 @@ class Vehicle:
         t_ns = stamp_of(sample.payload.to_bytes())
         if t_ns is not None:
             self.latency_ns.append(now_ns - t_ns)
+            self.heard_ns = t_ns
 
 
 def _paced(seconds: float, period_ns: int) -> Iterator[int]:

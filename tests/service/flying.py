@@ -29,6 +29,7 @@ from logs.schemas import STORE
 
 ODOMETRY = "/landfix/odometry"
 _PATIENCE_S = 180.0  # a machine may be busy; nothing here waits longer than it must
+_SILENCE_S = 5.0
 
 
 def free_port() -> int:
@@ -108,10 +109,14 @@ def client(port: int, **settings: object) -> Iterator[zenoh.Session]:
 
 
 def fly(session: zenoh.Session, seconds: float, *, gnss_hz: float = 5.0, fix_hz: float = 5.0, image_hz: float = 0.0) -> Vehicle:
-    """A vehicle that has flown, with 200 IMU samples a second, and has heard the last estimate."""
+    """A vehicle that has flown, with 200 IMU samples a second, and has heard the last estimate, or none for long."""
     vehicle = Vehicle(session, seed=1)
     vehicle.fly(seconds, 200.0, gnss_hz=gnss_hz, fix_hz=fix_hz, image_hz=image_hz)
-    time.sleep(0.3)
+    heard, since_s = -1, time.monotonic()
+    while vehicle.heard_ns < vehicle.flown_ns and time.monotonic() - since_s < _SILENCE_S:
+        if heard != len(vehicle.latency_ns):
+            heard, since_s = len(vehicle.latency_ns), time.monotonic()
+        time.sleep(0.02)
     return vehicle
 
 
@@ -174,7 +179,7 @@ def ask(session: zenoh.Session, key: str) -> list[bytes]:
     return [reply.ok.payload.to_bytes() for reply in session.get(key, timeout=5.0) if reply.ok is not None]
 
 
-def values(answer: bytes) -> dict[str, str]:
-    """The daemon's values in the answer to landfix/status."""
-    status: dict[str, dict[str, str]] = json.loads(answer)
-    return status["daemon"]
+def status(session: zenoh.Session) -> dict[str, str]:
+    """The daemon's values about itself, of the last full second; none where it does not answer."""
+    answers: list[dict[str, dict[str, str]]] = [json.loads(a) for a in ask(session, "landfix/status")]
+    return answers[0]["daemon"] if answers else {}

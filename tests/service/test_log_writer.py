@@ -56,7 +56,7 @@ def test_what_was_put_a_tenth_of_a_second_ago_is_on_disk(tmp_path: Path) -> None
     with _writer(tmp_path) as log:
         for k in range(10):
             log.put_input(_arrival(k))
-        until(lambda: _found(tmp_path) == 10, "all is on disk", 5.0)
+        until(lambda: _found(tmp_path) == 10, "all is on disk")
 
 
 def _found(folder: Path) -> int:
@@ -71,7 +71,8 @@ def test_it_rotates_by_size_and_loses_nothing_in_between(tmp_path: Path) -> None
                 log.put_input(_arrival(25 * k + n, size=304))
             time.sleep(0.08)
     files = sorted(tmp_path.glob("*.mcap"))
-    assert 2 <= len(files) <= 5
+    assert len(files) >= 2
+    assert all(sum(len(r.data) for r in records(file)) > 20_000 for file in files[:-1])
     assert [_number(r.data) for file in files for r in records(file)] == list(range(1000))
     for n, file in enumerate(files):
         with LogReader(file) as reader:
@@ -108,7 +109,7 @@ def test_a_full_disk_is_told_and_survived_and_nothing_is_lost(tmp_path: Path) ->
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         assert "cannot be written" in log.state.state
-        until(lambda: log.state.state == "recording", "the log goes on", 10.0)
+        until(lambda: log.state.state == "recording", "the log goes on")
         assert log.state.lost_inputs == 0
     numbers = [_number(r.data) for file in sorted(tmp_path.glob("*.mcap")) for r in records(file)]
     assert sorted(set(numbers)) == list(range(k))
@@ -126,7 +127,7 @@ def _noise(k: int, size: int) -> bytes:
 def test_with_too_little_space_it_waits(tmp_path: Path) -> None:
     with _writer(tmp_path, least_free_mb=1e9) as log:
         log.put_input(_arrival(1))
-        until(lambda: log.state.state.startswith("waiting for space"), "it says so", 5.0)
+        until(lambda: log.state.state.startswith("waiting for space"), "it says so")
         assert list(tmp_path.glob("*.mcap")) == []
         assert log.waiting_bytes == 296
 
@@ -135,7 +136,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file where a folder should be")
     with _writer(tmp_path / "logs") as log:
         log.put_input(_arrival(1))
-        until(lambda: log.state.state.startswith("failed"), "it says so", 5.0)
+        until(lambda: log.state.state.startswith("failed"), "it says so")
 
 
 def test_pictures_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path) -> None:
@@ -143,7 +144,7 @@ def test_pictures_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path
     blocked = tmp_path / "logs"
     blocked.write_text("")
     with _writer(blocked, image_queue_mb=1.0) as log:
-        until(lambda: log.state.state.startswith("failed"), "the disk takes nothing", 5.0)
+        until(lambda: log.state.state.startswith("failed"), "the disk takes nothing")
         for k in range(100):
             log.put_image(Arrival("/left/image", schemas.IMAGE, k.to_bytes(8, "little") * 5000, T0 + k))
             log.put_input(_arrival(k))
@@ -153,7 +154,7 @@ def test_pictures_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path
         assert state.lost_inputs == 0
         assert 30 < state.dropped_outputs < 40
         blocked.unlink()
-        until(lambda: log.state.state == "recording", "the disk takes all", 10.0)
+        until(lambda: log.state.state == "recording", "the disk takes all")
     images = [_number(r.data) for r in records(blocked / "landfix-000.mcap", "/left/image")]
     assert images == list(range(75, 100))
     assert len(records(blocked / "landfix-000.mcap", "/imu")) == 100

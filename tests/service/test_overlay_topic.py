@@ -1,7 +1,6 @@
 """/landfix/overlay over a real Zenoh session: drawn while somebody subscribes, and only then."""
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ from logs.stamps import restamped, stamp_of
 from models.messages import ImuSample
 from tests.estimator.scenes import SECOND, pose_fix
 from tests.estimator.sights import PLACE, village, write_flight
-from tests.service.flying import ask, client, free_port, in_thread, logs_of, records, until, values
+from tests.service.flying import client, free_port, in_thread, logs_of, records, status, until
 
 OVERLAY_HZ = 2.0
 
@@ -54,7 +53,7 @@ def _configuration(folder: Path, port: int, output: str = "") -> Config:
     _, file = write_flight(folder)
     file.write_text(
         f'{file.read_text()}\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\nros2dds = true\n'
-        f'[log]\nfolder = "{folder}/logs"\nleast_free_mb = 0.0\n[output]\n{output}\n'
+        f'[log]\nfolder = "{folder}/logs"\nleast_free_mb = 0.0\n[output]\n{output}\n[vision]\ntimeout_s = 60.0\n'
     )
     return load(file)
 
@@ -62,11 +61,7 @@ def _configuration(folder: Path, port: int, output: str = "") -> Config:
 def _counts(session: zenoh.Session) -> Callable[[str], int]:
     """What the daemon says of its vision now, by name."""
 
-    def count(name: str) -> int:
-        (answer, *_) = ask(session, "landfix/status")
-        return int(values(answer).get(f"vision {name}", "0"))
-
-    return count
+    return lambda name: int(status(session).get(f"vision {name}", "0"))
 
 
 def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
@@ -81,10 +76,13 @@ def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
         watcher = session.declare_subscriber(key, lambda sample: got.append(sample.payload.to_bytes()))
         until(lambda: len(got) >= 3, "overlays come")
         watcher.undeclare()  # type: ignore[no-untyped-call]
-        time.sleep(2.5)  # the status is told once a second
-        drawn, answers = count("overlays"), count("answers")
-        until(lambda: count("answers") >= answers + 4, "vision goes on seeing")
-        assert count("overlays") == drawn >= 3, "nobody subscribes any more"
+
+        def undrawn() -> bool:
+            drawn, answers = count("overlays"), count("answers")
+            until(lambda: count("answers") >= answers + 4, "vision goes on seeing")
+            return count("overlays") == drawn >= 3
+
+        until(undrawn, "nobody subscribes any more")
         plain: list[bytes] = []
         _ = session.declare_subscriber(plain_key(OVERLAY_TOPIC), lambda sample: plain.append(sample.payload.to_bytes()))
         until(lambda: plain, "overlays come on the key of ros2dds too")

@@ -17,7 +17,7 @@ from estimator.service.zenoh_keys import attachment
 from models import so3
 from models.messages import AidStatus, Estimate, Mode, Reason
 from models.state import E, X
-from tests.service.flying import ask, client, fly, free_port, in_thread, toml, until, values
+from tests.service.flying import client, fly, free_port, in_thread, status, toml, until
 
 SECOND = 1_000_000_000
 T0 = 1_795_000_000 * SECOND
@@ -163,7 +163,7 @@ def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path
         autopilot.heard.clear()
         fly(vehicle, 0.5, gnss_hz=0.0)
         rebooted = list(autopilot.heard)
-        until(lambda: "px4 fixes" in values(ask(session, "landfix/status")[0]), "the status tells of PX4")
+        until(lambda: "px4 fixes" in status(session), "the status tells of PX4")
     assert {schema for schema, _, _ in without} == {px4.VEHICLE_ODOMETRY, wanted}
     odometry = [m for schema, m, _ in without if schema == px4.VEHICLE_ODOMETRY and m.quality >= 0]
     fixes = [m for schema, m, _ in without if schema == wanted]
