@@ -22,6 +22,11 @@ class Key(NamedTuple):
     high: float
     needs: str = ""
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether more of it makes the covariance wider."""
+        return "noise" in self.name or "walk" in self.name or "sigma" in self.name
+
 
 _NOISE: Final = (
     Key("imu.gyro_noise", 2e-5, 5e-2),

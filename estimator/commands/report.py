@@ -10,7 +10,7 @@ from estimator.commands.console import ConfigFile, Json, Out, print_json, progre
 
 
 def command(
-    log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log with an estimate: of replay, run or simulate.")],
+    log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log with an estimate: of replay or run.")],
     out: Out,
     truth: Annotated[
         str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
