@@ -119,7 +119,7 @@ def write(out: Path, results: list[Result], orders: list[OrderResult]) -> None:
     (out / "report.md").write_text(campaign_report.markdown(tables, picture=bool(matched)), encoding="utf-8")
     (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results, "orders": orders}), indent=1))
     console = Console()
-    console.width = max(console.width, 110)
+    console.width = max(console.width, 140)
     for table in tables:
         console.print(rich(table))
     console.print(f"Report: {out / 'report.md'}")

@@ -157,7 +157,8 @@ class Tracker:
         state = self.sources.get(aid.topic, SourceState())
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
-        state = state.arrive(aid.rules, aid.t_ns, alone=self._alone(aid))
+        alone = self._alone(aid)
+        state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
             self.absolute |= {aid.topic}
         gyro_b = self._gyro(samples)
@@ -168,7 +169,7 @@ class Tracker:
                 self._note_absolute(aid, z)
         else:
             switches = self.hypotheses.switches
-            decision, state = self._judge(aid, z, gyro_b, state)
+            decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
             if self.hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past
             elif self.stretch is not None and decision.reason is Reason.FUSED:
@@ -176,7 +177,7 @@ class Tracker:
         self.sources[aid.topic] = state
         return decision
 
-    def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState) -> tuple[Decision, SourceState]:
+    def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""
         assert self.hypotheses is not None
         trusted = state.phase is Phase.ACTIVE
@@ -184,13 +185,12 @@ class Tracker:
         sigma = np.sqrt(np.diag(verdict.seen.s))
         if verdict.fused:
             reason = Reason.FUSED
-            if aid.absolute:
-                self._note_absolute(aid, z)
+            self._note_absolute(aid, z)
         elif trusted or not verdict.passed:
             reason = Reason.GATED
         else:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
-        alone = self._alone(aid) or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
+        alone = alone or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
         state = state.judge(
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )
