@@ -149,7 +149,7 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: NDArray[np.bool_], config:
 @cache
 def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
     """The frame of the fixes is level but for this, about both horizontal axes."""
-    return (_steady(topic, np.eye(6)[:, 3:5] * math.radians(tilt_deg)),)
+    return (_steady(f"{topic}.tilt", np.eye(6)[:, 3:5] * math.radians(tilt_deg)),)
 
 
 def _steady(block: str, moved: Array) -> SlowError:

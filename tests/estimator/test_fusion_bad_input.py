@@ -245,6 +245,13 @@ anything: st.SearchStrategy[Input] = st.one_of(
 )
 
 
+def test_a_fix_that_tells_its_common_error_may_follow_those_that_do_not() -> None:
+    told = msgspec.structs.replace(pose_fix(EPOCH_NS + 4 * SECOND - 1, sigma_m=0.2), covariance_common=np.eye(6) * 1e-3)
+    run = Run(Fusion(CONFIG)).feed(by_arrival([*hover(4.0, rate_hz=50.0), told]))
+    assert not run.internal_errors()
+    assert run.reasons("/pose_fix")[Reason.FUSED] > 3
+
+
 @settings(max_examples=60)
 @given(st.lists(anything, min_size=1, max_size=12))
 def test_whatever_comes_no_exception_leaves_and_no_number_that_is_none_is_published(messages: list[Input]) -> None:
