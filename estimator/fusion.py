@@ -248,8 +248,9 @@ class Fusion:
         ]
 
     def _restart(self, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
-        """Nothing of the state can be used any more: the alignment begins again."""
+        """Nothing of the state can be used any more: the alignment begins again, a jump of unknown size."""
         self._history = self._begin()
+        self._reset_counter += self._published is not None
         self._published = None
         self._detail = detail
         self._count(reason)

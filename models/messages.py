@@ -253,7 +253,8 @@ class Estimate(msgspec.Struct, frozen=True, eq=False):
     """The state with everything of t <= t_ns that has arrived.
 
     nav: (16,) packed NavState (models/state.py, X); covariance: (15, 15) of the error state (E); gyro_b: angular rate with
-    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is told by a Reset).
+    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is told by a Reset, but for
+    a new start, whose size is not known).
     """
 
     t_ns: int

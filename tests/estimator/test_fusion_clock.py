@@ -30,6 +30,9 @@ def test_a_step_of_the_stamping_clock_is_survived(by_ns: int) -> None:
     run = Run(Fusion(FusionConfig())).feed([*messages[:300], *(_restamped(m, by_ns) for m in messages[300:])])
     assert run.estimates[-1].t_ns == EPOCH_NS + 12 * SECOND + by_ns
     assert run.health[-1].t_ns > EPOCH_NS + 11 * SECOND + by_ns
+    before = [e.reset_counter for e in run.estimates if e.arrived_ns < EPOCH_NS + 3 * SECOND]
+    assert set(before) == {0}
+    assert {e.reset_counter for e in run.estimates[len(before) :]} == {1}  # who goes on from the last one is told
     assert Reason.INTERNAL not in run.reasons("/imu")
 
 
