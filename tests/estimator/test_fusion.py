@@ -200,6 +200,16 @@ def test_a_gap_shorter_than_told_is_not_coasted() -> None:
     assert Mode.COASTING not in {e.mode for e in run.estimates}
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_a_topic_may_tell_its_common_error_with_some_fixes_only(first: bool) -> None:
+    messages: list[Input] = []
+    for k, m in enumerate(hover(8.0)):
+        tells = isinstance(m, PoseFix) and (k > 400) is first
+        messages.append(msgspec.structs.replace(m, covariance_common=np.eye(6) * 0.01) if tells else m)
+    run = Run(Fusion(FusionConfig())).feed(messages)
+    assert {s.reason for s in run.statuses} == {Reason.ALIGNING, Reason.FUSED}
+
+
 # --- resets ----------------------------------------------------------------------------------------------------------------
 
 
