@@ -7,17 +7,18 @@ the fix that truly is not where its region is.
 """
 
 import argparse
+import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import cv2
 import msgspec
 import numpy as np
 
 from benchmarks.identification import INSIDE_9999, OFF_M, share
+from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table, number
 from models import so3
 from models.messages import Array
@@ -31,6 +32,7 @@ from vision.synthetic.scenes import Layout, Scene, WorldSpec, make_world
 FRAMES_PER_WORLD = 12
 PRIORS_M = (5.0, 10.0, 20.0)
 ATTITUDE_SIGMA_DEG = (1.0, 1.0, 2.0)
+Job = tuple[Layout, float, bool, int, int, int]  # prior [m], one camera, seed, cell, world
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -41,20 +43,21 @@ class Outcome(msgspec.Struct, frozen=True):
     wrong_fix: bool
     identified: int
     wrong: int
-    error_m: float
-    nees: float  # of the fix, pictures alone, over 6
+    error_m: float | None  # None: no fix
+    nees: float | None  # of the fix, pictures alone, over 6
     seconds: float
 
 
-def run(layout: Layout, prior_m: float, frames: int, seed: int, one_camera: bool) -> Iterator[Outcome]:
+def run_world(job: Job) -> list[Outcome]:
+    """Some frames of one world."""
+    layout, prior_m, one_camera, *seeds = job
     sigma = np.array([prior_m] * 3 + [math.radians(a) for a in ATTITUDE_SIGMA_DEG])
     spec = WorldSpec(
         layout, area_m=280.0, painted=1.0, unmapped=0.3, gone=0.1, sigma_m=0.3, height_sigma_m=0.2, outline_sigma_m=0.08
     )
-    rng = np.random.default_rng(seed)
-    for k in range(frames):
-        if k % FRAMES_PER_WORLD == 0:
-            scene = make_world(int(rng.integers(1 << 31)), spec)
+    rng, outcomes = np.random.default_rng(seeds), list[Outcome]()
+    scene = make_world(int(rng.integers(1 << 31)), spec)
+    for k in range(FRAMES_PER_WORLD):
         p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(50.0, 90.0)])
         roll, pitch = rng.normal(0.0, math.radians(4.0), 2)
         q = so3.from_euler(roll, pitch, rng.uniform(-math.pi, math.pi))
@@ -62,15 +65,16 @@ def run(layout: Layout, prior_m: float, frames: int, seed: int, one_camera: bool
         error = rng.normal(0.0, sigma)
         prior = Prior(p_n - error[:3], so3.multiply(so3.quat_exp(-error[3:]), q), np.diag(sigma**2))
         pipeline = LandmarkPipeline(scene.rig_believed, scene.map)
-        begin = perf_counter()
+        begin = process_time()
         result = pipeline.process(left, None if one_camera else right, k, prior)
-        yield judge(result, scene, p_n, q, perf_counter() - begin)
+        outcomes.append(judge(result, scene, p_n, q, process_time() - begin))
+    return outcomes
 
 
 def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) -> Outcome:
     named = [(r.landmark, r.bbox) for r in result.regions if r.state == "identified"] if result.fix else []
     wrong = sum(not _is_there(scene, name, bbox, p_n, so3.matrix(q)) for name, bbox in named)
-    error_m, nees, wrong_fix = math.nan, math.nan, False
+    error_m, nees, wrong_fix = None, None, False
     if result.fix is not None and result.pose is not None:
         e = p_n - result.pose.joint_p_n
         error_m = float(np.linalg.norm(e))
@@ -96,13 +100,13 @@ def _is_there(scene: Scene, name: str, bbox: tuple[int, int, int, int], p_n: Arr
 
 def row(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:
     several = [o for o in outcomes if o.regions >= 3]
-    fixed = [o for o in outcomes if o.outcome == "fixed"]
+    fixed = [o for o in outcomes if o.error_m is not None and o.nees is not None]
     return (
         name, str(len(outcomes)), share(len(fixed), len(outcomes)),
         f"{share(sum(o.outcome == 'fixed' for o in several), len(several))} of {len(several)}",
         str(sum(o.wrong_fix for o in outcomes)), str(sum(o.identified for o in outcomes)), str(sum(o.wrong for o in outcomes)),
-        number(float(np.median([o.error_m for o in fixed])) if fixed else None),
-        number(float(np.mean([o.nees for o in fixed])) if fixed else None),
+        number(float(np.median([o.error_m or 0.0 for o in fixed])) if fixed else None),
+        number(float(np.mean([o.nees or 0.0 for o in fixed])) if fixed else None),
         number(1e3 * float(np.median([o.seconds for o in outcomes]))),
     )  # fmt: skip
 
@@ -116,20 +120,21 @@ def main() -> None:
     cv2.setNumThreads(1)
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--frames", type=int, default=60, help="pairs per world and prior")
+    parser.add_argument("--frames", type=int, default=60, help=f"pairs per layout and prior, {FRAMES_PER_WORLD} of each world")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--resume", action="store_true", help="keep the worlds that were done before this run was ended")
     parser.add_argument("--one-camera", action="store_true", help="the left pictures alone")
     parser.add_argument("--out", type=Path, default=Path("out/identification"))
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    rows, everything, reasons = [], list[Outcome](), Counter[str]()
     layouts: tuple[Layout, ...] = ("lookalikes", "village")
-    for k, layout in enumerate(layouts):
-        for j, prior_m in enumerate(PRIORS_M):
-            outcomes = list(run(layout, prior_m, args.frames, args.seed * 100 + 10 * k + j, args.one_camera))
-            rows.append(row(f"{layout}, prior {prior_m:.0f} m", outcomes))
-            everything += outcomes
-            reasons.update(o.outcome for o in outcomes)
-            print(" | ".join(rows[-1]), flush=True)
+    cells, worlds = list(itertools.product(layouts, PRIORS_M)), math.ceil(args.frames / FRAMES_PER_WORLD)
+    jobs: list[Job] = [(*cell, args.one_camera, args.seed, k, w) for w in range(worlds) for k, cell in enumerate(cells)]
+    kept = args.out / f"outcomes_{args.seed}{'_left' if args.one_camera else ''}.jsonl"
+    done = run_jobs(jobs, run_world, list[Outcome], kept, processes=args.processes, resume=args.resume)
+    of_cell = [[o for some in done[k :: len(cells)] for o in some] for k in range(len(cells))]
+    rows = [row(f"{layout}, prior {prior_m:.0f} m", some) for (layout, prior_m), some in zip(cells, of_cell, strict=True)]
+    everything = [o for some in of_cell for o in some]
+    reasons = Counter(o.outcome for o in everything)
     cameras = "left pictures alone" if args.one_camera else "stereo pairs"
     table = Table(f"Rendered {cameras} through the pipeline", COLUMNS, [*rows, row("all", everything)])
     text = table.markdown() + "\noutcomes: " + ", ".join(f"{name} {n}" for name, n in reasons.most_common()) + "\n"

@@ -1,6 +1,7 @@
 """Accuracy and honesty of single fixes on rendered views, against the Cramer-Rao bound.
 
 python -m benchmarks.single_fix --seed 1 --views 2000
+python -m benchmarks.single_fix --seed 1 --views 2000 --resume      (goes on where it was ended)
 
 Every view has its own world, map errors, rig errors, pose, light and noise (benchmarks/single_fix_views.py); identities are
 given, and the fit starts from noisy centres and sizes of the regions, as the pipeline has them. Table and plot go to
@@ -8,17 +9,14 @@ out/single_fix/.
 """
 
 import argparse
-import multiprocessing
 import sys
 from pathlib import Path
 
-import cv2
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from benchmarks.fix_outcome import Outcome, outcome_of
+from benchmarks.jobs import run_jobs
 from benchmarks.single_fix_bound import bound
 from benchmarks.single_fix_report import as_text, plot, table
 from benchmarks.single_fix_views import View, draw_view
@@ -40,17 +38,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--views", type=int, default=2000)
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--resume", action="store_true", help="keep the views that were done before this run was ended")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
     arguments = parser.parse_args()
     if arguments.views < 1 or arguments.processes < 1:
         parser.error("--views and --processes must be at least 1")
     jobs = [(arguments.seed, number) for number in range(arguments.views)]
-    with multiprocessing.get_context("spawn").Pool(arguments.processes, cv2.setNumThreads, (1,)) as pool:
-        work = pool.imap_unordered(run_view, jobs, chunksize=8)
-        outcomes = sorted(track(work, total=len(jobs), description="views", console=Console(stderr=True)), key=lambda o: o.number)
-    rows = table(outcomes)
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / f"outcomes_{arguments.seed}.json").write_bytes(msgspec.json.encode(outcomes))
+    kept = OUT / f"outcomes_{arguments.seed}.jsonl"
+    rows = table(run_jobs(jobs, run_view, Outcome, kept, processes=arguments.processes, resume=arguments.resume))
     (OUT / f"table_{arguments.seed}.txt").write_text(as_text(rows) + "\n")
     plot(rows, OUT / f"cells_{arguments.seed}.png")
     sys.stdout.write((msgspec.json.encode(rows).decode() if arguments.json else as_text(rows)) + "\n")

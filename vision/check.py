@@ -44,8 +44,9 @@ def pair_flaw(left: Image, right: Image) -> str | None:
 
 
 def _brightness_flaw(image: Image) -> str | None:
-    sample = image[::_STEP, ::_STEP].astype(np.float32)
-    low, high = np.percentile(sample, (1, 99))
+    sample = image[::_STEP, ::_STEP]
+    ranked = np.sort(sample, axis=None)
+    low, high = float(ranked[len(ranked) // 100]), float(ranked[-1 - len(ranked) // 100])
     if image.dtype == np.uint16:  # which part of its range a thermal camera uses is its own affair
         return "black" if high < _FEW_COUNTS else "flat: no contrast" if high - low < _FEW_COUNTS else None
     if high < _DARK:

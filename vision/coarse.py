@@ -207,9 +207,8 @@ class _Stage:
         v, marks = self.voters, len(self.free)
         aimed = v.aimed(self.eye, pose, self.motion.gain[:, :2])
         D = moved(self.level.camera, aimed[:, :3], v.points_n - pose[0], self.eye.pose(*pose)[1]).reshape(-1, 12)
-        total = np.array([np.bincount(v.mark_of_point, column, marks) for column in D.T]).T
-        count = np.maximum(np.bincount(v.mark_of_point, minlength=marks), 1)
-        return np.asarray((total / count[:, None]).reshape(marks, 2, 6) * self.level.size)
+        of = v.mark_of_point == np.arange(marks)[:, None]
+        return np.asarray((of @ D / np.maximum(of.sum(axis=1), 1)[:, None]).reshape(marks, 2, 6) * self.level.size)
 
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""

@@ -116,7 +116,8 @@ def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array
     """How points x_c (N, 3) move in the picture with the pose (N, 2, 6):  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
     jacobian = camera.project_jacobian(x_c) @ R_nk.T
     lever = lever_n[:, None, :]
-    return np.concatenate((-jacobian, np.cross(jacobian, lever)), axis=2)
+    across = jacobian[..., [1, 2, 0]] * lever[..., [2, 0, 1]] - jacobian[..., [2, 0, 1]] * lever[..., [1, 2, 0]]
+    return np.concatenate((-jacobian, across), axis=2)
 
 
 def straight(eye: Eye) -> Eye:

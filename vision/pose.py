@@ -32,7 +32,7 @@ from vision.joint import POSE, Solution, System, distances, solve, solve_robustl
 from vision.look import Image, Look, LookConfig, Scene
 
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
-_NEAR = 0.5  # of the first fit's reach: if most offsets are below, no further search is needed
+_NEAR, _MOST = 0.5, 0.8  # of the first fit's reach: if most offsets are below, no further search is needed
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
 _STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
@@ -214,7 +214,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             seen = fit.look(config.look, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
-            near = float(np.quantile(np.abs(seen.line[:, :, 0][seen.found]), 0.8)) < _NEAR * config.look.farthest_px[0]
+            near = float(np.mean(np.abs(seen.line[:, :, 0][seen.found]) < _NEAR * config.look.farthest_px[0])) > _MOST
             fit.move(_robust_step(fit, seen, 1.0))
     for number, farthest in enumerate(config.look.farthest_px):
         if number:

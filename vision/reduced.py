@@ -21,7 +21,8 @@ from vision.rectify import Image
 Field = NDArray[np.float32]
 Plane = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-_UNSEEN = -1.0  # length where the camera saw nothing
+_NONE = np.float32(0.0)
+_UNSEEN = np.float32(-1.0)  # length where the camera saw nothing
 _SOBEL = np.float32(0.125)  # kernel -> grey values per pixel
 _TILE = 16  # px
 _SAMPLE = 5000  # pixels, about, that tell the typical gradient
@@ -100,40 +101,50 @@ def _make(
 @njit(cache=True)
 def _fill(field: Field, picture: Image, unseen: Mask, top: int, left: int) -> None:
     """The field of one tile."""
-    rows, columns = field.shape[0], field.shape[1]
+    rows, columns, channels = picture.shape
     for y in range(top, min(top + _TILE, rows)):
+        above, below = _beside(y, rows)
         for x in range(left, min(left + _TILE, columns)):
-            length = _gradient(picture, y, x, field[y, x])
-            field[y, x, 6] = _UNSEEN if unseen[y, x] else length
+            before, after = _beside(x, columns)
+            square = np.float32(0.0)
+            for c in range(3):
+                du, dv = _gradient(picture, above, y, below, before, x, after, c) if c < channels else (_NONE, _NONE)
+                field[y, x, c], field[y, x, 3 + c] = du, dv
+                square += du * du + dv * dv
+            field[y, x, 6] = _UNSEEN if unseen[y, x] else np.sqrt(square)
 
 
 @njit(cache=True)
-def _gradient(picture: Image, y: int, x: int, out: NDArray[np.float32]) -> float:
-    """Sobel's derivatives of all channels at a pixel, into out; returns their length. The picture is mirrored at its border."""
-    rows, columns, channels = picture.shape
-    above, below = y - 1 if y > 0 else min(1, rows - 1), y + 1 if y < rows - 1 else max(rows - 2, 0)
-    before, after = x - 1 if x > 0 else min(1, columns - 1), x + 1 if x < columns - 1 else max(columns - 2, 0)
-    out[:6] = 0.0
-    square = np.float32(0.0)
-    for c in range(channels):
-        nw, n, ne = np.int32(picture[above, before, c]), np.int32(picture[above, x, c]), np.int32(picture[above, after, c])
-        w, e = np.int32(picture[y, before, c]), np.int32(picture[y, after, c])
-        sw, s, se = np.int32(picture[below, before, c]), np.int32(picture[below, x, c]), np.int32(picture[below, after, c])
-        du = _SOBEL * np.float32(ne + 2 * e + se - nw - 2 * w - sw)
-        dv = _SOBEL * np.float32(sw + 2 * s + se - nw - 2 * n - ne)
-        out[c], out[3 + c] = du, dv
-        square += du * du + dv * dv
-    return float(np.sqrt(square))
+def _beside(at: int, size: int) -> tuple[int, int]:
+    """The pixels before and after one; the picture is mirrored at its border."""
+    return max(at - 1, 1 - at) if size > 1 else 0, at + 1 if at < size - 1 else max(size - 2, 0)
+
+
+@njit(cache=True)
+def _gradient(
+    picture: Image, above: int, y: int, below: int, before: int, x: int, after: int, c: int
+) -> tuple[np.float32, np.float32]:
+    """Sobel's derivatives of one channel at a pixel."""
+    nw, n, ne = np.int32(picture[above, before, c]), np.int32(picture[above, x, c]), np.int32(picture[above, after, c])
+    w, e = np.int32(picture[y, before, c]), np.int32(picture[y, after, c])
+    sw, s, se = np.int32(picture[below, before, c]), np.int32(picture[below, x, c]), np.int32(picture[below, after, c])
+    return _SOBEL * np.float32(ne + 2 * e + se - nw - 2 * w - sw), _SOBEL * np.float32(sw + 2 * s + se - nw - 2 * n - ne)
 
 
 @njit(cache=True)
 def _lengths(picture: Image, unseen: Mask, step: int) -> NDArray[np.float32]:
     """Lengths of the gradient at every step-th pixel of every step-th row."""
-    rows, columns = (picture.shape[0] + step - 1) // step, (picture.shape[1] + step - 1) // step
-    lengths, room = np.empty((rows, columns), dtype=np.float32), np.empty(8, dtype=np.float32)
-    for y in range(rows):
-        for x in range(columns):
-            lengths[y, x] = _UNSEEN if unseen[step * y, step * x] else _gradient(picture, step * y, step * x, room)
+    rows, columns, channels = picture.shape
+    lengths = np.empty(((rows + step - 1) // step, (columns + step - 1) // step), dtype=np.float32)
+    for y in range(0, rows, step):
+        above, below = _beside(y, rows)
+        for x in range(0, columns, step):
+            before, after = _beside(x, columns)
+            square = np.float32(0.0)
+            for c in range(channels):
+                du, dv = _gradient(picture, above, y, below, before, x, after, c)
+                square += du * du + dv * dv
+            lengths[y // step, x // step] = _UNSEEN if unseen[y, x] else np.sqrt(square)
     return lengths
 
 
