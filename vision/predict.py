@@ -85,12 +85,21 @@ class PredictPath:
             return self._no_fix(pictures, "not_found", flaw, t_ns, said)
         likely = [c for c in candidates[:_MOST_TRIED] if c is best or c.score > v.rival * best.score]
         tried = [self._fitter.fit(pictures, marks, c, prior) for c in likely]
-        outcome = verify.decided(tried, v)
+        outcome, plain = verify.decided(tried, v), len(likely)
+        if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
+            tried += [
+                self._fitter.fit(pictures, marks, c, prior)
+                for c in candidates[:_MOST_TRIED]
+                if all(c is not one for one in likely)
+            ]
+            outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             self._waiting.clear()
             reason = "ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose"
             return self._no_fix(pictures, reason, outcome, t_ns, said)
         level, reason = verify.grade(evidence, outcome, v)
+        if level == "sure" and all(outcome is not one for one in tried[:plain]):
+            level, reason = "weak", "another place has more votes"
         if level == "weak" and not self._waiting.agrees(outcome.pose, t_ns, prior):
             return self._no_fix(pictures, "waiting", f"{reason}: the next picture must agree", t_ns, said)
         self._waiting.clear()

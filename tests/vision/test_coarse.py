@@ -110,6 +110,19 @@ def test_landmarks_that_are_off_the_map_find_their_own_places() -> None:
     assert np.abs(place.shift_m[:, :2]).max() > 0.3
 
 
+def test_a_place_pays_for_what_the_prior_says_against_it() -> None:
+    """score = sum (support - tau length) - dx^T P^-1 dx / 2: seen from a worse prior the same place is worth less by that."""
+    view, places = seen(), []
+    for error in (np.zeros(6), np.array([5.0, -4.0, 0.0, 0.0, 0.0, 0.0])):
+        place = found(view, prior_off(view, error))[0]
+        chi2 = float(np.sum((place.error / SIGMA) ** 2))
+        votes = float((place.support - CoarseConfig().expected * place.length).sum())
+        assert place.score == pytest.approx(votes - 0.5 * chi2)
+        places.append((votes, chi2))
+    assert places[1][1] - places[0][1] > 2.0
+    assert places[1][0] == pytest.approx(places[0][0], rel=0.1)
+
+
 def test_empty_ground_gives_no_place_worth_a_fit() -> None:
     """The best place of outlines that are not there has less than half of the support per length of the true one."""
     view, rng = seen(), np.random.default_rng(9)

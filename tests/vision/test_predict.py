@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -215,9 +215,9 @@ def test_grey_pictures_with_a_map_of_colours() -> None:
     assert_right(pipeline(red).process(grey[0], grey[1], 0, drawn(view, 1)), view)
 
 
-def doubting() -> LandmarkPipeline:
+def doubting(path: Literal["auto", "predict"] = "predict") -> LandmarkPipeline:
     """To which every place is a weak one."""
-    config = PipelineConfig(path="predict")
+    config = PipelineConfig(path=path)
     verify = msgspec.structs.replace(config.predict.verify, score_px=1e6)
     predict = msgspec.structs.replace(config.predict, verify=verify)
     return LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), msgspec.structs.replace(config, predict=predict))
@@ -230,6 +230,12 @@ def test_little_to_be_seen_waits_for_a_picture_that_agrees() -> None:
     assert (first.fix, first.report.outcome) == (None, "waiting")
     assert_right(second, view)
     assert [late.process(view.left, view.right, t, prior).fix for t in (10**8, 10 * 10**9)] == [None, None]
+
+
+def test_a_likely_place_is_not_overruled_by_segmentation() -> None:
+    """From a prior so wide that segmentation is asked where nothing was found."""
+    view = whole()
+    assert doubting("auto").process(view.left, view.right, 0, drawn(view, 1)).report.outcome == "waiting"
 
 
 def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:

@@ -38,6 +38,24 @@ def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
     assert seen.share[1:].min() > 0.7
 
 
+@pytest.mark.parametrize(
+    ("aside_m", "sigma_m", "found"),
+    [(0.22, 0.0, False), (0.22, 0.1, True), (0.35, 0.3, False)],
+    ids=["not the edge that was fitted", "as far as the map may be off", "a poor map is no reason to find anything"],
+)
+def test_an_edge_may_be_as_far_off_as_the_map_but_no_farther_than_half_the_window(
+    aside_m: float, sigma_m: float, found: bool
+) -> None:
+    """0.22 m are 3.3 px across each edge: beyond 2.5, within (2.5^2 + (2 x 1.5)^2)^(1/2) = 3.9; 0.35 m are 5 px."""
+    view, fit = whole(), fitted()
+    c, s = np.cos(0.3), np.sin(0.3)  # along both sides of the house alike
+    aside = aside_m * np.array([c - s, s + c])
+    moved = Landmark.of("0", MARKS[0].outline_n + aside, 0.0, 3.0, None, 0.0, 0.0, sigma_m)
+    seen = recheck(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, LookConfig())
+    assert bool(seen.share[0] > 0.6) is found
+    assert found or seen.share[0] < 0.5
+
+
 @pytest.mark.parametrize(("du", "dv"), [(3, 0), (0, 2), (-2, -3)])
 def test_a_shift_of_the_right_picture_is_measured(du: int, dv: int) -> None:
     view = whole()
