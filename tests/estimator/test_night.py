@@ -14,6 +14,8 @@ from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 from vision.identify import Prior
 from vision.pipeline import LandmarkPipeline
+from vision.synthetic.faces import View, visible_faces
+from vision.synthetic.texture import SURFACES
 
 TEXT = (Path(__file__).parents[2] / "examples/scenarios/night.toml").read_text()
 SIGMA = np.array([2.0, 2.0, 1.5, *np.radians([0.5, 0.5, 2.0])])
@@ -53,6 +55,18 @@ def test_roofs_are_colder_or_warmer_than_the_ground_and_nothing_casts_a_shadow(n
     assert (np.ptp(levels, axis=1) == 0.0).all()
     assert 0.2 < (levels[:, 0] > 110.0).mean() < 0.7
     assert night.scene.world.sun.shadow == 1.0
+
+
+def test_walls_are_drawn_a_little_warmer_than_the_ground(night: flight_pictures.Flight) -> None:
+    """Warmth is given off, not reflected: lit as by day they would look as cold as a cold roof above them."""
+    world, above_n = night.scene.world, np.array([0.0, 0.0, -60.0])
+    view = View(above_n, np.eye(3), np.array([-1.0, 1.0, -1.0, 1.0]), 1.0)
+    faces = visible_faces(world.columns, view, world.sun.direction_n, world.sun.ambient)
+    solid = np.repeat(faces.solids, np.diff(faces.solid_offsets))
+    walls = faces.colour[(solid < len(world.landmarks)) & (faces.texture == SURFACES.index("wall"))]
+    assert len(walls) > 5
+    assert (walls > 1.04 * 110.0).all()
+    assert (walls < 1.26 * 110.0).all()
 
 
 def test_landmarks_are_found_by_night(night: flight_pictures.Flight) -> None:

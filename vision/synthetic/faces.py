@@ -22,7 +22,7 @@ Indices = NDArray[np.int64]
 
 _NEAR = 0.05  # m before the camera
 _CUTS = 5  # planes of the frustum; each adds at most as many corners as a polygon has
-_SKY = 0.7  # share of the sky's light that a wall gets
+SKY = 0.7  # share of the sky's light that a wall gets
 _APART = 1e-6  # m; outlines that touch are apart
 
 CONTRAST, RIDGE, RANGE, SHIFT_S, SHIFT_T, FLAT = range(6)  # columns of Faces.parameters
@@ -164,7 +164,7 @@ def _light(inwards: Array, sun_n: Array, ambient: float) -> float:
     """Light on a wall as a share of that on level ground; a wall sees little more than half of the sky."""
     sunlit = max(0.0, -(inwards[0] * sun_n[0] + inwards[1] * sun_n[1]))
     level = ambient - (1.0 - ambient) * sun_n[2]
-    return float((_SKY * ambient + (1.0 - ambient) * sunlit) / level)
+    return float((SKY * ambient + (1.0 - ambient) * sunlit) / level)
 
 
 @njit(cache=True)

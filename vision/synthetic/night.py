@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.synthetic.camera_effects import Image
+from vision.synthetic.faces import SKY
 from vision.synthetic.world import Look, Solid, Sun, World
 
 _GROUND: Final = 110.0  # level of the ground in the middle
@@ -37,12 +38,17 @@ def counts(image: Image) -> NDArray[np.uint16]:
 
 def _roof(look: Look, rng: np.random.Generator) -> Look:
     level = rng.uniform(*(_HEATED if rng.random() < _HEATED_SHARE else _COLD))
-    return replace(look, roof_bgr=_warmth(level), wall_bgr=_warmth(rng.uniform(*_WALL)), contrast=0.5 * look.contrast, ridge=0.0)
+    return replace(look, roof_bgr=_warmth(level), wall_bgr=_wall(rng.uniform(*_WALL)), contrast=0.5 * look.contrast, ridge=0.0)
 
 
 def _thing(look: Look, rng: np.random.Generator) -> Look:
     level = rng.uniform(*_THING)
-    return replace(look, roof_bgr=_warmth(level), wall_bgr=_warmth(level), contrast=0.5 * look.contrast)
+    return replace(look, roof_bgr=_warmth(level), wall_bgr=_wall(level), contrast=0.5 * look.contrast)
+
+
+def _wall(level: float) -> tuple[float, float, float]:
+    """A wall gives off warmth of its own: it is as bright as that, though it sees but a part of the sky."""
+    return _warmth(level / SKY)
 
 
 def _warmth(level: float) -> tuple[float, float, float]:
