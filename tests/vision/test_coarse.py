@@ -246,6 +246,28 @@ def test_what_the_lens_did_not_see_has_no_votes() -> None:
     assert level.whole()[30, 40, 6] == 0.0
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_a_field_is_made_wherever_votes_are_counted(turn: float) -> None:
+    """Votes in a field made for some points and shifts, noise elsewhere, are those in the whole field; also seen askew."""
+    rng, camera = np.random.default_rng(3), CameraModel(160, 120, 100.0, 100.0, 79.5, 59.5)
+    picture = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    part, whole = (levels(picture, camera, (1,))[0] for _ in range(2))
+    vars(part)["_field"][:] = np.nan
+    tilt = so3.matrix(so3.quat_exp(np.array([turn, 0.0, 0.0])))
+    aimed = np.zeros((12, 11))
+    aimed[:, :3] = (np.column_stack((rng.uniform(-4.0, 4.0, (12, 2)), np.zeros(12))) @ tilt.T) + [0.0, 0.0, 8.0]
+    aimed[:, 3:6], aimed[:, 6:9], aimed[:, 9] = 0.08 * tilt[:, 0], 0.08 * tilt[:, 1], 1.0
+    su, sv = np.arange(-20.0, 5.0), np.arange(-3.0, 30.0)
+    one, marks, inside = np.array([0, 12]), np.zeros(1, dtype=np.int64), np.ones((len(su), len(sv)), dtype=np.bool_)
+    camera_px, length = np.array([100.0, 100.0, 79.5, 59.5]), np.ones(1)
+    made = part.field(aimed, (su[0], su[-1]), (sv[0], sv[-1]))
+    assert np.isnan(made).any()
+    votes = [
+        vote(f, camera_px, aimed, one, marks, length, np.zeros((1, 3)), 1, 1.0, su, sv, inside) for f in (made, whole.whole())
+    ]
+    np.testing.assert_array_equal(votes[0], votes[1])
+
+
 def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
     """A round roof of 40 short edges: joined to chains that bend, a rectangle keeps its sides."""
     angle = -2.0 * np.pi * np.arange(40) / 40
