@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.tables import Table, number
 from benchmarks.tasks import data_folder
 from calib import imu, mono, stereo
-from calib.bundle import Seen
+from calib.bundle import Seen, adjust
 from calib.chessboard import Board, View, find
 from calib.errors import CalibrationError
 from calib.files import load_rig
@@ -83,6 +83,29 @@ def chessboards(folder: Path) -> list[Table]:
     ]
     speed.append(("peak memory of the process", f"{memory:.0f} MB"))
     return [Table("OpenCV's 13 chessboard pairs", columns, rows), Table("Cost", ("what", "time"), speed)]
+
+
+def published(folder: Path) -> Table:
+    """Where OpenCV's published left camera comes from: windows of 11 px, which in left02 hold several squares."""
+    board, names = Board(), sorted(folder.glob("left*.jpg"))
+    images = [np.asarray(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)) for p in names]
+    views = []
+    for name, image in zip(names, images, strict=True):
+        rough = np.asarray(cv2.findChessboardCorners(image, (9, 6))[1], np.float32).reshape(-1, 1, 2)
+        px = cv2.cornerSubPix(image, rough, (11, 11), (-1, -1), (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.1))
+        views.append(View(name.name, 640, 480, np.arange(54), px.reshape(-1, 2).astype(np.float64), 0.0))
+    own = views_of(folder, "left*.jpg", board)
+    calibrated = [
+        ("those corners, all 13 views", adjust(mono.start(views, board, Lens.FIVE))),
+        ("those corners, left02 dropped as an outlier", mono.calibrate(views, board).solution),
+        ("our corners", mono.calibrate(own, board).solution),
+    ]
+    rows: list[tuple[str, ...]] = [("published", "0.393", "535.92", "342.28", "235.57", "1.18")]
+    for what, s in calibrated:
+        camera, sigma = s.problem.cameras[0], np.sqrt(np.diagonal(s.covariance))
+        numbers = [f"{x:.2f} +- {d:.2f}" for x, d in zip((camera.fx, camera.cx, camera.cy), sigma[[0, 2, 3]], strict=True)]
+        rows.append((what, f"{s.rms:.3f}", *numbers, f"{max(s.view_rms()):.2f}"))
+    return Table("OpenCV's published left camera", ("corners", "residual px", "fx", "cx", "cy", "worst view px"), rows)
 
 
 def euroc(folder: Path, calibration: Path) -> Table:
@@ -165,6 +188,7 @@ def main() -> None:
     images, flights = data / "images", data / "flights"
     tables = [
         *chessboards(images / "opencv_chessboard_stereo"),
+        published(images / "opencv_chessboard_stereo"),
         euroc(images / "euroc_v101_static_stereo_imu", flights / "euroc" / "calib.json"),
         at_rest(flights),
     ]  # fmt: skip

@@ -123,20 +123,36 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
     if _turned(picture, px, board):
         px = px[::-1].copy()
     edge = _edge_width(picture, px, board)
-    if edge > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(_spacing(px, board)))):
+    if _is_blurred(edge, px, board):
         return Why.BLURRED
     return View(name, width, height, np.arange(len(px)), px, edge)
 
 
-def size_seen(image: Image, board: Board) -> tuple[int, int] | None:
-    """Another number of inner corners that a picture shows a board of, the largest; None where there is none."""
+def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
+    """Another number of inner corners that a picture shows a board of, the largest; BLURRED where its edges are; None: none."""
     picture = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     sizes = sorted({*near, *_OTHER_SIZES} - {(board.columns, board.rows)}, key=lambda s: -s[0] * s[1])
     for size in sizes:
-        if min(size) >= 3 and _find_chessboard(picture, size) is not None:
-            return size
+        if min(size) >= 3 and (px := _find_chessboard(picture, size)) is not None:
+            other = Board(*size, board.square_m)
+            return Why.BLURRED if _is_blurred(_edge_width(picture, px, other), px, other) else size
     return None
+
+
+def size_around(image: Image, board: Board) -> tuple[int, int] | None:
+    """The inner corners of the larger chessboard that a board found in a picture is a part of; None where there is none."""
+    picture, size = grey(image), (board.columns, board.rows)
+    larger: tuple[int, int] | None = size
+    while larger is not None and board.marker_m == 0.0:
+        size = larger
+        tries = [(size[0] + i, size[1] + j) for i, j in ((1, 1), (1, 0), (0, 1))]
+        larger = next((s for s in tries if _find_chessboard(picture, s) is not None), None)
+    return size if size != (board.columns, board.rows) else None
+
+
+def _is_blurred(edge_px: float, px: Array, board: Board) -> bool:
+    return edge_px > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(_spacing(px, board))))
 
 
 def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:

@@ -49,7 +49,7 @@ def mono_command(
         result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
     judged, tables = verdict.of_mono(result), [*report.mono_tables(result), report.dropped(unused)]
     written = files.save_camera(out, result.camera)
-    written += report.write(report_file or out, f"Camera {out.stem}", judged, tables, pictures.mono_figure(result))
+    written += report.write(report_file or out, f"Camera {out.name}", judged, tables, pictures.mono_figure(result))
     facts = {"rms_px": result.solution.rms, "held_out_rms_px": result.held_out_rms, "camera": _camera(result.camera)}
     options.tell(judged, tables[:2], [*result.dropped, *unused], written, facts if json else None)
 
@@ -97,7 +97,7 @@ def stereo_command(
     judged, tables = verdict.of_stereo(result), [*report.stereo_tables(result), report.dropped(unused)]
     rig = placed(result.rig)
     written = files.save_rig(out, rig)
-    written += report.write(report_file or out, f"Stereo rig {out.stem}", judged, tables, pictures.stereo_figure(result))
+    written += report.write(report_file or out, f"Stereo rig {out.name}", judged, tables, pictures.stereo_figure(result))
     facts = {
         "rms_px": result.solution.rms, "left_rms_px": result.solution.camera_rms(0),
         "right_rms_px": result.solution.camera_rms(1),

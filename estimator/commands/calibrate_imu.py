@@ -104,7 +104,7 @@ def camera_imu_command(
         stereo, R_bc=result.R_bc, p_bc=result.p_bc, covariance_bc=result.covariance[:6, :6], time_offset_s=result.time_offset_s
     )
     written = files.save_rig(out, placed)
-    written += report.write(report_file or out, f"Camera on IMU {out.stem}", judged, tables, imu_report.camera_imu_figure(result))
+    written += report.write(report_file or out, f"Camera on IMU {out.name}", judged, tables, imu_report.camera_imu_figure(result))
     without = [Dropped(f"{len(unused)} pictures", "no whole board in view, or blurred")] if unused else []
     options.tell(judged, tables, without, written, _camera_imu_facts(result) if json else None)
 

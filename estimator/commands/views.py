@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from calib.chessboard import Board, View, Why, find, size_seen
+from calib.chessboard import Board, View, Why, find, size_around, size_seen
 from calib.errors import CalibrationError
 from calib.mono import Dropped
 from calib.selection import FEWEST
@@ -23,15 +23,19 @@ def gather(
     views: list[Keyed] = []
     unused: list[Dropped] = []
     without: list[Image] = []
+    shown: list[Image] = []
     for picture in pictures(sources, topic, most):
         found = find(picture.image, board, picture.name)
         if isinstance(found, View):
             views.append((picture.key, found))
+            if len(shown) < _HINTS:
+                shown.append(picture.image)
         else:
             unused.append(Dropped(picture.name, found.value))
             if found is Why.NOT_FOUND and len(without) < _HINTS:
                 without.append(picture.image)
         progress(picture.done)
+    _check_whole(board, shown)
     if len(views) < FEWEST:
         raise CalibrationError(_why_few(board, len(views), unused, [size_seen(image, board) for image in without]))
     return views, unused
@@ -61,12 +65,22 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     return pairs, unpaired
 
 
-def _why_few(board: Board, views: int, unused: Sequence[Dropped], sizes: Sequence[tuple[int, int] | None]) -> str:
+def _check_whole(board: Board, shown: Sequence[Image]) -> None:
+    """Refuse a board that is a part of a larger one, the same in all of these pictures: which part, nobody knows."""
+    size = size_around(shown[0], board) if shown else None
+    if size is not None and all(size_around(image, board) == size for image in shown[1:]):
+        raise CalibrationError(
+            f"the pictures show a board of {size[0]}x{size[1]} inner corners, not {board.columns}x{board.rows}: is --board right?"
+        )
+
+
+def _why_few(board: Board, views: int, unused: Sequence[Dropped], sizes: Sequence[tuple[int, int] | Why | None]) -> str:
     size, total = f"{board.columns}x{board.rows}", views + len(unused)
     blurred = sum(d.reason == Why.BLURRED for d in unused)
-    seen = [s for s in sizes if s is not None]
-    if blurred > len(unused) / 2:
-        return f"{blurred} of {total} pictures are blurred: hold the board still, focus, give more light"
+    seen = [s for s in sizes if isinstance(s, tuple)]
+    if blurred > len(unused) / 2 or Why.BLURRED in sizes:
+        many = f"{blurred} of {total}" if blurred else "the"
+        return f"{many} pictures are blurred: hold the board still, focus, give more light"
     if seen and not views:
         return f"no {size} board in {total} pictures, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
     if not views:

@@ -4,7 +4,7 @@ import pytest
 
 from calib import synthetic
 from calib.bundle import IDENTITY, Pose
-from calib.chessboard import Board, Grey, View, Why, find, size_seen
+from calib.chessboard import Board, Grey, View, Why, find, size_around, size_seen
 from calib.errors import CalibrationError
 from models import so3
 from models.camera import CameraModel
@@ -121,6 +121,8 @@ def test_blurred_empty_and_other_boards_are_told_apart(pictures: list[Grey]) -> 
     assert find(sharp, Board(7, 7, 0.025)) is Why.NOT_FOUND
     assert size_seen(sharp, Board(10, 7, 0.025)) == (9, 6)
     assert size_seen(np.full((240, 320), 128, np.uint8), BOARD) is None
+    assert size_around(sharp, Board(8, 6, 0.025)) == (9, 6)
+    assert size_around(sharp, BOARD) is None
 
 
 @pytest.mark.parametrize("numbers", [(2, 6, 0.025, 0.0), (9, 6, 0.0, 0.0), (9, 6, 0.025, 0.03)])

@@ -108,6 +108,8 @@ def test_bad_pictures_are_one_line_that_says_what_to_do(folder: Path, tmp_path: 
     assert "take more pictures" in fails("mono", *left[:3], *SIZE, *out)
     wrong = fails("mono", *left[:5], "--board", "9x6", *out)
     assert "7x5 inner corners: is --board right?" in wrong
+    part = fails("mono", *left[:6], "--board", "6x5", *out)
+    assert "a board of 7x5 inner corners, not 6x5: is --board right?" in part
     assert "all alike" in fails("mono", *[left[0]] * 8, *SIZE, *out)
     blurred, empty, large = tmp_path / "blurred", tmp_path / "empty", tmp_path / "large"
     for made in (blurred, empty, large):
