@@ -1,0 +1,81 @@
+"""Landmark fixes for a simulator that draws no pictures: its own truth with noise, once a second, as /pose_fix over Zenoh.
+
+    python examples/sitl_fixes.py -c sitl.toml --from udpin:127.0.0.1:14030
+
+Listens on a second MAVLink port of PX4 SITL (HIL_STATE_QUATERNION) or ArduPilot SITL (SIM_STATE), beside that of landfix.
+"""
+
+import argparse
+import secrets
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+from pymavlink import mavutil
+
+from estimator.config import Config, load
+from estimator.service import zenoh_keys
+from logs.codec import encode_input, type_hash
+from models import so3
+from models.frames import Origin
+from models.messages import PoseFix, vec3
+
+TRUTHS = {"HIL_STATE_QUATERNION": 115, "SIM_STATE": 108}  # PX4, ArduPilot
+ASK_EVERY_S = 5.0
+SIGMA = np.repeat([0.3, np.deg2rad(1.0)], 3)  # m, rad: of the fixes that are made
+
+
+def place_of(message: Any) -> tuple[float, float, float, tuple[float, ...]]:
+    """Latitude and longitude in degrees, height above the sea in m, and q_nb (w, x, y, z) that a simulator tells."""
+    if message.get_type() == "HIL_STATE_QUATERNION":
+        return message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3, tuple(message.attitude_quaternion)
+    return message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt, (message.q1, message.q2, message.q3, message.q4)
+
+
+def fix(message: Any, config: Config, t_ns: int, rng: np.random.Generator) -> PoseFix:
+    """The pose with noise, about the origin of the configuration."""
+    assert config.map.origin is not None
+    lat_deg, lon_deg, alt_m, q_nb = place_of(message)
+    noise = SIGMA * rng.standard_normal(6)
+    p_n = np.array(Origin(*config.map.origin).to_ned(lat_deg, lon_deg, alt_m + config.map.geoid_m)) + noise[:3]
+    q = so3.multiply(so3.quat_exp(noise[3:]), so3.normalise(np.array(q_nb)))
+    return PoseFix(t_ns, t_ns, vec3(p_n), (q[0], q[1], q[2], q[3]), np.diag(SIGMA**2))
+
+
+def main() -> None:
+    """Send fixes until somebody presses Ctrl-C."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("-c", "--config", type=Path, required=True, help="that of landfix run; it must have [map] origin")
+    parser.add_argument("--from", dest="endpoint", required=True, help="where the simulator sends, such as udpin:127.0.0.1:14030")
+    parser.add_argument("--every", type=float, default=1.0, metavar="SECONDS", help="between fixes")
+    given = parser.parse_args()
+    config, rng = load(given.config), np.random.default_rng()
+    if config.map.origin is None:
+        parser.error(f"{given.config}: [map] origin is missing")
+    link = mavutil.mavlink_connection(given.endpoint)
+    settings = zenoh.Config()
+    settings.insert_json5("mode", '"client"')
+    settings.insert_json5("connect/endpoints", f'["{config.zenoh.listen[0]}"]')
+    with zenoh.open(settings) as session:
+        schema, gid, sent, asked = "geometry_msgs/msg/PoseWithCovarianceStamped", secrets.token_bytes(16), 0, -ASK_EVERY_S
+        publisher = session.declare_publisher(zenoh_keys.rmw_key(config.zenoh.domain, "/pose_fix", schema, type_hash(schema)))
+        print(f"fixes go to {config.zenoh.listen[0]}, one every {given.every:g} s", flush=True)
+        last = 0.0
+        while True:
+            message = link.recv_match(blocking=True, timeout=0.5)
+            now = time.monotonic()
+            if link.target_system and now - asked >= ASK_EVERY_S:
+                asked = now
+                for number in TRUTHS.values():
+                    link.mav.command_long_send(link.target_system, 1, 511, 0, number, 100_000, 0, 0, 0, 0, 0)
+            if message is None or message.get_type() not in TRUTHS or now - last < given.every:
+                continue
+            last, sent, t_ns = now, sent + 1, time.time_ns()
+            data = encode_input(fix(message, config, t_ns, rng)).data
+            publisher.put(data, attachment=zenoh_keys.attachment(sent, t_ns, gid))
+
+
+if __name__ == "__main__":
+    main()

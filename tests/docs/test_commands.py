@@ -1,0 +1,207 @@
+"""Every command of the README and of the tutorials runs as it is written, block after block, as a newcomer would type it.
+
+In these pages ```sh is run here, each page in a folder of its own; ```console is what this machine cannot run: another program's
+prompt, a simulator, a daemon that flies until it is stopped. Those are listed below, with where else they are tested.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import typer
+
+from calib import synthetic
+from calib.bundle import Pose
+from calib.chessboard import Board
+from calib.files import load_rig
+from calib.synthetic_motion import EUROC_NOISE, Truth, record
+from estimator.cli import app
+from estimator.config import load
+from logs.codec import encode_input
+from logs.pictures import encode_picture
+from logs.recorder import Recorder
+from models import so3
+from models.camera import CameraModel, StereoRig
+from models.frames import GRAVITY
+from models.messages import GnssFix, GnssVelocity, ImuSample, vec3
+from models.sim.scenario import simulate
+from models.sim.scenario_file import loads
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("tutorial_*.md"))]
+ALL_PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+BOARD = Board(9, 6, 0.025)
+LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))
+RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), np.zeros(3))
+
+# What ```console may hold, by how it begins. Our own of these: tests/service/, tests/docs/test_sitl_fixes.py.
+NOT_RUN = {
+    "make px4_sitl ": "PX4", "param set ": "PX4 and ArduPilot", "commander ": "PX4", "failure ": "PX4", "listener ": "PX4",
+    "sim_vehicle.py ": "ArduPilot", "mode ": "ArduPilot", "arm ": "ArduPilot", "takeoff ": "ArduPilot", "rc ": "ArduPilot",
+    "reboot": "ArduPilot",
+    "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
+    "landfix report out/sitl/": "of a flight in a simulator", "python examples/sitl_fixes.py ": "needs a simulator",
+    "make demo": "tests/estimator/test_demo.py flies a shorter one", "make test": "is what runs this",
+}  # fmt: skip
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def lines(text: str) -> Iterator[str]:
+    """Commands without their comments."""
+    for line in text.splitlines():
+        command = re.sub(r"\s+#\s.*$", "", line).strip()
+        if command and not command.startswith("#"):
+            yield command
+
+
+# ------------------------------------------------------------------------------------------------ what the reader brings along
+
+
+def a_csv_flight(folder: Path) -> None:
+    """FLIGHT_DIR with IMU and receiver of a simulated flight; flight.toml is written by the import."""
+    source = folder / "FLIGHT_DIR"
+    source.mkdir()
+    scenario = 'duration_s = 40.0\n[vehicle]\nkind = "multirotor"\n[imu]\nrate_hz = 100.0\n[gnss]\n'
+    messages = list(simulate(loads(scenario), seed=1).messages)
+    start_ns = messages[0].t_ns
+    imu = [(1e-9 * (m.t_ns - start_ns), *m.gyro_b, *m.accel_b) for m in messages if isinstance(m, ImuSample)]
+    velocity = {m.t_ns: m.v_n for m in messages if isinstance(m, GnssVelocity)}
+    gps = [
+        (1e-9 * (m.t_ns - start_ns), m.lat_deg, m.lon_deg, m.alt_m, *velocity[m.t_ns])
+        for m in messages
+        if isinstance(m, GnssFix) and m.t_ns in velocity
+    ]
+    np.savetxt(source / "imu.csv", imu, delimiter=",", fmt="%.9f", comments="", header="t_s,gx,gy,gz,fx,fy,fz")
+    header = "t_s,lat_deg,lon_deg,alt_m,vn_m_s,ve_m_s,vd_m_s"
+    np.savetxt(source / "gps.csv", gps, delimiter=",", fmt="%.9f", comments="", header=header)
+
+
+def a_board_and_an_imu(folder: Path) -> None:
+    """Twelve rendered pairs of a board, an IMU at rest, and ten seconds of a camera that is moved before the board."""
+    rng, painter = np.random.default_rng(3), synthetic.Painter(LEFT, BOARD)
+    (folder / "board").mkdir()
+    for k, pose in enumerate(synthetic.poses(synthetic.both(RIG), BOARD, 12, rng)):
+        for name, (_, place) in zip(("left", "right"), synthetic.both(RIG), strict=True):
+            seen = Pose(place.R @ pose.R, place.of(pose.t[None])[0])
+            cv2.imwrite(str(folder / "board" / f"{name}{k:02d}.png"), painter.paint(seen, rng))
+    with Recorder(folder / "still.mcap") as log:
+        for t_ns in range(10**18, 10**18 + 60 * 10**9, 10**7):
+            gyro, accel = rng.normal(0.0, 1.7e-3, 3), np.array([0.0, 0.0, -GRAVITY]) + rng.normal(0.0, 0.02, 3)
+            log.write(*encode_input(ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel))), t_ns)
+    R_bc = so3.matrix(so3.quat_exp(np.array([0.1, -0.2, 0.05]))) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    true = Truth(R_bc, np.array([0.05, -0.02, 0.03]), 0.012, 10.0, camera_hz=10.0, distance_m=0.6)
+    imu, stamps, _, motion = record(true, LEFT, BOARD, EUROC_NOISE, rng)
+    with Recorder(folder / "moving.mcap") as log:
+        for t_ns, gyro, accel in zip(imu.t_ns.tolist(), imu.gyro, imu.accel, strict=True):
+            log.write(*encode_input(ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel))), t_ns)
+        for t_ns in stamps.tolist():
+            R_oc, p_o = motion.camera(1e-9 * (t_ns - int(imu.t_ns[0])) + true.time_offset_s)
+            picture = painter.paint(Pose(R_oc.T, -R_oc.T @ p_o), rng)
+            log.write(*encode_picture(t_ns, picture, "/left/image", jpeg_quality=95), t_ns)
+
+
+BROUGHT: dict[str, Callable[[Path], None]] = {"README": a_csv_flight, "tutorial_calibrate": a_board_and_an_imu}
+
+
+# -------------------------------------------------------------------------------------------------------------- what it must give
+
+
+def replayed(folder: Path, said: str) -> None:
+    assert "careless" in said
+    assert (folder / "out/tutorial/report.html").stat().st_size > 100_000
+
+
+def calibrated(folder: Path, said: str) -> None:
+    assert said.count("Verdict: ") == 3
+    rig = load_rig(folder / "vehicle_rig.yaml")
+    assert abs(rig.time_offset_s - 0.012) < 5e-4
+    assert np.allclose(rig.p_bc, (0.05, -0.02, 0.03), atol=5e-3)
+
+
+def mapped(folder: Path, said: str) -> None:
+    assert "look-alikes" in said
+    assert (folder / "out/tutorial/map.png").stat().st_size > 20_000
+
+
+def tuned(folder: Path, said: str) -> None:
+    noise, default = load(folder / "out/tune/tuned.toml").imu, load(None).imu
+    assert noise.accel_noise < default.accel_noise
+    gain = re.search(r"held out: \+([\d.]+)", said)
+    assert gain, "the flight that was held out is not predicted better"
+    assert float(gain[1]) > 0.1
+
+
+def reported(folder: Path, _: str) -> None:
+    assert (folder / "report.html").stat().st_size > 100_000
+
+
+GIVES: dict[str, Callable[[Path, str], None]] = {
+    "README": reported,
+    "tutorial_replay": replayed,
+    "tutorial_calibrate": calibrated,
+    "tutorial_map": mapped,
+    "tutorial_tune": tuned,
+}
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda p: p.stem)
+def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path) -> None:
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    program = programs / "landfix"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m estimator "$@"\n')
+    program.chmod(0o755)
+    if page.stem in BROUGHT:
+        BROUGHT[page.stem](tmp_path)
+    script = "\n".join(["set -eu", *blocks(page, "sh")])
+    paths = {"PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "150"}
+    bash = shutil.which("bash")
+    assert bash
+    done = subprocess.run([bash, "-c", script], cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    if page.stem in GIVES:
+        GIVES[page.stem](tmp_path, done.stdout)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_what_is_not_run_here_is_known(page: Path) -> None:
+    commands = [command for block in blocks(page, "console") for command in lines(block)]
+    assert [c for c in commands if not any(f"{c} ".startswith(known) for known in NOT_RUN)] == []
+
+
+def test_the_list_of_what_is_not_run_holds_nothing_else() -> None:
+    commands = [f"{command} " for page in PAGES for block in blocks(page, "console") for command in lines(block)]
+    assert [known for known in NOT_RUN if not any(c.startswith(known) for c in commands)] == []
+
+
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda p: p.stem)
+def test_commands_and_options_of_all_pages_exist(page: Path) -> None:
+    """Those of reference pages, too, which are not run: `landfix X --option` as the program itself parses it."""
+    text = "\n".join(blocks(page, "(?:sh|console)?"))
+    for command in lines(text):
+        if not command.startswith("landfix "):
+            continue
+        group: Any = typer.main.get_command(app)
+        words = command.split()[1:]
+        while hasattr(group, "commands") and words and not words[0].startswith("-"):
+            assert words[0] in group.commands, f"{page.name}: {command}"
+            group = group.commands[words.pop(0)]
+        known = {option for parameter in group.params for option in (*parameter.opts, *parameter.secondary_opts)} | {
+            "-h",
+            "--help",
+        }
+        assert {w for w in words if re.fullmatch(r"--?[a-z][a-z-]*", w)} <= known, f"{page.name}: {command}"

@@ -1,0 +1,85 @@
+"""examples/sitl_fixes.py: the truth of a simulator becomes fixes, as PX4 and as ArduPilot tell it, and they arrive over Zenoh."""
+
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from pymavlink.dialects.v20 import common as mavlink
+
+from estimator.config import load
+from logs.codec import Decoder
+from models import so3
+from models.frames import Origin
+from models.messages import PoseFix
+from tests.service.autopilot import UdpAutopilot
+from tests.service.flying import free_port, until
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPT = EXAMPLES / "sitl_fixes.py"
+SCHEMA = "geometry_msgs/msg/PoseWithCovarianceStamped"
+Q_NB = so3.from_euler(0.05, -0.1, 2.0)
+AT_N = (12.0, -7.0, -30.0)
+
+
+def _px4(lat: float, lon: float, alt_m: float) -> Any:
+    place = round(lat * 1e7), round(lon * 1e7), round(alt_m * 1e3)
+    return mavlink.MAVLink_hil_state_quaternion_message(0, Q_NB.tolist(), 0, 0, 0, *place, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def _ardupilot(lat: float, lon: float, alt_m: float) -> Any:
+    rest = 0, 0, 0, 0, 0, 0, 0, 0, 0, lat * 1e7, lon * 1e7, alt_m, 0, 0, 0, 0, 0
+    return mavlink.MAVLink_sim_state_message(*Q_NB.tolist(), *rest, round(lat * 1e7), round(lon * 1e7))
+
+
+@pytest.mark.parametrize(("name", "told"), [("px4", _px4), ("ardupilot", _ardupilot)])
+def test_a_simulators_truth_becomes_a_fix_about_the_origin(name: str, told: Any) -> None:
+    config, script = load(EXAMPLES / f"{name}_sitl.toml"), runpy.run_path(str(SCRIPT))
+    assert config.map.origin is not None
+    lat, lon, height_m = Origin(*config.map.origin).to_geodetic(AT_N)
+    rng = np.random.default_rng(0)
+    fixes = [script["fix"](told(lat, lon, height_m - config.map.geoid_m), config, 5, rng) for _ in range(400)]
+    off = np.array([fix.p_n for fix in fixes]) - AT_N
+    turn = np.array([so3.quat_log(so3.multiply(np.array(fix.q_nb_wxyz), so3.conjugate(Q_NB))) for fix in fixes])
+    spread = np.hstack((off, turn)) / script["SIGMA"]
+    assert np.abs(spread.mean(axis=0)).max() < 0.25
+    assert 0.85 < spread.std(axis=0).min() <= spread.std(axis=0).max() < 1.15
+    np.testing.assert_allclose(np.diag(fixes[0].covariance), script["SIGMA"] ** 2)
+
+
+def test_fixes_arrive_over_zenoh(tmp_path: Path) -> None:
+    port, mavlink_port = free_port(), free_port()
+    text = (EXAMPLES / "px4_sitl.toml").read_text().replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{port}")
+    (tmp_path / "sitl.toml").write_text(text)
+    settings, heard = zenoh.Config(), list[bytes]()
+    settings.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    settings.insert_json5("scouting/multicast/enabled", "false")
+    options = ["-c", str(tmp_path / "sitl.toml"), "--from", f"udpin:127.0.0.1:{mavlink_port}", "--every", "0.1"]
+    with zenoh.open(settings) as session:
+        subscriber = session.declare_subscriber("0/pose_fix/**", lambda sample: heard.append(sample.payload.to_bytes()))
+        simulator = UdpAutopilot(to=mavlink_port)
+        script = subprocess.Popen([sys.executable, str(SCRIPT), *options], env=os.environ | {"PYTHONPATH": str(EXAMPLES.parent)})
+        try:
+
+            def flies() -> bool:
+                assert script.poll() is None
+                simulator.heartbeat()
+                simulator.say(_px4(47.397742, 8.545594, 518.0))
+                simulator.listen(0.05)
+                asked = [m for m in simulator.heard if m.get_type() == "COMMAND_LONG" and m.command == 511]
+                return len(heard) >= 3 and {m.param1 for m in asked} == {108.0, 115.0}
+
+            until(flies, "three fixes, and that the simulator is asked for its truth")
+        finally:
+            script.kill()
+            script.wait()
+            simulator.close()
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+    fix = Decoder().decode("/pose_fix", SCHEMA, heard[-1], 0)
+    assert isinstance(fix, PoseFix)
+    assert np.linalg.norm(np.array(fix.p_n) - (0.0, 0.0, -30.0)) < 3.0  # ten standard deviations
