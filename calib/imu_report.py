@@ -22,7 +22,7 @@ _MOVE: Final = "move more: turn briskly about all three axes and shake along all
 _MODEL: Final = (
     "innovations are larger than the noise says: give [imu] the noise of landfix calibrate imu, fix the board, check stamps"
 )
-_FEW: Final = "keep the whole board in the picture, in good light, so that more pictures count"
+_FEW: Final = "record for a minute, the whole board in the picture, in good light, so that more pictures count"
 
 
 def of_static(result: Static) -> Verdict:

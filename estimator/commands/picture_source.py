@@ -93,6 +93,7 @@ def _video(path: Path, most: int) -> Iterator[Picture]:
 def _live(device: str) -> Iterator[Picture]:
     import cv2
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # else it tells of every way that it tried
     video = cv2.VideoCapture(int(device) if device.isdigit() else device)
     if not video.isOpened():
         raise CalibrationError(f"camera {device} cannot be opened (landfix takes camera:0, camera:1, ... or camera:URL)")
