@@ -7,6 +7,10 @@ it later: it keeps the lie and locks the truth out. So the decision stays open w
   and without whatever agrees with it;
 * a fix fails the gate: a *believer* goes on with it.
 
+A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
+sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are told with the chance that
+they are a look-alike.
+
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln N(nu; 0, S of who believes it)
 
@@ -33,6 +37,7 @@ MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
+_SHOWS = 10.0  # ln: unless it still shows in the covariance, no further behind than this
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
 _LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
@@ -54,7 +59,8 @@ class Hypothesis:
     """One filter and the logarithm of its weight.
 
     fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
-    parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic.
+    parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic; benefit: ln, of the doubt that a
+    sceptic stands for: it counts for so much more in the covariance than in the decision.
     """
 
     filter: Eskf
@@ -63,17 +69,27 @@ class Hypothesis:
     established_ns: int = 0
     parted_ns: int = 0
     doubts: dict[str, Doubt] = field(default_factory=dict)
+    benefit: float = 0.0
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
-        return Hypothesis(self.filter.copy(), self.weight, self.fused_ns, self.established_ns, self.parted_ns, doubts)
+        times = self.fused_ns, self.established_ns, self.parted_ns
+        return Hypothesis(self.filter.copy(), self.weight, *times, doubts, self.benefit)
 
     def note_fused(self, t_ns: int) -> None:
         """A position was fused."""
         if (t_ns - self.fused_ns) * 1e-9 > _LEAST_PATIENCE_S:
             self.established_ns = t_ns
         self.fused_ns = t_ns
+
+    def matters_beside(self, lead: "Hypothesis") -> bool:
+        """It may still lead, or it shows in the covariance."""
+        return self.weight > lead.weight - _FORGET or (self.benefit > 0 and self.weight + self.benefit > lead.weight - _SHOWS)
+
+    def has_settled(self, t_ns: int) -> bool:
+        """It has agreed with the leading hypothesis for so long that there is no question any more."""
+        return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
 
     def patience_s(self, t_ns: int, most_s: float) -> float:
         """How long consistent contradiction must last: as long as the hypothesis itself has stood, less when it is unaided."""
@@ -114,7 +130,7 @@ class Hypotheses:
         lead = self.lead
         if len(self.members) == 1:
             return lead.cov.copy() if len(lead.cov) == E.SIZE else lead.cov[: E.SIZE, : E.SIZE].copy()
-        weights = np.exp([m.weight for m in self.members])
+        weights = np.exp([m.weight + m.benefit for m in self.members])
         total = np.zeros((E.SIZE, E.SIZE))
         for weight, member in zip(weights / weights.sum(), self.members, strict=True):
             off = local(lead.x, member.filter.x)
@@ -162,18 +178,21 @@ class Hypotheses:
         true = seen.log_likelihood
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true):
             member.weight += agreement
+            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s, 0.0)
             doubt.last_ns = aid.t_ns
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
-            if aid.absolute and margin < _FORGET and not self._has_sceptic(aid.topic, member):
+            if aid.absolute and margin < _FORGET and not self._has_sceptic(aid, member):
                 sceptic = member.copy()
                 sceptic.weight += true - margin
+                sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
                 sceptic.parted_ns = aid.t_ns
                 sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
                 born.append(sceptic)
             member.weight += true
-            member.doubts.pop(aid.topic, None)
+            if member.doubts.pop(aid.topic, None):
+                member.benefit = 0.0
             member.filter.update(seen)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
@@ -182,9 +201,12 @@ class Hypotheses:
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return False
 
-    def _has_sceptic(self, topic: str, of: Hypothesis) -> bool:
+    def _has_sceptic(self, aid: Aid, of: Hypothesis) -> bool:
         """Whether a hypothesis other than `of` already goes on without the source."""
-        return any(m is not of and topic in m.doubts and m.doubts[topic].deliberate for m in self.members)
+        return any(
+            m is not of and aid.topic in m.doubts and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
+            for m in self.members
+        )
 
     def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:
         """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large."""
@@ -213,8 +235,9 @@ class Hypotheses:
         if best.weight > lead.weight + _TAKE_OVER:
             others = [lead, *(m for m in others if m is not best)]
             lead = best
+            lead.benefit = 0.0
             self.switches += 1
-        others = [m for m in others if m.weight > lead.weight - _FORGET and t_ns - m.parted_ns < _SETTLED_S * 1e9]
+        others = [m for m in others if m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -m.weight)
         self.members = [lead, *others[: _MOST - 1]]
         top = lead.weight

@@ -73,6 +73,11 @@ class Aid:
     alignment_only: bool = False
 
     @property
+    def resembles(self) -> bool:
+        """A false reading is a look-alike, found where it was sought, so that it proves little when it fits."""
+        return self.kind == "pose"
+
+    @property
     def witness(self) -> str:
         """The topic of its receiver's positions, which cannot vouch for it, or its own."""
         return self.receiver or self.topic

@@ -16,7 +16,7 @@ from estimator.sources.gnss import GnssConfig, velocity_aid
 from estimator.sources.pose import PoseConfig
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
-from models.messages import Array, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
+from models.messages import Array, Estimate, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X, retract
 from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, pose_fix
@@ -128,6 +128,39 @@ def test_while_it_is_open_which_fixes_are_true_the_covariance_covers_both() -> N
     assert np.all(np.sqrt(np.diag(lead.cov)[E.P]) <= sigma)
     assert len(run.fusion._history.tracker.hypotheses.members) > 1
     assert not np.array_equal(lead.cov[: E.SIZE, : E.SIZE], end.covariance)
+
+
+def _overconfidence(run: Run, start_s: float, end_s: float) -> float:
+    """The largest e^T P^-1 e / 3 of the published positions."""
+    begin, end = EPOCH_NS + round(start_s * 1e9), EPOCH_NS + round(end_s * 1e9)
+    told = [(e.nav[X.P], e.covariance[E.P, E.P]) for e in run.estimates if begin <= e.t_ns < end]
+    return max(float(p @ np.linalg.solve(cov, p)) / 3.0 for p, cov in told)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lie_that_is_believed_after_an_outage_is_not_told_as_sure(seed: int) -> None:
+    """One reading in twenty is false: that is what the first ones after an outage are told with, however well they fit."""
+    run = _fly(36.5, lambda t: None if 15.0 <= t < 35.0 else LIE if t >= 35.0 else NOWHERE, seed)
+    assert _distance(run, 35.1, 36.5).max() > 5.0  # it is believed
+    assert 0.5 < _overconfidence(run, 35.1, 36.5) < 20.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_doubt_of_the_first_fixes_after_an_outage_passes(seed: int) -> None:
+    run = _fly(46.0, lambda t: None if 15.0 <= t < 35.0 else NOWHERE, seed)
+    sigma = [math.sqrt(np.trace(_told(run, t_s).covariance[E.P, E.P])) for t_s in (34.9, 35.2, 38.2, 45.9)]
+    assert 0.15 * sigma[0] < sigma[1] < 0.7 * sigma[0]
+    assert sigma[3] < 0.15 < sigma[2] < 0.9 * sigma[1]
+
+
+def _told(run: Run, t_s: float) -> Estimate:
+    return next(e for e in run.estimates if e.t_ns >= EPOCH_NS + round(t_s * 1e9))
+
+
+def test_a_doubt_of_the_last_outage_does_not_stand_for_one_of_the_next() -> None:
+    run = _fly(51.5, lambda t: None if 15.0 <= t < 20.0 or 25.0 <= t < 50.0 else LIE if t >= 50.0 else NOWHERE)
+    assert _distance(run, 50.1, 51.5).max() > 5.0
+    assert _overconfidence(run, 50.1, 51.5) < 20.0
 
 
 # --- the parts ---------------------------------------------------------------------------------------------------------------
