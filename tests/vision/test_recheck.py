@@ -40,13 +40,11 @@ def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
 
 @pytest.mark.parametrize(
     ("aside_m", "sigma_m", "found"),
-    [(0.22, 0.0, False), (0.22, 0.1, True), (0.35, 0.3, False)],
-    ids=["not the edge that was fitted", "as far as the map may be off", "a poor map is no reason to find anything"],
+    [(0.22, 0.0, False), (0.22, 0.1, True)],
+    ids=["not the edge that was fitted", "as far as the map may be off"],
 )
-def test_an_edge_may_be_as_far_off_as_the_map_but_no_farther_than_half_the_window(
-    aside_m: float, sigma_m: float, found: bool
-) -> None:
-    """0.22 m are 3.3 px across each edge: beyond 2.5, within (2.5^2 + (2 x 1.5)^2)^(1/2) = 3.9; 0.35 m are 5 px."""
+def test_an_edge_may_be_as_far_off_as_the_map(aside_m: float, sigma_m: float, found: bool) -> None:
+    """0.22 m are 3.3 px across each edge: beyond 2.5, within (2.5^2 + (2 x 1.5)^2)^(1/2) = 3.9."""
     view, fit = whole(), fitted()
     c, s = np.cos(0.3), np.sin(0.3)  # along both sides of the house alike
     aside = aside_m * np.array([c - s, s + c])
