@@ -62,7 +62,7 @@ def test_after_kill_9_the_log_is_whole_and_the_estimate_goes_on_where_it_was(tmp
     assert lost_s < 0.1 + busy_s
     assert (tmp_path / "logs" / "landfix.state").exists()
 
-    with as_process(text, tmp_path, port), client(port) as session:
+    with in_thread(parse(text), tmp_path), client(port) as session:  # a process takes a minute to start where all are busy
         vehicle = fly(session, 1.0, fix_hz=0.0, gnss_hz=0.0)
         until(lambda: not torn_logs(tmp_path / "logs")[:-1], "the torn log is made whole")
     assert len(vehicle.latency_ns) > 150
