@@ -25,6 +25,7 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.pipeline import LandmarkPipeline, Result
 from vision.rectify import rectification
+from vision.reports import RegionReport
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render_pair
 from vision.synthetic.scenes import Layout, Scene, WorldSpec, make_world
@@ -72,8 +73,8 @@ def run_world(job: Job) -> list[Outcome]:
 
 
 def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) -> Outcome:
-    named = [(r.landmark, r.bbox) for r in result.regions if r.state == "identified"] if result.fix else []
-    wrong = sum(not _is_there(scene, name, bbox, p_n, so3.matrix(q)) for name, bbox in named)
+    named = [r for r in result.regions if r.state == "identified"] if result.fix else []
+    wrong = sum(not _is_there(scene, r, p_n, so3.matrix(q)) for r in named)
     error_m, nees, wrong_fix = None, None, False
     if result.fix is not None and result.pose is not None:
         e = p_n - result.pose.joint_p_n
@@ -86,15 +87,17 @@ def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) ->
     return Outcome(measured, result.report.outcome, wrong_fix, len(named), wrong, error_m, nees, seconds)
 
 
-def _is_there(scene: Scene, name: str, bbox: tuple[int, int, int, int], p_n: Array, R_nb: Array) -> bool:
-    """Whether the true landmark's roof lies in the region's box of the rectified left picture."""
-    true = next((m for m in scene.world.landmarks if m.id == name), None)
+def _is_there(scene: Scene, said: RegionReport, p_n: Array, R_nb: Array) -> bool:
+    """Whether the middle of what the left picture shows of the true landmark's roof lies in the region's box."""
+    true = next((m for m in scene.world.landmarks if m.id == said.landmark), None)
     if true is None:
         return False
-    rig = rectification(scene.rig).rig
+    rig = scene.rig if said.path == "predict" else rectification(scene.rig).rig
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
-    u, v = rig.left.project(((np.array([*true.centre_n, true.roof_d]) - p_nc) @ R_nc)[None])[0]
-    u0, v0, width, height = bbox
+    roof = np.column_stack((true.outline_n, np.full(len(true.outline_n), true.roof_d)))
+    px = np.clip(rig.left.project((roof - p_nc) @ R_nc), 0.0, (rig.left.width - 1.0, rig.left.height - 1.0))
+    u, v = 0.5 * (px.min(axis=0) + px.max(axis=0))
+    u0, v0, width, height = said.bbox
     return bool(u0 - 5 <= u <= u0 + width + 5 and v0 - 5 <= v <= v0 + height + 5)
 
 
