@@ -249,6 +249,9 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
     """The measurement seen from one filter, with its slow errors."""
     carried = [(slow.block, slow.jacobian(eskf.x) if slow.jacobian else None) for slow in aid.slow_errors]
     for slow, block in zip(aid.slow_errors, carried, strict=True):
+        known = eskf.slow.columns.get(slow.block)
+        if known and known.stop - known.start != len(slow.covariance):  # told otherwise than before: another error
+            eskf.forget(slow.block)
         if slow.block not in eskf.slow.columns:
             if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
                 eskf.forget(oldest)

@@ -252,6 +252,19 @@ def test_a_fix_that_tells_its_common_error_may_follow_those_that_do_not() -> Non
     assert run.reasons("/pose_fix")[Reason.FUSED] > 3
 
 
+def test_a_landmark_may_be_told_with_other_errors_than_before() -> None:
+    def fix(t_ns: int, count: int) -> LandmarkFix:
+        errors = 0.05 * np.eye(6)[None, :, :count]
+        common = errors[0] @ errors[0].T
+        return LandmarkFix(t_ns, t_ns, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.04 * np.eye(6), common, ("a",), 0.9, 0.4, errors)
+
+    last_ns = EPOCH_NS + 4 * SECOND
+    fixes = [fix(last_ns - 600_000_000, 4), fix(last_ns - 400_000_000, 2), fix(last_ns - 200_000_000, 6)]
+    run = Run(Fusion(CONFIG)).feed(by_arrival([*hover(4.0, rate_hz=50.0), *fixes]))
+    assert not run.internal_errors()
+    assert run.reasons("/landfix/fix") == {Reason.FUSED: 3}
+
+
 @settings(max_examples=60)
 @given(st.lists(anything, min_size=1, max_size=12))
 def test_whatever_comes_no_exception_leaves_and_no_number_that_is_none_is_published(messages: list[Input]) -> None:
