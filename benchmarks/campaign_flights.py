@@ -26,6 +26,7 @@ AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by th
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
 _HANDOVER_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
+_NONE_FALSE = 1e-6  # share of falsehoods: the filter knows that there are none
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
 Phase = Literal["before", "during", "end", "after"]
@@ -90,7 +91,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             still_gyro=_NEVER_STILL,
         )
         gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
-        pose_fix = PoseConfig(tilt_deg=0.0)  # the simulated fixes are level
+        pose_fix = PoseConfig(tilt_deg=0.0, false_share=_NONE_FALSE)  # the simulated fixes are level, and all of them true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
 
