@@ -295,11 +295,11 @@ class Fusion:
         radius = attitude = math.inf
         biases: dict[str, float] = {}
         if hypotheses is not None and tracker.is_aligned:
-            cov = hypotheses.lead.cov
+            cov = hypotheses.covariance()  # as it is published
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
-            biases = _biases(hypotheses.lead)
+            biases = _biases(hypotheses.lead.x, cov)
         never = tracker.last_absolute_ns < 0
         return Health(
             t_ns,
@@ -318,11 +318,11 @@ class Fusion:
         )
 
 
-def _biases(eskf: Eskf) -> dict[str, float]:
-    """What Health tells of the IMU's biases."""
+def _biases(x: Array, cov: Array) -> dict[str, float]:
+    """What Health tells of the IMU's biases, of the state (16,) and its covariance (15, 15)."""
     told: dict[str, float] = {}
     for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
-        sigma = np.sqrt(np.diag(eskf.cov)[error])
-        for axis, bias, spread in zip("xyz", eskf.x[value].tolist(), sigma.tolist(), strict=True):
+        sigma = np.sqrt(np.diag(cov)[error])
+        for axis, bias, spread in zip("xyz", x[value].tolist(), sigma.tolist(), strict=True):
             told |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
     return told

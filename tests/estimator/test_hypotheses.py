@@ -130,6 +130,16 @@ def test_while_it_is_open_which_fixes_are_true_the_covariance_covers_both() -> N
     assert not np.array_equal(lead.cov[: E.SIZE, : E.SIZE], end.covariance)
 
 
+def test_health_tells_the_radius_of_what_is_published_while_it_is_open() -> None:
+    run = _fly(46.0, lambda t: None if 15.0 <= t < 45.0 else LIE)
+    published = {e.t_ns: e.covariance for e in run.estimates}
+    told = [(h, published[h.t_ns]) for h in run.health if h.t_ns > EPOCH_NS + 10 * SECOND and h.t_ns in published]
+    assert any(h.hypotheses > 1 for h, _ in told)
+    for health, cov in told:
+        assert health.radius95_m == pytest.approx(2.4477 * math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]), rel=1e-3)
+        assert health.attitude_sigma_deg == pytest.approx(math.degrees(math.sqrt(np.diag(cov)[E.THETA].max())), rel=1e-6)
+
+
 def _overconfidence(run: Run, start_s: float, end_s: float) -> float:
     """The largest e^T P^-1 e / 3 of the published positions."""
     begin, end = EPOCH_NS + round(start_s * 1e9), EPOCH_NS + round(end_s * 1e9)
