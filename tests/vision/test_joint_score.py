@@ -40,7 +40,7 @@ def drawn(shift: tuple[int, int], boxes: tuple[tuple[int, int, int, int], ...] =
     for (u, v, width, height), level in zip(boxes, (160.0, 60.0, 130.0), strict=False):
         picture[v + shift[1] : v + shift[1] + height, u + shift[0] : u + shift[0] + width] = level
     picture += np.random.default_rng(3).normal(size=picture.shape) * noise
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(picture), 0, 255), dtype=np.uint8)
 
 
 def scores(picture: Picture, aimed: Array) -> Array:
