@@ -15,11 +15,12 @@ from estimator.overlay_files import Scenery
 from estimator.overlay_log import Flight, pictures, views
 from estimator.overlay_measure import Moment, Overlay, OverlayResult, Summary, View
 from logs.plots import BLACK, BLUE, GREEN, ORANGE
-from logs.reader import LogError
+from logs.reader import LogError, check_output
 from vision.overlay import Picture
 from vision.rectify import Image
 
 _CODECS: Final = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # what OpenCV's own FFmpeg can always write
+_PLOTS: Final = (".png", ".svg", ".pdf")
 _SLOWEST, _FASTEST = 1.0, 60.0  # pictures a second
 
 
@@ -41,8 +42,8 @@ class _Video:
         self._writer: cv2.VideoWriter | None = None
         if path is not None and path.suffix.lower() not in _CODECS:
             raise LogError(f"{path}: no kind of video that can be written (known: {', '.join(_CODECS)})")
-        if path is not None and not path.parent.is_dir():
-            raise LogError(f"{path}: {path.parent} is no folder")
+        if path is not None:
+            check_output(path)
 
     def __enter__(self) -> Self:
         return self
@@ -73,6 +74,8 @@ def make(
     progress: Callable[[float], None] = lambda _: None,
 ) -> OverlayResult:
     """Draw and measure the chosen pictures of a topic; the video and the plot where they are wanted. Raises LogError."""
+    if plot:
+        _check_plot(plot)
     seen_from = views(flight, topic, scenery.rig.time_offset_s)
     start_ns = min((view.t_ns for view in seen_from if view), default=0)
     wanted = {k: view for k, view in enumerate(seen_from) if view and _chosen(choice, k, (view.t_ns - start_ns) * 1e-9)}
@@ -109,6 +112,13 @@ def make(
         without_fix_px=summary.without_fix_px,
         ratio=summary.ratio,
     )
+
+
+def _check_plot(path: Path) -> None:
+    """Raises LogError where no plot can be written there."""
+    if path.suffix.lower() not in _PLOTS:
+        raise LogError(f"{path}: no kind of picture that can be written (known: {', '.join(_PLOTS)})")
+    check_output(path)
 
 
 def _check_size(log: Path, picture: Image, overlay: Overlay) -> None:

@@ -125,7 +125,8 @@ def find_outages(
     outages = {}
     for source, seen in points.items():
         valid, arrived = np.array([*seen, (start, start)], np.int64).T
-        usual = np.median(np.diff(metrics.waits(valid, arrived))) if len(seen) else 0.0
+        waited = np.diff(metrics.waits(valid, arrived))
+        usual = np.median(waited) if len(waited) else 0.0
         threshold = max(_SHORTEST_OUTAGE_NS, 3.0 * usual) if longer_than_s is None else 1e9 * longer_than_s
         outages[source] = metrics.gaps(valid, arrived, end, round(threshold))
     return outages

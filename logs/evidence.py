@@ -143,10 +143,13 @@ def read(
         torn, skipped_chunks = reader.torn, reader.skipped_chunks
         attachments, metadata = tuple(reader.attachments), reader.metadata
     if ODOMETRY_TOPIC not in sheaves:
-        raise LogError(f"{path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {path} -o estimate.mcap")
+        lacks = f"holds no {ODOMETRY_TOPIC}{' before it is torn' if torn else ''}"
+        raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
     estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
     if not len(estimate):
         raise LogError(f"{path}: no message of {ODOMETRY_TOPIC} is whole")
+    if not np.isfinite(estimate.p).all(axis=1).any():
+        raise LogError(f"{path}: none of its {len(estimate)} estimates is a number")
     origin = _origin(estimate, sheaves.get(_GLOBAL_TOPIC, _Sheaf("")))
     aids = _aids(sheaves.get(_AID_TOPIC, _Sheaf("")))
     return Evidence(

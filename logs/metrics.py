@@ -186,9 +186,11 @@ def effective_samples(x: Array) -> float:
     rho_k: autocorrelation at lag k, summed until a pair rho_2m + rho_2m+1 is no longer positive (Geyer 1992, section 3.3).
     """
     n = len(x)
-    centred = x - x.mean() if n else x
+    if n < 4 or not np.isfinite(x).all():
+        return float(n)
+    centred = x - x.mean()
     power = float(centred @ centred)
-    if n < 4 or not np.isfinite(power) or power <= 0.0:
+    if not 0.0 < power < np.inf:
         return float(n)
     spectrum = np.fft.rfft(centred, 2 * n)
     rho = np.fft.irfft(np.abs(spectrum) ** 2)[:n] / power

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple, Self
 
 import msgspec
@@ -10,7 +11,7 @@ from mcap.records import Schema
 from logs.records import LogError, RecordFile
 from logs.schemas import missing_end
 
-__all__ = ["Attachment", "LogError", "LogReader", "Record"]
+__all__ = ["Attachment", "LogError", "LogReader", "Record", "check_output"]
 
 
 class Record(msgspec.Struct, frozen=True, eq=False, gc=False):
@@ -28,6 +29,14 @@ class Attachment(NamedTuple):
     name: str
     media_type: str
     data: bytes
+
+
+def check_output(out: Path, *inputs: Path) -> None:
+    """Raises LogError, before any work, where `out` would overwrite one of the inputs or its folder is not there."""
+    if not out.parent.is_dir():
+        raise LogError(f"{out}: cannot be written ({out.parent} is no folder)")
+    if out.exists() and any(source.exists() and out.samefile(source) for source in inputs):
+        raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
 
 
 class LogReader:

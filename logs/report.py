@@ -16,7 +16,7 @@ import msgspec
 from logs.evaluate import assess, find_outages
 from logs.evaluation import Evaluation
 from logs.evidence import TRUTH_TOPIC, Evidence, read
-from logs.reader import LogError
+from logs.reader import LogError, check_output
 from logs.report_gather import Gathered
 from logs.report_page import Illustrations, Material, page
 from logs.report_words import findings
@@ -50,7 +50,8 @@ def write(
     illustrate: Illustrate = no_illustrations,
     progress: Callable[[float], None] | None = None,
 ) -> Written:
-    """Write the report of a log to `out`. Raises LogError where there is no estimate, or `out` cannot be written."""
+    """Write the report of a log to `out`. Raises LogError where there is no estimate, `out` is the log, or cannot be written."""
+    check_output(out, log)
     return compose(*gather(log, truth_topic, progress), log.name, out, outage_s=outage_s, illustrate=illustrate)
 
 

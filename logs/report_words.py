@@ -103,11 +103,13 @@ def _too_sure(name: str, c: Consistency) -> list[Finding]:
     """Where the mean squared error is beyond what the covariance promises."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
+    if np.isinf(c.mean):
+        return [Finding(Level.WRONG, f"{name} covariances are at times not positive definite: nothing is promised there")]
     level = Level.WRONG if c.mean > max(4.0, 2.0 * c.band[1]) else Level.LOOK
     return [
         Finding(
             level,
-            f"{name} errors are {np.sqrt(c.mean):.1f} times what the covariance says (NEES {c.mean:.1f} per degree of freedom)",
+            f"{name} errors are {np.sqrt(c.mean):.2g} times what the covariance says (NEES {c.mean:.2g} per degree of freedom)",
         )
     ]
 

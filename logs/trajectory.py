@@ -19,6 +19,7 @@ POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStam
 GEODETIC_TYPE = "sensor_msgs/msg/NavSatFix"
 _DOUBLES = dict(zip(POSE_TYPES, (85, 43, 7), strict=True))  # every message of these types ends with so many
 _NOT_GIVEN_RAD2 = 10.0  # an attitude variance from here on says "not given"
+_ABSURD = 1e15  # no length, speed or variance is so large: bytes that are no number of ours
 _ENCAPSULATION = 4  # bytes before the CDR body
 
 
@@ -91,10 +92,10 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
     n, width = x.shape
-    full = x if width == 85 else np.hstack([x, np.full((n, 85 - width), np.nan)])
+    full = np.hstack([np.where(np.abs(x) < _ABSURD, x, np.nan), np.full((n, 85 - width), np.nan)])
     p, q_xyzw, covariance = full[:, 0:3], full[:, 3:7], full[:, 7:43].reshape(n, 6, 6)
     norm = np.linalg.norm(q_xyzw, axis=1)
-    given = (norm > 0.5) & ~(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:] >= _NOT_GIVEN_RAD2).any(axis=1)
+    given = (np.abs(norm - 1.0) < 0.5) & ~(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:] >= _NOT_GIVEN_RAD2).any(axis=1)
     q_wxyz = np.full((n, 4), np.nan)
     q_wxyz[given] = np.roll(q_xyzw[given], 1, axis=1) / norm[given, None]
     return Trajectory(t_ns, arrived_ns, p, q_wxyz, full[:, 43:46], covariance, full[:, 49:85].reshape(n, 6, 6)[:, :3, :3])

@@ -54,11 +54,13 @@ def command(
     from estimator.tune import TuneConfig, Tuner
     from estimator.tune_keys import chosen, written
     from estimator.tune_score import sources
+    from logs.reader import check_output
 
     text = load(config).toml()
     names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
+    check_output(out, *logs, *hold_out or ())
     keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates, bool(truth))
     with _workers(jobs, scheduler) as executor, progress(f"tune {len(keys)} keys") as report:
         tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), executor, report)

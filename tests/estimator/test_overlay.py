@@ -204,6 +204,7 @@ def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     assert "no kind of video" in _run(log, "-o", tmp_path / "v.gif").stderr
     assert "is no folder" in _run(log, "-o", tmp_path / "nowhere" / "v.mp4").stderr
+    assert "no kind of picture" in _run(log, "--plot", log).stderr
     assert "none is chosen" in _run(log, "--start", 100).stderr
 
 

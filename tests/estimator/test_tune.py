@@ -174,6 +174,8 @@ def test_what_cannot_be_tuned_is_said_in_one_line(flights: tuple[list[Path], Pat
         ("--vary", "imu.axes"): "--vary imu.axes: cannot be tuned",
         ("--hold-out", str(first)): "is tuned on, so it cannot be held out",
         ("--scheduler", "tcp://127.0.0.1:1"): "tcp://127.0.0.1:1: ",
+        ("-o", str(first)): "would overwrite the input",
+        ("-o", str(tmp_path / "no" / "tuned.toml")): "is no folder",
     }
     for more, line in cases.items():
         result = CliRunner().invoke(app, ["tune", str(first), "-c", str(config), "-o", out, *more])

@@ -26,7 +26,7 @@ from logs.report_words import Level, findings
 from models import so3
 from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, Reset, VisionReport
 from tests.logs import flight_log
-from tests.logs.flight_log import EPOCH_NS, Flight, rewritten, truth_at
+from tests.logs.flight_log import EPOCH_NS, STEP_NS, Flight, rewritten, truth_at
 
 S = 1_000_000_000
 EVIL = "<!--<script </script><script>pwned=1</script><img src=x onerror=pwned=2>\"'&"
@@ -364,6 +364,23 @@ def test_estimates_that_are_not_finite_do_not_stop_it(log: Path, tmp_path: Path)
     assert "NaN" not in Page(tmp_path / "x.html").source
 
 
+def test_numbers_that_are_none_of_ours_do_not_stop_it(log: Path, tmp_path: Path) -> None:
+    """GIVEN bytes read as 1e300, a quaternion of length 1e200 and a covariance of zeros, THEN there is a page, and it says so."""
+    far = encode_truth(EPOCH_NS + 10_000_000, (1e300, 0.0, 0.0), (0.0, 0.0, 0.0), (1e200, 0.0, 0.0, 0.0))
+    extra = (("/landfix/odometry", far.schema, far.data, EPOCH_NS + 121 * S),)
+    assert "1 estimates are not finite" in write(rewritten(log, tmp_path / "far.mcap", extra=extra), tmp_path / "x.html").findings
+    flat = encode_truth(
+        EPOCH_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    )  # which is a truth's, and none of an estimate
+    with LogReader(log) as reader, Recorder(tmp_path / "flat.mcap") as recorder:
+        for r in reader:
+            is_first = r.topic == "/landfix/odometry" and r.log_time_ns < EPOCH_NS + STEP_NS
+            recorder.write(r.topic, r.schema, flat.data if is_first else r.data, r.log_time_ns)
+    written = write(tmp_path / "flat.mcap", tmp_path / "x.html")
+    assert written.verdict == "do not rely on this estimate"
+    assert "position covariances are at times not positive definite: nothing is promised there" in written.findings
+
+
 def test_junk_is_counted_and_told(log: Path, tmp_path: Path) -> None:
     topics = {"health": schemas.DIAGNOSTICS, "vision": schemas.VISION_REPORT, "vision_request": schemas.VISION_REQUEST}
     junk = tuple((f"/landfix/{name}", schema, b"\0\1\0\0junk", EPOCH_NS + 121 * S) for name, schema in topics.items())
@@ -377,7 +394,22 @@ def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_lin
         write(rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry",)), tmp_path / "x.html")
     with pytest.raises(LogError, match="cannot be written"):
         write(log, tmp_path / "no" / "x.html")
+    nan = encode_truth(EPOCH_NS, (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    lost = rewritten(
+        log, tmp_path / "lost.mcap", without=("/landfix/odometry",), extra=(("/landfix/odometry", *nan[1:], EPOCH_NS),)
+    )
+    with pytest.raises(LogError, match="none of its 1 estimates is a number"):
+        write(lost, tmp_path / "x.html")
+    (tmp_path / "torn.mcap").write_bytes(log.read_bytes()[:100])
+    with pytest.raises(LogError, match="holds no /landfix/odometry before it is torn"):
+        write(tmp_path / "torn.mcap", tmp_path / "x.html")
     assert not (tmp_path / "x.html").exists()
+
+
+def test_the_log_is_never_written_over(log: Path, tmp_path: Path) -> None:
+    (tmp_path / "link.html").symlink_to(log)
+    with pytest.raises(LogError, match="would overwrite the input"):
+        write(log, tmp_path / "link.html")
 
 
 def test_of_a_long_flight_estimates_are_thinned_evenly_and_extremes_stay(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
