@@ -28,6 +28,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     torn: bool
     skipped_chunks: int = 0
     missing: str = ""  # parts of the flight that were not there: the estimate is not the one that was flown
+    torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
 class Tally:
@@ -78,7 +79,7 @@ class Tally:
         if isfinite(health.radius95_m):
             self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
 
-    def summary(self, elapsed_s: float, torn: bool, skipped_chunks: int, missing: str) -> ReplaySummary:
+    def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str) -> ReplaySummary:
         """All of it, at the end."""
         fixes: dict[str, Counter[str]] = {}
         for (topic, *_), reason in self._decisions.items():
@@ -97,7 +98,8 @@ class Tally:
             worst_radius95_m=self._worst_radius_m,
             resets=self._resets,
             internal_errors=self._internal,
-            torn=torn,
+            torn=bool(torn),
             skipped_chunks=skipped_chunks,
             missing=missing,
+            torn_parts=torn,
         )

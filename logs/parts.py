@@ -15,6 +15,7 @@ from logs.recorder import METADATA_NAME
 PART: Final = "part"  # key of the metadata record: the number of the file, from 0 on
 _NUMBERED: Final = re.compile(r"(.*)-\d{3,}\.mcap")  # as landfix run names them
 _FEW: Final = 5  # are named one by one
+_RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save of a damaged part, beside it
 
 
 class PartsReader:
@@ -26,10 +27,10 @@ class PartsReader:
 
     def __init__(self, source: Path | Sequence[Path]) -> None:
         with ExitStack() as stack:
-            opened = [(path, stack.enter_context(LogReader(path))) for path in files_of(source)]
+            opened = [(path, stack.enter_context(LogReader(path))) for path in _without_copies(files_of(source))]
             begins = {path: next((r.log_time_ns for r in reader), 0) for path, reader in opened} if len(opened) > 1 else {}
             opened.sort(key=lambda part: begins.get(part[0], 0))
-            self._parts = [reader for _, reader in opened]
+            self._names, self._parts = [path.name for path, _ in opened], [reader for _, reader in opened]
             _refuse_twins({path: _number(reader) for path, reader in opened})
             self._files = stack.pop_all()
         self._sizes = [path.stat().st_size for path, _ in opened]
@@ -48,9 +49,9 @@ class PartsReader:
             yield from part
 
     @property
-    def torn(self) -> bool:
-        """Whether any part lacks its proper end."""
-        return any(part.torn for part in self._parts)
+    def torn(self) -> list[str]:
+        """The parts that lack their proper end, by name."""
+        return [name for name, part in zip(self._names, self._parts, strict=True) if part.torn]
 
     @property
     def skipped_chunks(self) -> int:
@@ -93,6 +94,11 @@ def files_of(source: Path | Sequence[Path]) -> list[Path]:
     if len(flights) > 1:
         raise LogError(f"{source}: holds {len(flights)} flights ({', '.join(flights)}); name the files of one")
     return next(iter(flights.values()))
+
+
+def _without_copies(files: Sequence[Path]) -> list[Path]:
+    """Of a damaged part and what was recovered of it, which is the same again, only the first."""
+    return [f for f in files if not (f.stem.endswith(_RECOVERED) and f.with_stem(f.stem.removesuffix(_RECOVERED)) in files)]
 
 
 def _number(part: LogReader) -> int | None:

@@ -1,11 +1,12 @@
 """Making a torn or damaged log whole again: every record that is whole goes, as it is, into a new file with index and end."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 import msgspec
+from mcap.records import Attachment, Metadata
 
 from logs.mcap_writer import McapWriter
 from logs.records import LogError, RecordFile
@@ -73,27 +74,32 @@ def recover(
 
 def _rewrite(records: RecordFile, path: Path, progress: Callable[[float], None] | None) -> int:
     """Copy all records; the number of messages."""
-    count = 0
+    count = attachments = metadata = 0
     channels: dict[int, int] = {}
     schemas = {0: 0}  # 0: none
     with path.open("wb") as file:
         writer = McapWriter(file, _CHUNK_BYTES)
         writer.start(profile=records.profile, library="landfix recover")
         for channel_id, sequence, log_time, publish_time, data in records:
+            if count == 0:  # what stood at the file's beginning stands there again: it says which part of a flight this is
+                attachments, metadata = len(records.attachments), len(records.metadata)
+                _keep(writer, records.attachments, records.metadata)
             if channel_id not in channels:
                 channels[channel_id] = _register(writer, records, channel_id, schemas)
             writer.add_message(channels[channel_id], log_time, data, publish_time, sequence)
             count += 1
             if progress and count % _PROGRESS_EVERY == 0:
                 progress(records.fraction)
-        for attachment in records.attachments:
-            writer.add_attachment(
-                attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
-            )
-        for metadata in records.metadata:
-            writer.add_metadata(metadata.name, metadata.metadata)
+        _keep(writer, records.attachments[attachments:], records.metadata[metadata:])
         writer.finish()
     return count
+
+
+def _keep(writer: McapWriter, attachments: Sequence[Attachment], metadata: Sequence[Metadata]) -> None:
+    for a in attachments:
+        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+    for m in metadata:
+        writer.add_metadata(m.name, m.metadata)
 
 
 def _register(writer: McapWriter, records: RecordFile, channel_id: int, schemas: dict[int, int]) -> int:

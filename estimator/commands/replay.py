@@ -57,8 +57,8 @@ def command(
         _add_smoothed(out, loaded)
     if sight:
         note(f"landfix: {sight.tally}")
-    if summary.torn:
-        note(f"landfix: {parts[0] if len(parts) == 1 else 'a part'} is torn; replayed up to its last whole record")
+    for name in summary.torn_parts:
+        note(f"landfix: {name} is torn; replayed up to its last whole record")
     if summary.missing:
         note(f"landfix: without {summary.missing} of this flight the estimate aligns anew, and is not the one that was flown")
     if json:
@@ -113,7 +113,7 @@ def _add_smoothed(log: Path, config: "Config") -> None:
 def print_summary(summary: "ReplaySummary", out: Path) -> None:
     """The summary as a person reads it."""
     rows = [
-        ("log", f"{summary.duration_s:.1f} s, {summary.records} messages" + (", torn at its end" if summary.torn else "")),
+        ("log", f"{summary.duration_s:.1f} s, {summary.records} messages" + (", torn" if summary.torn else "")),
         ("speed", f"{summary.speed:.0f} x real time ({summary.elapsed_s:.1f} s)"),
         ("IMU samples", f"{summary.imu_samples} -> {summary.estimates} estimates"),
         *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),

@@ -11,6 +11,7 @@ from estimator.replay import replay
 from logs.codec import encode_input
 from logs.reader import Attachment, LogError, LogReader, Record
 from logs.recorder import Recorder
+from logs.recover import recover
 from models.messages import ImuSample
 
 RIG, MAP = Attachment("calibration/rig.yaml", "text/plain", b"rig"), Attachment("map/map.geojson", "text/plain", b"map")
@@ -92,13 +93,39 @@ def test_many_missing_parts_are_told_in_short(parts: list[Path], config: Config,
     assert replay(late, tmp_path / "out.mcap", config).missing == "40 of the parts 0 to 39"
 
 
-def test_a_torn_last_part_is_replayed_as_far_as_it_goes(parts: list[Path], flight: Path, tmp_path: Path) -> None:
-    torn = tmp_path / "torn.mcap"
-    torn.write_bytes(parts[2].read_bytes()[: parts[2].stat().st_size // 2])
-    result = _run("replay", *parts[:2], torn, "-o", tmp_path / "out.mcap", "-c", flight.with_suffix(".toml"))
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_torn_part_is_named_and_replayed_as_far_as_it_goes(
+    parts: list[Path], flight: Path, tmp_path: Path, number: int
+) -> None:
+    torn = tmp_path / "landfix-torn.mcap"
+    torn.write_bytes(parts[number].read_bytes()[: parts[number].stat().st_size // 2])
+    given = [part for part in parts if part is not parts[number]]
+    result = _run("replay", *given, torn, "-o", tmp_path / "out.mcap", "-c", flight.with_suffix(".toml"))
     assert result.exit_code == 0
-    assert "a part is torn" in result.stderr
-    assert "this flight" not in result.stderr
+    assert result.stderr == "landfix: landfix-torn.mcap is torn; replayed up to its last whole record\n"
+
+
+def test_a_part_made_whole_again_is_still_that_part(parts: list[Path], config: Config, whole: bytes, tmp_path: Path) -> None:
+    again = [tmp_path / part.name for part in parts]
+    for part, made in zip(parts, again, strict=True):
+        recover(part, made)
+    replay(again, tmp_path / "out.mcap", config)
+    assert (tmp_path / "out.mcap").read_bytes() == whole
+    assert replay(again[2], tmp_path / "out.mcap", config).missing == "parts 0, 1"
+    with pytest.raises(LogError, match="are both part 1"):
+        replay([*parts, again[1]], tmp_path / "out.mcap", config)
+
+
+def test_a_damaged_part_and_what_was_recovered_of_it_count_once(parts: list[Path], config: Config, tmp_path: Path) -> None:
+    damaged = tmp_path / "landfix-x-001.mcap"
+    content = bytearray(parts[1].read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+    alone = replay([parts[0], damaged, parts[2]], tmp_path / "out.mcap", config)
+    recover(damaged, damaged.with_suffix(".recovered.mcap"))
+    beside = replay([parts[0], *sorted(tmp_path.glob("landfix-x-*.mcap")), parts[2]], tmp_path / "out.mcap", config)
+    assert alone.skipped_chunks == beside.skipped_chunks == 1
+    assert alone.records == beside.records
 
 
 def test_what_is_not_one_flight_is_refused(parts: list[Path], config: Config, tmp_path: Path) -> None:
