@@ -1,5 +1,6 @@
 """Is everything as it should be? Checks of the machine, of a configuration and of a log, each with what to do about it."""
 
+import ctypes
 import os
 import platform
 import shutil
@@ -20,6 +21,7 @@ from models import so3
 
 _MIN_FREE_BYTES, _GOOD_FREE_BYTES = 5e8, 5e9
 _CLOCK_WATCH_S = 0.3
+_TIMEX_BYTES, _TIME_ERROR = 512, 5  # of adjtimex: more than a struct timex has; the clock is not synchronised
 _CLOCK_LIMIT_PPM = 1000.0  # an adjusted clock is slewed by 500 ppm at most; more is a step
 
 # From a tactical-grade gyroscope on foam to a consumer MEMS beside a propeller.
@@ -60,7 +62,7 @@ def failed(checks: Iterable[Check]) -> bool:
 
 
 def machine() -> list[Check]:
-    """Python, numpy, numba and its cache, processors, disk, clock."""
+    """Python, libraries, numba's cache, processors, disk, clock."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(Path.cwd()).free
     return [
@@ -71,6 +73,7 @@ def machine() -> list[Check]:
         judge("free disk", f"{free / 1e9:.1f} GB here", fail=free < _MIN_FREE_BYTES, warn=free < _GOOD_FREE_BYTES,
               advice="a log with images takes 1-10 GB an hour"),
         _clock(),
+        _synchronised(),
     ]  # fmt: skip
 
 
@@ -97,6 +100,13 @@ def _clock() -> Check:
     return judge(
         "clock", found, warn=ppm > _CLOCK_LIMIT_PPM, advice="something sets the clock; let chrony slew it before the flight"
     )
+
+
+def _synchronised() -> Check:
+    """What the kernel thinks of its clock: adjtimex(2) without a change."""
+    unset = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _TIME_ERROR
+    advice = "stamps of other computers, MAVLink signatures and the names of logs need the time: chrony, PTP, or set it by hand"
+    return judge("clock is set", "by nobody" if unset else "by NTP, PTP or GNSS", warn=unset, advice=advice)
 
 
 def configuration(path: Path | None) -> tuple[list[Check], Config | None]:

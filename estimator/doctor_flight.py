@@ -15,13 +15,15 @@ from calib.errors import CalibrationError
 from calib.files import load_rig
 from estimator.config import Config
 from estimator.doctor import Check, judge
-from estimator.service.mavlink_config import MavlinkConfig, Serial, address_of, signing_key
+from estimator.service.mavlink_config import Serial, address_of, signing_key
+from estimator.service.mavlink_inputs import Inputs
 from estimator.service.recovery import FolderError, claim
-from estimator.service.zenoh_config import ZenohConfig, is_local, session_config
+from estimator.service.zenoh_config import is_local, session_config
+from estimator.service.zenoh_keys import plain_key
 from estimator.strict_toml import ConfigError
 
 _ANSWER_S: Final = 1.0
-_ANY_KEY: Final = "landfix/doctor"  # which keys may be read and fed is not what is asked here
+_ANY_KEY: Final = "landfix/doctor"  # which keys may be read is not what is asked here
 _OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 _READERS: Final = stat.S_IRGRP | stat.S_IROTH
 _ADVICE: Final = {
@@ -35,8 +37,8 @@ def flight(config: Config, folder: Path) -> list[Check]:
     """All of it; folder: from which the configuration's files count. Nothing is left behind, nothing is sent."""
     return [
         *_cameras(config, folder),
-        *_zenoh(config.zenoh, folder),
-        *_mavlink(config.mavlink, folder),
+        *_zenoh(config, folder),
+        *_mavlink(config, folder),
         *_log(config),
         package(Path(__file__).parent),
     ]
@@ -66,13 +68,15 @@ def _cameras(config: Config, folder: Path) -> Iterator[Check]:
     yield judge("rig", found, warn=not known, advice=advice)
 
 
-def _zenoh(config: ZenohConfig, folder: Path) -> Iterator[Check]:
+def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
     """Whether its endpoints can be listened on, and somebody answers where it is to connect."""
+    config, inputs = whole.zenoh, whole.inputs
     if not config.enabled:
         yield judge("zenoh", "off")
         return
+    topics = (*whole.decoder().types, *inputs.left_image, *inputs.right_image)
     try:
-        session_config(config, folder, [_ANY_KEY], [_ANY_KEY])
+        session_config(config, folder, [plain_key(topic) for topic in topics], [_ANY_KEY])
     except (ConfigError, OSError) as error:
         yield judge("zenoh", str(error), fail=True, advice="docs/daemon.md has a recipe for users, certificates and access")
         return
@@ -85,6 +89,9 @@ def _zenoh(config: ZenohConfig, folder: Path) -> Iterator[Check]:
         yield judge(
             "zenoh.connect", found, warn=not answers, advice="start the router, or mend the address; landfix keeps trying"
         )
+    for name in ("users_file", "password_file", "key_file"):
+        if given := getattr(config.security, name):
+            yield _secret(f"zenoh.security.{name}", folder / given)
 
 
 def _refused(endpoint: str) -> OSError | None:
@@ -129,14 +136,16 @@ def _answers(endpoint: str) -> bool:
     return False
 
 
-def _mavlink(config: MavlinkConfig, folder: Path) -> Iterator[Check]:
+def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
     """Whether the link can be opened, and whose eyes can read its secret."""
+    config = whole.mavlink
     if not config.endpoint:
         yield judge("mavlink", "off")
         return
     try:
         address = address_of(config)
         key = signing_key(config, folder)
+        Inputs(config, whole.inputs, whole.map.geoid_m)
     except ConfigError as error:
         yield judge("mavlink", str(error), fail=True, advice="landfix doctor --config lists the keys of [mavlink]")
         return
@@ -147,10 +156,13 @@ def _mavlink(config: MavlinkConfig, folder: Path) -> Iterator[Check]:
     else:
         yield judge("mavlink.endpoint", f"{config.endpoint}: landfix begins to talk")
     if key is not None:
-        file = folder / config.signing_key_file
-        shared = bool(file.stat().st_mode & _READERS)
-        advice = f"whoever reads it can fly the vehicle: chmod 600 {file}"
-        yield judge("mavlink.signing_key_file", str(file), warn=shared, advice=advice)
+        yield _secret("mavlink.signing_key_file", folder / config.signing_key_file)
+
+
+def _secret(name: str, file: Path) -> Check:
+    """A file that nobody else should read."""
+    shared = bool(file.stat().st_mode & _READERS)
+    return judge(name, str(file), warn=shared, advice=f"whoever reads it can fly the vehicle: chmod 600 {file}")
 
 
 def _device(path: Path) -> Check:
@@ -158,6 +170,8 @@ def _device(path: Path) -> Check:
     name = "mavlink.endpoint"
     if not path.exists():
         return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps looking for it")
+    if not path.is_char_device():
+        return judge(name, f"{path}: is no serial device", fail=True, advice="such as /dev/ttyACM0; or udpin:HOST:PORT")
     if not os.access(path, os.R_OK | os.W_OK):
         group = path.group() if path.owner() == "root" else "dialout"
         advice = f"let this user in: sudo usermod -aG {group} $USER, then log in again"
@@ -187,6 +201,10 @@ def _log(config: Config) -> Iterator[Check]:
     free = shutil.disk_usage(existing).free
     least = 1e6 * config.log.least_free_mb
     found = f"{folder}: {free / 1e9:.1f} GB free"
+    state = folder / config.service.state_file
+    if config.service.state_file and state.parent != folder and not os.access(state.parent, os.W_OK):
+        advice = "without it a restart begins from nothing: name a file, it is kept beside the logs"
+        yield judge("service.state_file", f"{state}: cannot be written", warn=True, advice=advice)
     advice = f"the log pauses below {config.log.least_free_mb:.0f} MB: delete old ones, or set [log] keep_gb"
     yield judge("log.folder", found, fail=free < least, warn=free < 10.0 * least, advice=advice)
 

@@ -62,7 +62,9 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
                     progress(reader.fraction)
             torn, skipped = reader.torn, reader.skipped_chunks
     except LogError as error:
-        return [judge("log", str(error), fail=True, advice="landfix recover may save the whole records")]
+        return [
+            judge("log", str(error), fail=True, advice="landfix recover may save the whole records" if path.is_file() else "")
+        ]
     found = (
         f"{path}: {len(topics)} topics"
         + (", torn at its end" if torn else "")

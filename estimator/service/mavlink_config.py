@@ -1,6 +1,7 @@
 """[mavlink]: the link to an autopilot, and what is refused before it is opened."""
 
 import ipaddress
+import termios
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple
@@ -8,11 +9,13 @@ from typing import Annotated, Final, Literal, NamedTuple
 import msgspec
 from msgspec import Meta
 
+from estimator.service.secret_file import read_secret
 from estimator.strict_toml import ConfigError
 
 _Id = Annotated[int, Meta(ge=1, le=255)]
 _UDP: Final = ("udpin", "udpout")
 _LARGEST_PORT: Final = 65535
+BAUDS: Final = {int(name[1:]): getattr(termios, name) for name in dir(termios) if name.startswith("B") and name[1:].isdecimal()}
 
 
 class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -71,9 +74,11 @@ class Serial(NamedTuple):
 
 
 def address_of(config: MavlinkConfig) -> Udp | Serial:
-    """What the endpoint names. Raises ConfigError where it names nothing, or the whole network unsigned."""
+    """What the endpoint names. Raises ConfigError where it names nothing, at no known speed, or the whole network unsigned."""
     kind, _, rest = config.endpoint.partition(":")
     if config.endpoint.startswith("/"):
+        if config.baud not in BAUDS:
+            raise ConfigError(f"mavlink.baud = {config.baud}: is not a speed of serial devices")
         return Serial(config.endpoint, config.baud)
     host, _, port = rest.rpartition(":")
     if kind not in _UDP or not host or not port.isdecimal() or not 0 <= int(port) <= _LARGEST_PORT:
@@ -90,16 +95,7 @@ def signing_key(config: MavlinkConfig, folder: Path) -> bytes | None:
     """SHA-256 of the passphrase, as ground stations make it; None: unsigned. Raises ConfigError."""
     if not config.signing_key_file:
         return None
-    path = folder / config.signing_key_file
-    try:
-        passphrase = path.read_text(encoding="utf-8").strip()
-    except OSError as error:
-        raise ConfigError(f"mavlink.signing_key_file = {path}: {(error.strerror or 'cannot be read').lower()}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"mavlink.signing_key_file = {path}: is not a text file") from None
-    if not passphrase:
-        raise ConfigError(f"mavlink.signing_key_file = {path}: is empty")
-    return sha256(passphrase.encode()).digest()
+    return sha256(read_secret("mavlink.signing_key_file", folder / config.signing_key_file).encode()).digest()
 
 
 def _is_local(host: str) -> bool:

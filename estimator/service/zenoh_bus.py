@@ -15,7 +15,7 @@ from estimator.service import zenoh_keys as keys
 from estimator.service.clock import Clock
 from estimator.service.ports import Inbox
 from estimator.service.status import TOPIC as DAEMON_TOPIC
-from estimator.service.zenoh_config import ZenohConfig, session_config
+from estimator.service.zenoh_config import ZenohConfig, first_sentence, session_config
 from logs import schemas
 from logs.codec import Encoded, type_hash
 from models.messages import Output
@@ -120,7 +120,7 @@ class ZenohBus:
         try:
             self.session = zenoh.open(made)
         except zenoh.ZError as error:
-            raise BusError(f"[zenoh]: cannot be opened: {_first_sentence(error)}") from None
+            raise BusError(f"[zenoh]: cannot be opened: {first_sentence(error)}") from None
         self._senders = {topic: _Sender(self.session, config, topic, schema) for topic, schema in OUTPUTS.items()}
 
     def open_inputs(self, inbox: Inbox) -> None:
@@ -159,10 +159,10 @@ class ZenohBus:
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Put what is due on the bus."""
         for topic, schema, data in encoded:
-            sender = self._senders.get(topic)
-            if sender is None:
-                sender = self._senders[topic] = _Sender(self.session, self._config, topic, schema)
             try:
+                sender = self._senders.get(topic)
+                if sender is None:
+                    sender = self._senders[topic] = _Sender(self.session, self._config, topic, schema)
                 sender.put(data, self._clock.now_ns())
             except zenoh.ZError:
                 self.unsent += 1
@@ -209,7 +209,3 @@ class ZenohBus:
         """Likewise of the outputs and queryables."""
         domain = self._config.domain
         return ["landfix/**", f"{domain}/landfix/**", "tf", f"{domain}/tf/**", f"{domain}/fmu/in/**"]
-
-
-def _first_sentence(error: Exception) -> str:
-    return str(error).split(" at ", 1)[0].strip()

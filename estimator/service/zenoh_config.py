@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from estimator.service.secret_file import read_secret
 from estimator.strict_toml import ConfigError
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 _LOOPBACK = ("127.", "localhost", "[::1]")
 _LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe")
+_WITH_PORT, _WITHOUT_PORT = ("tcp", "udp", "tls", "quic", "ws"), (*_LOCAL_PROTOCOLS, "serial", "vsock")
+_LARGEST_PORT = 65535
 _CLOSED = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": False}
 _QUEUE = "transport/link/tx/queue"
 _PATIENT, _MOST_BATCHES = ("real_time", "data"), 16
@@ -63,6 +66,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> "zenoh.Config":
     """The session's configuration; inputs and outputs: key expressions of both, for the access control. Raises ConfigError."""
     check(config)
+    _check_keys(inputs)
     settings: dict[str, Any] = {
         "mode": config.mode,
         "listen/endpoints": config.listen,
@@ -74,6 +78,7 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
         "transport/link/rx/max_message_size": config.largest_image_mb * 1_000_000,
         f"{_QUEUE}/congestion_control/drop/wait_before_drop": 100,  # us; the estimate is newer than what waits
         f"{_QUEUE}/congestion_control/drop/max_wait_before_drop_fragments": 1000,
+        f"{_QUEUE}/congestion_control/block/wait_before_close": 500_000,  # us; who cannot even be told of newcomers has to leave
         **{f"{_QUEUE}/size/{priority}": _MOST_BATCHES for priority in _PATIENT},  # a busy machine is no congestion
         **_identity(config.security, folder),
         **_doorkeeper(config.security, folder, inputs, outputs),
@@ -83,6 +88,7 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
 
 def client_config(config: ZenohConfig, folder: Path, endpoint: str) -> "zenoh.Config":
     """Of somebody who only listens to the daemon, as whom the configuration says. Raises ConfigError."""
+    _check_endpoint("connect", endpoint)
     return _made({"mode": "client", "connect/endpoints": [endpoint], **_CLOSED, **_identity(config.security, folder)})
 
 
@@ -95,8 +101,26 @@ def _made(settings: dict[str, Any]) -> "zenoh.Config":
     return made
 
 
+def _check_keys(inputs: Sequence[str]) -> None:
+    import zenoh  # noqa: PLC0415
+
+    for key in inputs:
+        try:
+            zenoh.KeyExpr(key)
+        except zenoh.ZError as error:
+            raise ConfigError(f"[inputs]: a topic cannot be named so: {first_sentence(error)}") from None
+
+
+def first_sentence(error: Exception) -> str:
+    """What a ZError says, without the place in Zenoh's own source."""
+    return str(error).split(" at ", 1)[0].strip()
+
+
 def check(config: ZenohConfig) -> None:
     """Raises ConfigError for an endpoint beyond loopback that is open to everybody, or names that nobody checks."""
+    for name, endpoints in (("listen", config.listen), ("connect", config.connect)):
+        for endpoint in endpoints:
+            _check_endpoint(name, endpoint)
     security = config.security
     known = bool(security.users_file or security.certificate_file or security.feeders or security.listeners)
     for endpoint in config.listen:
@@ -116,6 +140,14 @@ def check(config: ZenohConfig) -> None:
         raise ConfigError("zenoh.security.password_file: is needed beside user")
 
 
+def _check_endpoint(name: str, endpoint: str) -> None:
+    protocol, _, address = endpoint.partition("/")
+    port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]
+    with_port = protocol in _WITH_PORT and port.isdecimal() and int(port) <= _LARGEST_PORT
+    if not address or not (with_port or protocol in _WITHOUT_PORT):
+        raise ConfigError(f"zenoh.{name} = {endpoint}: is not PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")
+
+
 def is_local(endpoint: str) -> bool:
     """Whether only this machine can reach it."""
     protocol, _, address = endpoint.partition("/")
@@ -127,7 +159,7 @@ def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     if security.user and security.password_file:
         settings["transport/auth/usrpwd/user"] = security.user
-        settings["transport/auth/usrpwd/password"] = Path(_file(folder, security.password_file)).read_text().strip()
+        settings["transport/auth/usrpwd/password"] = read_secret("zenoh.security.password_file", folder / security.password_file)
     if security.certificate_file and security.key_file and security.ca_file:
         settings |= {
             "transport/link/tls/root_ca_certificate": _file(folder, security.ca_file),

@@ -68,6 +68,14 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
     [
         ("[zenoh]\nlisten = ['tcp/0.0.0.0:0']\n", "zenoh", "is open to everybody in reach"),
         ("[zenoh]\nlisten = []\n[zenoh.security]\nuser = 'a'\npassword_file = 'no.txt'\n", "zenoh", "no.txt"),
+        ("[zenoh]\nlisten = []\n[zenoh.security]\nuser = 'a'\npassword_file = 'noise'\n", "zenoh", "is not a text file"),
+        ("[zenoh]\nlisten = ['7447']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
+        ("[zenoh]\nconnect = ['tcp/127.0.0.1:99999']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
+        ("[zenoh]\nlisten = ['tcp/127.0.0.1']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
+        ("[inputs]\nimu = '/imu#1'\n", "zenoh", "a topic cannot be named so"),
+        ("[mavlink]\nendpoint = '/dev/null'\nbaud = 12345\n", "mavlink", "is not a speed"),
+        ("[mavlink]\nendpoint = '/tmp'\n", "mavlink.endpoint", "is no serial device"),
+        ("[mavlink]\nendpoint = '/dev/null'\nattitude_sigma_deg = [1.0, 2.0]\n", "mavlink", "name a topic for it"),
         ("[mavlink]\nendpoint = 'udp:here'\n", "mavlink", "is not udpin:HOST:PORT"),
         ("[mavlink]\nendpoint = 'udpin:0.0.0.0:14540'\n", "mavlink", "anybody in reach could feed it"),
         ("[mavlink]\nendpoint = 'udpin:127.0.0.1:0'\nsigning_key_file = 'key'\n", "mavlink", "no such file"),
@@ -76,6 +84,7 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
 )
 def test_what_run_would_refuse_fails(text: str, name: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("left: 3\n")
+    (tmp_path / "noise").write_bytes(b"\xff\xfe\xfd")
     found = checked(tmp_path, text)[name]
     assert found.state is State.FAIL
     assert said in found.found
@@ -90,6 +99,13 @@ def test_a_secret_that_others_can_read_is_said(tmp_path: Path) -> None:
         found = checked(tmp_path, "[mavlink]\nendpoint = 'udpout:127.0.0.1:14540'\nsigning_key_file = 'key'\n")
         assert found["mavlink.signing_key_file"].state is state
         assert found["mavlink.endpoint"].found.endswith("landfix begins to talk")
+        found = checked(tmp_path, "[zenoh]\nlisten = []\n[zenoh.security]\nuser = 'a'\npassword_file = 'key'\n")
+        assert found["zenoh.security.password_file"].state is state
+
+
+def test_a_state_that_cannot_be_kept_is_said(tmp_path: Path) -> None:
+    found = checked(tmp_path, "[service]\nstate_file = '/nowhere/landfix.state'\n")["service.state_file"]
+    assert (found.state, "cannot be written" in found.found) == (State.WARN, True)
 
 
 def test_a_serial_device_is_there_or_not(tmp_path: Path) -> None:
