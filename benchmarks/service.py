@@ -67,8 +67,6 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path) -> di
     else:
         vehicle = _python("benchmarks.service_vehicle", *words)
     vision = child(daemon.pid, "spawn_main")
-    if os.sched_getscheduler(0) == os.SCHED_RR:
-        os.sched_setscheduler(vision, os.SCHED_RR, os.sched_param(1))
     processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
     used = watch(processes, lambda: vehicle.poll() is not None)
     flown = json.loads(vehicle.communicate()[0])

@@ -219,13 +219,15 @@ def _imu(sample: ImuSample, mounting: ImuMounting) -> dict[str, Any]:
     not_measured = np.zeros(9)
     not_measured[0] = -1.0
     R_ib = mounting.matrix().T
+    with np.errstate(invalid="ignore"):  # infinity is sent as it came: the estimator says what it thinks of it
+        gyro, accel = vec3(R_ib @ sample.gyro_b), vec3(R_ib @ sample.accel_b)
     return {
         "header": header_of(sample.t_ns, _BODY if mounting.axes == "flu" else _BODY_FRD),
         "orientation": _quaternion((1.0, 0.0, 0.0, 0.0)),
         "orientation_covariance": not_measured,
-        "angular_velocity": _vector(vec3(R_ib @ sample.gyro_b)),
+        "angular_velocity": _vector(gyro),
         "angular_velocity_covariance": np.zeros(9),
-        "linear_acceleration": _vector(vec3(R_ib @ sample.accel_b)),
+        "linear_acceleration": _vector(accel),
         "linear_acceleration_covariance": np.zeros(9),
     }
 

@@ -5,6 +5,7 @@ decoded from the very bytes that are logged, stamps translated before, so a repl
 """
 
 import queue
+import threading
 from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
@@ -24,6 +25,7 @@ from models.messages import Input, Output, Tick
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
 REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
 _GRACE_S: Final = 0.1  # to read what has piled up meanwhile
+_MOST_WAITING: Final = 128_000_000  # bytes of messages that wait for the loop: a vehicle's sensors of minutes
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,6 +45,7 @@ class Mailbox:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
         self.see: Callable[[Arrival], None] = _look_away
         self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
+        self._putting, self._put_bytes, self._got_bytes, self._lost = threading.Lock(), 0, 0, 0
 
     def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
         """A message on the wire's own bytes."""
@@ -51,29 +54,44 @@ class Mailbox:
             self._log.put_image(arrival)
             self.see(arrival)
         else:
-            self._queue.put(arrival)
+            self._enqueue(arrival)
 
     def put(self, message: Input) -> None:
         """A measurement of a link that speaks no CDR."""
-        self._queue.put(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
+        self._enqueue(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
 
     def put_own(self, message: Encoded) -> None:
         """What our own vision was asked and answers."""
-        self._queue.put(Arrival(*message, self._clock.now_ns(), own=True))
+        self._enqueue(Arrival(*message, self._clock.now_ns(), own=True))
 
     def get(self, timeout_s: float) -> Arrival | None:
         """The next message; None when there is none in time, or after wake()."""
         try:
-            return self._queue.get(timeout=timeout_s)
+            arrival = self._queue.get(timeout=timeout_s)
         except queue.Empty:
             return None
+        if arrival is not None:
+            self._got_bytes += len(arrival.data)
+        return arrival
 
     def wake(self) -> None:
         """Let get() return at once; safe in a signal handler."""
         self._queue.put(None)
 
+    def report(self) -> dict[str, int]:
+        """For the status. lost_inputs: what came faster than it could be handled for so long that memory was at stake."""
+        return {"waiting": len(self), "lost_inputs": self._lost}
+
     def __len__(self) -> int:
         return self._queue.qsize()
+
+    def _enqueue(self, arrival: Arrival) -> None:
+        with self._putting:
+            if self._put_bytes - self._got_bytes > _MOST_WAITING:
+                self._lost += 1
+                return
+            self._put_bytes += len(arrival.data)
+        self._queue.put(arrival)
 
 
 def _look_away(_: Arrival) -> None:

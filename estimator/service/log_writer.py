@@ -88,6 +88,7 @@ class LogWriter:
         self._recorder: Recorder | None = None
         self._number = self._written = self._file_bytes = 0
         self._opened_s = self._retry_s = self._space_s = self._sync_s = self._flush_s = 0.0
+        self._syncing: threading.Thread | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
         self._thread.start()
@@ -148,23 +149,21 @@ class LogWriter:
     def _run(self) -> None:
         while not self._stop.wait(_WAKE_S):
             self._turn(time.monotonic())
+        self._retry_s = 0.0  # what waits for a disk gets a last chance
         self._turn(time.monotonic())
         self._end_file()
 
     def _turn(self, now_s: float) -> None:
         """Write all that waits, as far as the disk lets us."""
-        if self._recorder is None and now_s >= self._retry_s:
-            self._begin_file(now_s)
-        if self._recorder is None:
-            return
         try:
-            self._drain(self._recorder)
-            if now_s - self._flush_s >= _FLUSH_S or self._stop.is_set():
-                self._recorder.flush()
-                self._unflushed.clear()
-                self._flush_s = now_s
-            self._look_after(self._recorder, now_s)
-        except LogError as error:
+            if self._recorder is None and now_s >= self._retry_s:
+                self._begin_file(now_s)
+            if self._recorder is not None:
+                self._drain(self._recorder)
+                if now_s - self._flush_s >= _FLUSH_S or self._stop.is_set():
+                    self._flush(self._recorder, now_s)
+                self._look_after(self._recorder, now_s)
+        except Exception as error:  # LogError, OSError of a folder that is gone; whatever it is, this thread goes on
             self._fail(str(error), now_s)
 
     def _drain(self, recorder: Recorder) -> None:
@@ -183,6 +182,11 @@ class LogWriter:
             recorder.write(*image)
             self._count(image)
 
+    def _flush(self, recorder: Recorder, now_s: float) -> None:
+        recorder.flush()
+        self._unflushed.clear()
+        self._flush_s = now_s
+
     def _count(self, item: _Item) -> None:
         self._file_bytes += len(item.data)
         self._written += len(item.data)
@@ -190,38 +194,38 @@ class LogWriter:
     def _look_after(self, recorder: Recorder, now_s: float) -> None:
         """Space, rotation, power cuts."""
         config = self._config
-        if config.sync_s and now_s - self._sync_s >= config.sync_s:
+        if config.sync_s and now_s - self._sync_s >= config.sync_s and not (self._syncing and self._syncing.is_alive()):
             self._sync_s = now_s
-            _sync(recorder.path)
+            self._syncing = threading.Thread(target=_sync, args=(recorder.path,), name="sync", daemon=True)
+            self._syncing.start()  # a card may take seconds, and kill -9 would cost what waits meanwhile
         if now_s - self._space_s < _SPACE_EVERY_S:
             return
         self._space_s = now_s
         if _free_mb(recorder.path.parent) < config.least_free_mb:
+            self._flush(recorder, now_s)
             self._end_file()
             self._pause(now_s)
         elif self._file_bytes > config.rotate_mb * _MB or now_s - self._opened_s > config.rotate_min * 60.0:
+            self._flush(recorder, now_s)
             self._end_file()
             self._begin_file(now_s)
 
     def _begin_file(self, now_s: float) -> None:
         path = self._name(self._number)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._thin_out(path.parent)
-            if _free_mb(path.parent) < self._config.least_free_mb:
-                self._pause(now_s)
-                return
-            recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
-            for attachment in self._attachments:
-                recorder.attach(attachment.name, attachment.media_type, attachment.data)
-        except (LogError, OSError) as error:
-            self._fail(str(error), now_s)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._thin_out(path.parent)
+        if _free_mb(path.parent) < self._config.least_free_mb:
+            self._pause(now_s)
             return
-        self._recorder, self._number, self._file_bytes = recorder, self._number + 1, 0
+        self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
+        for attachment in self._attachments:
+            self._recorder.attach(attachment.name, attachment.media_type, attachment.data)
+        self._number, self._file_bytes = self._number + 1, 0
         self._opened_s = self._sync_s = now_s
         self._state, self._problem = "recording", ""
 
     def _end_file(self) -> None:
+        """Index and end. Where they do not fit the file is torn, but has every message that was flushed."""
         if self._recorder is not None:
             with contextlib.suppress(LogError):
                 self._recorder.close()

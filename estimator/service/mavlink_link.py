@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.publish import Pace
 from estimator.service import mavlink_codec as codec
+from estimator.service.autopilot_clock import AutopilotClock
 from estimator.service.clock import SECOND_NS, Clock
 from estimator.service.handover import Handover, newest
-from estimator.service.mavlink_clock import AutopilotClock
 from estimator.service.mavlink_config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink_inputs import Inputs
 from estimator.service.mavlink_io import opened

@@ -96,7 +96,7 @@ class View:
         table = _table("source", "state", "rate", "delay", "test ratio", "fate of the last measurements", header=True)
         rates = {key.removeprefix("rate_hz "): rate for key, rate in self.daemon.items() if key.startswith("rate_hz ")}
         for topic in sorted({*rates, *self._aids} - {"", "/landfix/tick", "/landfix/checkpoint"}):
-            seen = self._aids.get(topic, ())
+            seen = tuple(self._aids.get(topic, ()))  # Zenoh's thread goes on hearing
             ratios = sorted(ratio for reason, ratio, _, _ in seen if reason in {"fused", "gated"})
             delay = f"{seen[-1][2] * 1e3:.0f} ms" if seen else ""
             ratio = f"{ratios[len(ratios) // 2]:.2f}" if ratios else ""
@@ -112,7 +112,7 @@ class View:
             quantiles = " / ".join(d.get(f"{name} {k}", "-") for k in ("p50", "p99", "max"))
             table.add_row(title, f"{quantiles} ms   (p50 / p99 / max)")
         state = d.get("log state", "unknown")
-        lost = d.get("log lost_inputs", "0")
+        lost = str(int(d.get("log lost_inputs", "0")) + int(d.get("inbox lost_inputs", "0")))
         colour = "green" if state in {"recording", "off"} and lost == "0" else "red"
         written_mb, waiting_kb = float(d.get("log bytes_written", "0")) / 1e6, float(d.get("log waiting_bytes", "0")) / 1e3
         table.add_row("log", Text(f"{state}   {written_mb:.1f} MB, {waiting_kb:.0f} kB waiting", style=colour))

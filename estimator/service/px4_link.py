@@ -12,7 +12,8 @@ import zenoh
 
 from estimator.publish import Pace
 from estimator.service import px4_messages as px4
-from estimator.service.clock import SECOND_NS, Clock, Offset
+from estimator.service.autopilot_clock import AutopilotClock
+from estimator.service.clock import SECOND_NS, Clock
 from estimator.service.handover import Handover, Px4Config, newest
 from estimator.service.zenoh_keys import rmw_key
 from logs.codec import Encoded
@@ -23,9 +24,7 @@ from models.state import X
 _TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
 _SENT: Final = struct.Struct("<8xQ17x")  # of the attachment, us
 _US: Final = 1_000
-_REBOOT_NS: Final = 2 * SECOND_NS  # its clock is off by more: it has started anew
 _STALE_NS: Final = 60 * SECOND_NS
-_QUICKEST_NS: Final = SECOND_NS // 1000
 
 
 class Px4Link:
@@ -43,7 +42,7 @@ class Px4Link:
     ) -> None:
         self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
         self._pace = Pace(odometry_hz)
-        self._offset, self._heard_ns = Offset(_QUICKEST_NS), 0
+        self._boot, self._heard_ns = AutopilotClock(), 0
         self._fix_waits = False
         self.sent_odometry = self.sent_fixes = self.unsent = 0
         fix_type = px4.AUX_GLOBAL_POSITION if config.release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
@@ -62,7 +61,8 @@ class Px4Link:
         if estimate is None:
             return
         now_ns = self._clock.now_ns()
-        sent_ns, sample_ns = self._offset.theirs(now_ns), self._offset.theirs(estimate.t_ns)
+        offset = self._boot.offset
+        sent_ns, sample_ns = offset.theirs(now_ns), offset.theirs(estimate.t_ns)
         if sent_ns is None or sample_ns is None or now_ns - self._heard_ns > _STALE_NS or sample_ns < 0:
             return
         try:
@@ -81,9 +81,15 @@ class Px4Link:
 
     def report(self) -> dict[str, Any]:
         """For the status."""
-        ahead_ns = self._offset.ahead_ns
-        clock = "unknown" if ahead_ns is None else f"{ahead_ns * 1e-9:.6f}"
-        return {"clock_ahead_s": clock, "odometry": self.sent_odometry, "fixes": self.sent_fixes, "unsent": self.unsent}
+        ahead_ns = self._boot.offset.ahead_ns
+        return {
+            "clock_ahead_s": "unknown" if ahead_ns is None else f"{ahead_ns * 1e-9:.6f}",
+            "reboots": self._boot.reboots,
+            "wild_stamps": self._boot.wild,
+            "odometry": self.sent_odometry,
+            "fixes": self.sent_fixes,
+            "unsent": self.unsent,
+        }
 
     def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
         origin = Origin.of(estimate.origin)
@@ -107,9 +113,5 @@ class Px4Link:
             (sent_us,) = _TIMESTAMP.unpack_from(payload)
         else:
             return
-        stamp_ns = sent_us * _US
-        expected_ns = self._offset.theirs(arrived_ns)
-        if expected_ns is not None and abs(stamp_ns - expected_ns) > _REBOOT_NS:
-            self._offset = Offset(_QUICKEST_NS)
-        self._offset.one_way(stamp_ns, arrived_ns)
-        self._heard_ns = arrived_ns
+        if self._boot.t_ns(sent_us * _US, arrived_ns) is not None:
+            self._heard_ns = arrived_ns

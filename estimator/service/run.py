@@ -110,7 +110,10 @@ def assembled(
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
-        parts = {"clock": stamps.report, "log": log.report}
+        mailbox = Mailbox(clock, log, images, config.mounting())
+        parts = {"clock": stamps.report, "log": log.report, "inbox": mailbox.report}
+        if keeper:
+            parts["state"] = keeper.report
         outboxes: list[Outbox] = [bus] if bus else []
         if bus:
             parts["zenoh"] = bus.report
@@ -122,8 +125,7 @@ def assembled(
         if mavlink:
             parts["mavlink"] = mavlink.report
             outboxes.append(mavlink)
-        status = Status(clock.now_ns(), parts)
-        mailbox, track = Mailbox(clock, log, images, config.mounting()), Track()
+        status, track = Status(clock.now_ns(), parts), Track()
         if vision := _vision(stack, config, folder, clock, track, mailbox, bus):
             parts["vision"] = vision.report
             mailbox.see = vision.put

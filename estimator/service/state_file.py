@@ -79,6 +79,10 @@ class StateKeeper:
         elif isinstance(output, Health):
             self._last_gnss = output.last_gnss
 
+    def report(self) -> dict[str, str]:
+        """For the status."""
+        return {"file": self.problem or "kept"}
+
     def close(self) -> None:
         """Write the last state."""
         self._stop.set()
@@ -96,15 +100,15 @@ class StateKeeper:
                 return
 
     def _write(self, estimate: Estimate) -> None:
-        data = encode_input(checkpoint_of(estimate, self._last_gnss)).data
-        saved = SavedState(_FORMAT, self._boot, self._clock.anchor_ns, estimate.t_ns, self._config, data)
         part = self._path.with_name(self._path.name + ".part")
         try:
+            data = encode_input(checkpoint_of(estimate, self._last_gnss)).data
+            saved = SavedState(_FORMAT, self._boot, self._clock.anchor_ns, estimate.t_ns, self._config, data)
             part.write_bytes(msgspec.msgpack.encode(saved))
             part.replace(self._path)
             self.problem = ""
-        except OSError as error:
-            self.problem = error.strerror or "cannot be written"
+        except Exception as error:  # whatever it is, the next state is tried again
+            self.problem = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             with contextlib.suppress(OSError):
                 part.unlink()
 

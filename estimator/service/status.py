@@ -1,7 +1,7 @@
 """How the daemon itself is doing: latencies, rates, drops. Sent as /landfix/daemon, and as JSON to whoever asks."""
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -94,18 +94,29 @@ class Status:
         }
 
 
+def _troubles(values: Mapping[str, str]) -> Iterator[str]:
+    """What somebody should look at."""
+    if values.get("log state", "recording") not in {"recording", "off"}:
+        yield f"log {values['log state']}"
+    if values.get("state file", "kept") != "kept":
+        yield f"state file: {values['state file']}"
+    if any(key.endswith("lost_inputs") and value != "0" for key, value in values.items()):
+        yield "inputs are lost"
+    if "internal_error" in values:
+        yield f"internal error: {values['internal_error']}"
+
+
 def _diagnostics(t_ns: int, values: Mapping[str, str]) -> Encoded:
     types = STORE.types
     make: Any = types["diagnostic_msgs/msg/KeyValue"]
     pairs = [make(key=key, value=value) for key, value in values.items()]
-    lost = any(key.endswith("lost_inputs") and value != "0" for key, value in values.items())
-    failing = values.get("log state", "recording") not in {"recording", "off"}
+    troubles = ", ".join(_troubles(values))
     status: Any = types["diagnostic_msgs/msg/DiagnosticStatus"]
     header: Any = types[schemas.HEADER]
     stamp: Any = types["builtin_interfaces/msg/Time"]
     array: Any = types[schemas.DIAGNOSTICS]
-    level, text = (_WARN, values.get("log state", "")) if lost or failing else (_OK, "running")
-    entry = status(level=level, name="landfix daemon", message=text, hardware_id="", values=pairs)
+    level = _WARN if troubles else _OK
+    entry = status(level=level, name="landfix daemon", message=troubles or "running", hardware_id="", values=pairs)
     sec, nanosec = divmod(t_ns, SECOND_NS)
     message = array(header=header(stamp=stamp(sec=sec, nanosec=nanosec), frame_id=""), status=[entry])
     return Encoded(TOPIC, schemas.DIAGNOSTICS, bytes(STORE.serialize_cdr(message, schemas.DIAGNOSTICS, little_endian=True)))

@@ -27,7 +27,7 @@ from logs.stamps import stamp_of
 from models.messages import Vec3
 
 _GIVES_WAY: Final = 5  # to the loop, which has little to do but at once
-_START_S: Final = 60.0  # a map of a million landmarks takes a while
+_START_S: Final = 300.0  # kernels that nobody has compiled yet take minutes on a small computer
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
 _IDLE_S: Final = 0.05
 _WAITING: Final = 8  # pictures
@@ -39,7 +39,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
-    os.nice(_GIVES_WAY)
+    _give_way()
     from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
     try:
@@ -56,6 +56,14 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
             else:
                 data, left, right = asked
                 pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
+
+
+def _give_way() -> None:
+    """Go behind the daemon, whose nice value and real-time priority this process was born with."""
+    os.nice(_GIVES_WAY)
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    if priority > 1:
+        os.sched_setscheduler(0, policy, os.sched_param(priority - 1))
 
 
 class VisionWorker:
@@ -204,8 +212,9 @@ class VisionWorker:
         """Start the process and wait until it can see."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, *self._files), name="landfix-vision", daemon=True)
-        self._process.start()
+        process = context.Process(target=serve, args=(theirs, *self._files), name="landfix-vision", daemon=True)
+        process.start()
+        self._process = process  # not before: close() kills it, and what has not begun cannot be killed
         theirs.close()
         if self._stopping.is_set():
             return False

@@ -1,4 +1,4 @@
-"""The other end of the MAVLink link: an autopilot made of pymavlink, on a UDP socket or a pseudo terminal."""
+"""The other end of the MAVLink link: an autopilot made of pymavlink, on a UDP socket or a pseudo terminal, and its flight."""
 
 import os
 import pty
@@ -11,7 +11,13 @@ from collections.abc import Callable
 from hashlib import sha256
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
+
+from benchmarks.service_vehicle import gnss, imu, pose_fix, truth
+from estimator.service.daemon import Daemon
+from models import so3
+from models.messages import GnssFix, GnssVelocity
 
 PASSPHRASE = "a secret of two"
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -140,3 +146,52 @@ class SerialAutopilot(Autopilot):
     def close(self) -> None:
         os.close(self._fd)
         os.close(self._near)
+
+
+class Flight:
+    """The benchmark's vehicle in real time: IMU at 100 Hz, GNSS and fixes from elsewhere at 5 Hz, 80 ms late."""
+
+    def __init__(self, autopilot: Autopilot, daemon: Daemon, rng: np.random.Generator) -> None:
+        self.autopilot, self._daemon, self._rng = autopilot, daemon, rng
+        self.samples, self.has_gnss = 0, True
+
+    def go(self, seconds: float) -> None:
+        """For so long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._step()
+
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        """Until something is so."""
+        end = time.monotonic() + 180.0
+        while not condition():
+            assert time.monotonic() < end, f"flown for 180 s without: {what}"
+            self._step()
+
+    def _step(self) -> None:
+        began, autopilot = time.monotonic_ns(), self.autopilot
+        t_ns = began + self._daemon._clock.anchor_ns
+        boot_ns = t_ns - (began - autopilot.booted_ns)
+        sample, rest = imu(t_ns, self._rng), (0, 0, 0, 0, 0, 0, 0, 63)
+        autopilot.say(mavlink.MAVLink_highres_imu_message((t_ns - boot_ns) // 1000, *sample.accel_b, *sample.gyro_b, *rest))
+        if self.samples % 20 == 0:
+            autopilot.heartbeat()
+            rpy = so3.to_euler(so3.from_matrix(truth(t_ns)[2]))
+            autopilot.say(mavlink.MAVLink_attitude_message((t_ns - boot_ns) // 1_000_000, *rpy, 0, 0, 0))
+            self._daemon.mailbox.put(pose_fix(t_ns - 80_000_000, self._rng))
+            if self.has_gnss:
+                autopilot.say(_gps_raw_int(t_ns - 80_000_000, boot_ns, self._rng))
+        self.samples += 1
+        autopilot.listen(max(0.0, 0.01 - (time.monotonic_ns() - began) * 1e-9))
+
+
+def _gps_raw_int(t_ns: int, boot_ns: int, rng: np.random.Generator) -> Any:
+    fix, velocity = gnss(t_ns, rng)
+    assert isinstance(fix, GnssFix)
+    assert isinstance(velocity, GnssVelocity)
+    north, east, _ = velocity.v_n
+    speed, course = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+    return mavlink.MAVLink_gps_raw_int_message(
+        (t_ns - boot_ns) // 1000, 3, round(fix.lat_deg * 1e7), round(fix.lon_deg * 1e7), 0, 80, 120,
+        round(speed * 100), round(course * 100), 12, round(fix.alt_m * 1e3), 700, 700, 100,
+    )  # fmt: skip

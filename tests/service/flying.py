@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from benchmarks.service_vehicle import ORIGIN, Vehicle, connected
+from benchmarks.service_vehicle import ORIGIN, Vehicle, connected, truth
 from estimator.config import Config, parse
 from estimator.replay import replay
 from estimator.service.clock import Clock
@@ -26,6 +26,7 @@ from estimator.service.zenoh_bus import OUTPUTS
 from logs.codec import Odometry, decode_odometry
 from logs.reader import LogReader, Record
 from logs.schemas import STORE
+from models.messages import Array
 
 ODOMETRY = "/landfix/odometry"
 _PATIENCE_S = 180.0  # a machine may be busy; nothing here waits longer than it must
@@ -136,6 +137,13 @@ def odometry(log: Path) -> list[Odometry]:
     return [decode_odometry(r.data) for r in records(log, ODOMETRY)]
 
 
+def errors_in_sigma(estimates: list[Odometry]) -> Array:
+    """How far off the estimates of the benchmark's vehicle are, axis by axis."""
+    errors = np.array([np.subtract(e.p_n, truth(e.t_ns)[0]) for e in estimates])
+    ratios: Array = np.abs(errors) / np.sqrt(np.array([np.diag(e.pose_covariance)[:3] for e in estimates]))
+    return ratios
+
+
 def assert_sound(*logs: Path) -> None:
     """No estimate was ever not a number, none in a log came twice or backwards, and the logs lost no input.
 
@@ -150,7 +158,9 @@ def assert_sound(*logs: Path) -> None:
         assert (np.diff([o.t_ns for o in odometry(log)]) > 0).all()
     for record in (r for log in logs for r in records(log, DAEMON_TOPIC)):
         message: Any = STORE.deserialize_cdr(record.data, record.schema)
-        assert {"log lost_inputs": "0"}.items() <= {v.key: v.value for v in message.status[0].values}.items()
+        values = {v.key: v.value for v in message.status[0].values}
+        assert {"log lost_inputs": "0", "inbox lost_inputs": "0"}.items() <= values.items()
+        assert "internal_error" not in values
 
 
 def said(log: Path) -> list[tuple[str, int, bytes]]:

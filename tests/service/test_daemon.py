@@ -1,13 +1,11 @@
 """The daemon from the outside: sensors over Zenoh in, estimates out, and a log that says the same again."""
 
 import json
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 from rosbags.highlevel import AnyReader
 
 from benchmarks.service_vehicle import truth
@@ -170,36 +168,3 @@ def test_a_defect_of_ours_costs_one_message(tmp_path: Path) -> None:
         vehicle = fly(session, 1.5)
         until(lambda: status(session).get("internal_errors") == "1", "the status tells of it")
     assert len(vehicle.latency_ns) > 50
-
-
-def test_a_router_that_is_restarted_is_found_again(tmp_path: Path) -> None:
-    port = free_port()
-    text = toml(tmp_path, free_port(), zenoh_keys=f'connect = ["tcp/127.0.0.1:{port}"]')
-    router = _router(port)
-    with in_thread(parse(text), tmp_path) as daemon:
-        until(lambda: list(router.info.peers_zid()), "the daemon finds the router")
-        with client(port) as session:
-            before = fly(session, 1.0)
-        router.close()  # type: ignore[no-untyped-call]
-        time.sleep(0.5)
-        router = _router(port)
-        until(lambda: list(router.info.peers_zid()), "the daemon finds the router again")
-        with client(port) as session:
-            after = fly(session, 1.5)
-        until(lambda: len(daemon.mailbox) == 0, "all is handled")
-    router.close()  # type: ignore[no-untyped-call]
-    assert len(before.latency_ns) > 50
-    assert len(after.latency_ns) > 50
-    assert_sound(logs_of(tmp_path)[0])
-    assert_replay_says_the_same(logs_of(tmp_path)[0], text)
-
-
-def _router(port: int) -> zenoh.Session:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": '"router"',
-        "listen/endpoints": f'["tcp/127.0.0.1:{port}"]',
-        "scouting/multicast/enabled": "false",
-    }.items():
-        config.insert_json5(key, value)
-    return zenoh.open(config)

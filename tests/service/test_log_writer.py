@@ -1,6 +1,7 @@
 """The log's own thread: nothing is lost, whatever the disk does."""
 
 import resource
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -122,6 +123,46 @@ def _noise(k: int, size: int) -> bytes:
         state = state * 6364136223846793005 + 1442695040888963407 & (1 << 64) - 1
         out += (state >> 32).to_bytes(4, "little")
     return bytes(out[:size])
+
+
+def test_a_disk_that_is_slow_to_sync_holds_up_no_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    syncing, synced = threading.Event(), threading.Event()
+
+    def fsync(_: int) -> None:
+        syncing.set()
+        synced.wait()
+
+    monkeypatch.setattr("os.fsync", fsync)
+    with _writer(tmp_path, sync_s=0.01) as log:
+        try:
+            log.put_input(_arrival(0))
+            assert syncing.wait(60.0)
+            log.put_input(_arrival(1))
+            until(lambda: _found(tmp_path) == 2, "what comes meanwhile is on disk")
+        finally:
+            synced.set()
+
+
+def test_a_folder_that_is_taken_away_is_said_and_made_again(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    with _writer(folder) as log:
+        log.put_input(_arrival(0))
+        until(lambda: _found(folder) == 1, "it is on disk")
+        shutil.rmtree(folder)
+        until(lambda: log.state.state.startswith("failed"), "it says so")
+        log.put_input(_arrival(1))
+        until(lambda: log.state.state == "recording", "it goes on")
+    assert [_number(r.data) for r in records(folder / "landfix-001.mcap")] == [1]
+
+
+def test_what_waits_for_a_disk_gets_a_last_chance_at_the_end(tmp_path: Path) -> None:
+    blocked = tmp_path / "logs"
+    blocked.write_text("")
+    with _writer(blocked) as log:
+        until(lambda: log.state.state.startswith("failed"), "the disk takes nothing")
+        log.put_input(_arrival(7))
+        blocked.unlink()
+    assert [_number(r.data) for r in records(blocked / "landfix-000.mcap")] == [7]
 
 
 def test_with_too_little_space_it_waits(tmp_path: Path) -> None:

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from benchmarks.service_vehicle import ORIGIN, gnss, imu, pose_fix, truth
+from benchmarks.service_vehicle import ORIGIN, truth
 from estimator.config import parse
 from estimator.service.clock import Clock
-from estimator.service.daemon import Daemon
 from estimator.service.handover import AutopilotConfig, Handover
 from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.mavlink_link import MavlinkLink
@@ -22,7 +21,7 @@ from logs.codec import Topics
 from models import so3
 from models.messages import AidStatus, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Mode, Reason
 from models.state import X
-from tests.service.autopilot import ARDUPILOT, PASSPHRASE, PX4, SerialAutopilot, UdpAutopilot
+from tests.service.autopilot import ARDUPILOT, PASSPHRASE, PX4, Flight, SerialAutopilot, UdpAutopilot
 from tests.service.flying import assert_replay_says_the_same, in_thread, logs_of, odometry, records, toml
 
 SECOND = 1_000_000_000
@@ -379,24 +378,22 @@ def test_sending_never_waits_for_a_line_that_is_stuck() -> None:
 
 def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_bytes(tmp_path: Path) -> None:
     """Its receiver falls silent on the way: from then on the fixes from outside are news to it."""
-    rng = np.random.default_rng(2)
     with closing(UdpAutopilot()) as autopilot:
         section = f'[mavlink]\nendpoint = "udpout:127.0.0.1:{autopilot.port}"\nattitude_sigma_deg = [1.0, 3.0]\n'
         section += '[inputs]\nattitude = "/attitude"\n[autopilot]\ngnss_quiet_s = 0.5\n'
         text = toml(tmp_path, 1, more=section, zenoh_keys="enabled = false")
         with in_thread(parse(text), tmp_path) as daemon:
             autopilot.until(lambda: len(autopilot.of("TIMESYNC")) > 3, "clocks are in step")
-            _fly(autopilot, daemon, 1.0, rng, has_gnss=True)
-            for _ in range(30):  # whichever aligns the estimator is trusted at once; a receiver that comes second is on probation
-                if autopilot.of("ODOMETRY") and autopilot.of("ODOMETRY")[-1].quality == 0:
-                    break
-                _fly(autopilot, daemon, 0.5, rng, has_gnss=True)
+            flight = Flight(autopilot, daemon, np.random.default_rng(2))
+            # whichever aligns the estimator is trusted at once; a receiver that comes second is on probation
+            flight.until(lambda: [m.quality for m in autopilot.of("ODOMETRY")][-1:] == [0], "all rests on its own receiver")
             autopilot.heard.clear()
-            _fly(autopilot, daemon, 1.0, rng, has_gnss=True)
+            flight.go(1.0)
             alone = len(autopilot.of("ODOMETRY"))
             assert [m.quality for m in autopilot.of("ODOMETRY")] == [0] * alone
             assert autopilot.of("GLOBAL_POSITION_SENSOR") == []
-            _fly(autopilot, daemon, 2.0, rng, has_gnss=False)
+            flight.has_gnss = False
+            flight.go(2.0)
         told, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
     (log,) = logs_of(tmp_path)
     estimates = odometry(log)
@@ -413,37 +410,3 @@ def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_byt
         p_n = ORIGIN.to_ned(fix.lat * 1e-7, fix.lon * 1e-7, fix.alt_ellipsoid)
         assert np.linalg.norm(np.subtract(p_n, truth(fix.time_usec * 1000)[0])) < 1.0
     assert_replay_says_the_same(log, text)
-
-
-def _fly(autopilot: UdpAutopilot, daemon: Daemon, seconds: float, rng: np.random.Generator, *, has_gnss: bool) -> None:
-    """The benchmark's vehicle in real time: IMU at 100 Hz, GNSS and fixes from elsewhere at 5 Hz, 80 ms late."""
-    end_ns, k = time.time_ns() + round(seconds * SECOND), 0
-    boot_ns = time.time_ns() - autopilot.boot_us() * 1000
-    while (t_ns := time.time_ns()) < end_ns:
-        sample = imu(t_ns, rng)
-        stamp_us = (t_ns - boot_ns) // 1000
-        autopilot.say(
-            mavlink.MAVLink_highres_imu_message(stamp_us, *sample.accel_b, *sample.gyro_b, 0, 0, 0, 0, 0, 0, 0, fields_updated=63)
-        )
-        if k % 20 == 0:
-            autopilot.heartbeat()
-            autopilot.say(
-                mavlink.MAVLink_attitude_message(stamp_us // 1000, *so3.to_euler(so3.from_matrix(truth(t_ns)[2])), 0, 0, 0)
-            )
-            daemon.mailbox.put(pose_fix(t_ns - 80_000_000, rng))
-            if has_gnss:
-                autopilot.say(_gps_raw_int(t_ns - 80_000_000, boot_ns, rng))
-        k += 1
-        autopilot.listen(max(0.0, 0.01 - (time.time_ns() - t_ns) * 1e-9))
-
-
-def _gps_raw_int(t_ns: int, boot_ns: int, rng: np.random.Generator) -> Any:
-    fix, velocity = gnss(t_ns, rng)
-    assert isinstance(fix, GnssFix)
-    assert isinstance(velocity, GnssVelocity)
-    north, east, _ = velocity.v_n
-    speed, course = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
-    return mavlink.MAVLink_gps_raw_int_message(
-        (t_ns - boot_ns) // 1000, 3, round(fix.lat_deg * 1e7), round(fix.lon_deg * 1e7), 0, 80, 120,
-        round(speed * 100), round(course * 100), 12, round(fix.alt_m * 1e3), 700, 700, 100,
-    )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from estimator.service.mavlink_clock import AutopilotClock
+from estimator.service.autopilot_clock import AutopilotClock
 from estimator.service.mavlink_config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink_io import opened
 from estimator.service.mavlink_wire import Wire

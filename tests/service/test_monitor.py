@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from io import StringIO
 from pathlib import Path
 
@@ -42,6 +43,26 @@ def test_the_rate_is_that_of_the_stamps_however_fast_they_are_read() -> None:
         values[6] = 1.0
         view.hear("/landfix/odometry", cdr_fast.odometry(T0 + k * 2_500_000, values), 1.0 + 1e-4 * k)
     assert "400 Hz" in _text(view, 1.5)
+
+
+def test_it_draws_while_more_is_heard() -> None:
+    view, drawn, interval = View(), threading.Event(), sys.getswitchinterval()
+    data = encode(AidStatus(T0, T0, "/pose_fix", "pose", Reason.FUSED))[0].data
+
+    def hear() -> None:
+        while not drawn.is_set():
+            view.hear("/landfix/aid_status", data, 1.0)
+
+    zenoh = threading.Thread(target=hear)
+    zenoh.start()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(30):
+            assert view.render(1.0, "tcp/somewhere")
+    finally:
+        sys.setswitchinterval(interval)
+        drawn.set()
+        zenoh.join()
 
 
 def test_a_source_is_shown_with_its_state_and_the_fate_of_its_measurements() -> None:

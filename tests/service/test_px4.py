@@ -126,10 +126,10 @@ class _Px4:
 
         return hear
 
-    def speak(self) -> None:
-        now_us = (time.time_ns() - self._started_ns) // 1000
+    def speak(self, now_us: int | None = None) -> None:
+        now_us = now_us or (time.time_ns() - self._started_ns) // 1000
         key = "0/fmu/out/vehicle_status/px4_msgs::msg::dds_::VehicleStatus_/RIHS01_0"
-        payload = b"\0\1\0\0" + (now_us - 30_000).to_bytes(8, "little")  # its own stamp is older
+        payload = b"\0\1\0\0" + max(0, now_us - 30_000).to_bytes(8, "little")  # its own stamp is older
         self._session.put(key, payload, attachment=attachment(1, now_us, bytes(16)))
 
     def reboot(self) -> None:
@@ -154,12 +154,14 @@ def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path
         with_gnss = autopilot.of(px4.VEHICLE_ODOMETRY)
         assert {m.quality for m in with_gnss} - {-1} == {0}  # -1: before its IMU came back
         assert autopilot.of(wanted) == []
+        autopilot.speak(5)  # one wild stamp, and nothing to put it right
         autopilot.heard.clear()
         fly(vehicle, 3.0, gnss_hz=0.0)
         without = list(autopilot.heard)
         autopilot.reboot()
-        autopilot.speak()
-        time.sleep(0.1)  # what is on its way now was sent before it spoke
+        for _ in range(5):
+            autopilot.speak()
+        until(lambda: status(session).get("px4 reboots") == "1", "the new clock is found")
         autopilot.heard.clear()
         fly(vehicle, 0.5, gnss_hz=0.0)
         rebooted = list(autopilot.heard)

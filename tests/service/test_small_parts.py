@@ -2,6 +2,7 @@
 
 import socket
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -13,10 +14,12 @@ from estimator.service.clock import Clock
 from estimator.service.daemon import Mailbox
 from estimator.service.log_writer import LogConfig, LogWriter
 from estimator.service.state_file import SavedState, StateKeeper
+from estimator.service.status import Status
 from estimator.service.watchdog import Notifier
 from estimator.service.zenoh_config import SecurityConfig, access_control
 from logs import schemas
 from logs.codec import Decoder, ImuMounting, encode_input, type_hash
+from logs.schemas import STORE
 from models.messages import Checkpoint, Estimate, Health, ImuSample, LastGnss, Mode
 from tests.service.flying import until
 
@@ -119,6 +122,65 @@ def test_a_folder_that_cannot_be_written_is_no_reason_to_stop(tmp_path: Path) ->
     keeper.note(_estimate(T0))
     keeper.close()
     assert keeper.problem == "No such file or directory"
+
+
+def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keeper = StateKeeper(tmp_path / "state", Clock(), "config")
+    with monkeypatch.context() as broken:
+        broken.setattr("estimator.service.state_file.checkpoint_of", lambda *_: 1 / 0)
+        keeper.note(_estimate(T0))
+        until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is told")
+    keeper.note(_estimate(T0 + 1))
+    until(lambda: keeper.report() == {"file": "kept"}, "the next one is kept")
+    keeper.close()
+    saved = state_file.load(tmp_path / "state")
+    assert saved is not None
+    assert saved.t_ns == T0 + 1
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("log", {"state": "recording"}, "running"),
+        ("log", {"state": "off"}, "running"),
+        ("log", {"state": "failed: no space left"}, "log failed: no space left"),
+        ("log", {"state": "recording", "lost_inputs": 3}, "inputs are lost"),
+        ("inbox", {"waiting": 7, "lost_inputs": 0}, "running"),
+        ("inbox", {"waiting": 7, "lost_inputs": 1}, "inputs are lost"),
+        ("state", {"file": "kept"}, "running"),
+        ("state", {"file": "Permission denied"}, "state file: Permission denied"),
+    ],
+)
+def test_what_somebody_should_look_at_is_a_warning(name: str, values: dict[str, object], said: str) -> None:
+    assert _said(Status(T0, {name: lambda: values})) == (0 if said == "running" else 1, said)
+
+
+def test_a_defect_is_a_warning() -> None:
+    status = Status(T0, {})
+    status.note_defect("KeyError: 7")
+    assert _said(status) == (1, "internal error: KeyError: 7")
+
+
+def _said(status: Status) -> tuple[int, str]:
+    report = status.report(T0)
+    assert report is not None
+    message: Any = STORE.deserialize_cdr(report.data, report.schema)
+    return message.status[0].level, message.status[0].message
+
+
+def test_what_waits_for_the_loop_has_an_end_and_what_is_lost_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("estimator.service.daemon._MOST_WAITING", 1000)
+    log = LogWriter(LogConfig(enabled=False), lambda n: tmp_path / f"{n}.mcap", {})
+    mailbox = Mailbox(Clock(), log, [], ImuMounting())
+    for _ in range(20):
+        mailbox.put_bytes("/imu", schemas.IMU, bytes(300))
+    assert mailbox.report() == {"waiting": 4, "lost_inputs": 16}
+    for _ in range(2):
+        assert mailbox.get(0.0) is not None
+    for _ in range(20):
+        mailbox.put_bytes("/imu", schemas.IMU, bytes(300))
+    assert mailbox.report() == {"waiting": 4, "lost_inputs": 34}
+    log.close()
 
 
 def test_a_link_without_cdr_puts_measurements_and_the_log_holds_what_is_handled(tmp_path: Path) -> None:

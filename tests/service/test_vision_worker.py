@@ -1,11 +1,15 @@
 """Vision in its own process: it answers, and when it is killed, hangs or cannot start, that is all that happens."""
 
+import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +24,7 @@ from logs.stamps import restamped
 from models.messages import Estimate, Mode
 from models.state import E, X
 from tests.estimator.sights import PLACE, village, write_flight
+from tests.service.flying import environment
 
 SIDES = {"/left/image": "left", "/right/image": "right"}
 PATIENT = VisionConfig(timeout_s=60.0)  # a busy machine is no hang
@@ -165,6 +170,38 @@ def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
         assert heard.messages == []
     finally:
         worker.close()
+
+
+def test_it_can_be_closed_while_its_process_is_being_born(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    born, start = threading.Event(), SpawnProcess.start
+
+    def slow(process: SpawnProcess) -> None:
+        born.set()
+        time.sleep(0.5)
+        start(process)
+
+    monkeypatch.setattr(SpawnProcess, "start", slow)
+    clock = Clock()
+    worker = VisionWorker(
+        (files / "rig.yaml", None, None, None), PATIENT, SIDES, clock, Stamps(clock, ClockConfig()), Track(), lambda _: None
+    )
+    assert born.wait(60.0)
+    worker.close()
+    assert worker._process is None
+    assert not [p for p in multiprocessing.active_children() if p.name == "landfix-vision"]
+
+
+def test_it_goes_behind_the_daemon_in_real_time_too() -> None:
+    code = (
+        "import os; from estimator.service.vision_worker import _give_way\n"
+        "try: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(5))\n"
+        "except PermissionError: raise SystemExit('not allowed')\n"
+        "_give_way(); print(os.sched_getparam(0).sched_priority, os.nice(0))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
+    if told.stderr == "not allowed\n":
+        pytest.skip("only root may ask for real time")
+    assert told.stdout.split() == ["4", str(os.nice(0) + 5)]
 
 
 def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:

@@ -1,4 +1,4 @@
-"""The autopilot's clock, which counts from its boot: from TIMESYNC within half a round trip, before that from its messages.
+"""The autopilot's clock, which counts from its boot: from TIMESYNC within half a round trip, without it from its messages.
 
 A stamp that is off by more than two seconds is wild, and is not used; five of them in a row, none right in between, are a reboot.
 """
