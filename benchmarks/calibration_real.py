@@ -112,7 +112,7 @@ def euroc(folder: Path, calibration: Path) -> Table:
     """EuRoC's published rig, through our Kalibr import, on its own pictures of a 7 x 6 board of 60 mm."""
     rig, board = load_rig(calibration), Board(7, 6, 0.06)
     left, right = views_of(folder / "cam0", "*", board), views_of(folder / "cam1", "*", board)
-    pairs = [p for a, b in zip(left, right, strict=True) if (p := stereo.shared(Pair(a, b))) is not None]
+    pairs = [p for a, b in zip(left, right, strict=True) if (p := stereo.shared(Pair(a, b), board)) is not None]
     errors = np.concatenate(stereo.row_errors(rig, pairs))
     sides = stereo.square_sides(rig, pairs, board)
     turn = np.rad2deg(np.linalg.norm(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc)))))

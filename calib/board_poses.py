@@ -45,6 +45,17 @@ class BoardPoses:
         return replace(self, R_co=np.array([p.R for p in moved]), t_co=np.array([p.t for p in moved]))
 
 
+def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
+    """Views in order of time; of a board that looks the same upside down each is read from the end that the one before was."""
+    if not board.ends_alike:
+        return list(views)
+    same = [views[0]]
+    for view in views[1:]:
+        ways = (view, replace(view, px=view.px[::-1].copy()))
+        same.append(min(ways, key=lambda v: float(np.sum((v.px - same[-1].px) ** 2))))
+    return same
+
+
 def board_poses(
     views: Sequence[View], board: Board, camera: CameraModel, progress: Callable[[float], None] | None = None
 ) -> tuple[BoardPoses, NDArray[np.int64]]:

@@ -61,6 +61,11 @@ class Pose(NamedTuple):
 IDENTITY: Final = Pose(np.eye(3), np.zeros(3))
 
 
+def rotation_vector(R: Array) -> Array:
+    """Axis times angle [rad] (3,) of a rotation (3, 3)."""
+    return so3.quat_log(so3.from_matrix(np.ascontiguousarray(R)))
+
+
 @dataclass(frozen=True)
 class Problem:
     """cameras and where they are (places[0] = IDENTITY), `views[i][k]`: what camera k sees in view i, poses[i]: the board in it.
@@ -172,24 +177,26 @@ def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
 
 
 def _reduced(t: _Terms, damping: float) -> tuple[Array, Array, Array, Array]:
-    """A view's part of H and of the gradient after its pose is eliminated, and what gives the pose back."""
-    V = t.J_v.T @ t.J_v
-    V[np.diag_indices(_POSE)] *= 1.0 + damping
-    W = t.J_s.T @ t.J_v
-    WV = np.asarray(np.linalg.solve(V, W.T).T, dtype=np.float64)
-    g_v = np.asarray(np.linalg.solve(V, t.J_v.T @ t.r), dtype=np.float64)
-    return t.J_s.T @ t.J_s - WV @ W.T, t.J_s.T @ t.r - W @ g_v, WV, g_v
+    """A view's part of H and of the gradient after its pose is eliminated, and (B, b): its pose moves by b - B ds.
+
+    (J_s r) loses what lies along J_v = Q R; damping is rows sqrt(damping) |J_v| below it. What is left times itself is H and the
+    gradient: never negative, as the difference of the docstring above may be where a lens is nearly undetermined.
+    """
+    damped = np.vstack((t.J_v, np.diag(np.sqrt(damping) * np.linalg.norm(t.J_v, axis=0))))
+    Q, R = np.linalg.qr(damped)
+    both = np.pad(np.column_stack((t.J_s, t.r)), ((0, _POSE), (0, 0)))
+    along = Q.T @ both
+    rest = both - Q @ along
+    N, back = rest.T @ rest, np.asarray(np.linalg.solve(R, along), dtype=np.float64)
+    return N[:-1, :-1], N[:-1, -1], back[:, :-1], back[:, -1]
 
 
 def _step(terms: list[_Terms], damping: float, m: int) -> tuple[Array, list[Array]]:
     parts = [_reduced(t, damping) for t in terms]
-    H, g = np.zeros((m, m)), np.zeros(m)
-    for part in parts:
-        H += part[0]
-        g += part[1]
+    H, g = sum((p[0] for p in parts), np.zeros((m, m))), sum((p[1] for p in parts), np.zeros(m))
     scale = np.sqrt(np.clip(np.diagonal(H), 1e-30, None))
     ds = np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(m), g / scale) / scale
-    return ds, [g_v - WV.T @ ds for _, _, WV, g_v in parts]
+    return ds, [b - B @ ds for _, _, B, b in parts]
 
 
 def _moved(problem: Problem, mask: NDArray[np.bool_], ds: Array, dv: list[Array]) -> Problem | None:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import grey_box
-from calib.board_poses import BoardPoses, board_poses
+from calib.board_poses import BoardPoses, board_poses, read_from_one_end
+from calib.bundle import rotation_vector
 from calib.chessboard import Board, View
 from calib.errors import CalibrationError
 from calib.imu import check
@@ -78,7 +79,8 @@ def calibrate(
             f"{int(inside.sum())} pictures show the board while the IMU ran; {_FEWEST} are the least, a minute at 20 Hz is good"
         )
     order = np.flatnonzero(inside)[np.argsort(stamps_ns[inside], kind="stable")]
-    poses, fits = board_poses([views[i] for i in order], board, camera, lambda f: told(0.6 * f))
+    one_board = read_from_one_end([views[i] for i in order], board)
+    poses, fits = board_poses(one_board, board, camera, lambda f: told(0.6 * f))
     problem = _Problem(imu, stamps_ns[order][fits], poses, noise)
     theta, J, e = _minimise(problem, lambda f: told(0.6 + 0.2 * f))
     good = np.sum(e[:-1].reshape(-1, 6) ** 2, axis=1) <= _OUTLIER * max(1.0, float(np.median(e[:-1] ** 2)) / 0.455)
@@ -88,7 +90,7 @@ def calibrate(
     covariance, mean_square = _covariance(problem, theta, J, e)
     told(1.0)
     R_bc = problem.R_bc(theta)
-    turn = so3.quat_log(so3.from_matrix(np.ascontiguousarray(problem.R_bc0.T @ R_bc)))
+    turn = rotation_vector(problem.R_bc0.T @ R_bc)
     return CameraImu(
         R_bc, theta[_POSITION].copy(), problem.offset0 + float(theta[_OFFSET]), covariance[:7, :7], e[:-1].reshape(-1, 6),
         1e-9 * (problem.stamps_ns[1:] - problem.stamps_ns[0]), float(np.rad2deg(np.linalg.norm(turn))), mean_square,
@@ -170,9 +172,7 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
     """
     dt = 1e-9 * np.diff(stamps_ns)
     near = dt < 3.0 * np.median(dt)
-    turns = [
-        so3.quat_log(so3.from_matrix(np.ascontiguousarray(a @ b.T))) for a, b in zip(poses.R_co[:-1], poses.R_co[1:], strict=True)
-    ]
+    turns = [rotation_vector(a @ b.T) for a, b in zip(poses.R_co[:-1], poses.R_co[1:], strict=True)]
     rate_c = (np.array(turns) / dt[:, None])[near]
     begin, end = stamps_ns[:-1][near], stamps_ns[1:][near]
     angle = np.vstack((np.zeros(3), np.cumsum(0.5e-9 * np.diff(imu.t_ns)[:, None] * (imu.gyro[1:] + imu.gyro[:-1]), axis=0)))

@@ -37,22 +37,10 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _BLURRED_PX: Final = 6.0  # an edge that takes more pixels from 10 to 90 % is blurred ...
 _BLURRED_SQUARE: Final = 0.25  # ... and so is one that takes this part of a square
 _UNKNOWN_PX: Final = 9999.0  # OpenCV's word for it
-_OTHER_SIZES = (
-    (9, 6),
-    (8, 6),
-    (7, 6),
-    (7, 5),
-    (6, 5),
-    (6, 4),
-    (8, 5),
-    (10, 7),
-    (11, 8),
-    (5, 4),
-    (8, 7),
-    (9, 7),
-    (11, 7),
-    (13, 9),
-)
+_LARGEST_M: Final = 2.0  # of a square
+_OTHER_SIZES: Final = (
+    (9, 6), (8, 6), (7, 6), (7, 5), (6, 5), (6, 4), (8, 5), (10, 7), (11, 8), (5, 4), (8, 7), (9, 7), (11, 7), (13, 9),
+)  # fmt: skip
 
 
 class Why(StrEnum):
@@ -75,14 +63,21 @@ class Board:
     def __post_init__(self) -> None:
         if self.columns < 3 or self.rows < 3:
             raise CalibrationError("a board has at least 3 x 3 inner corners; --board counts where four squares meet, as in 9x6")
-        if not 0.0 < self.square_m < 10.0 or not 0.0 <= self.marker_m < self.square_m:
-            raise CalibrationError("the squares of a board are larger than 0 and its markers smaller than its squares")
+        if not 0.0 < self.square_m <= _LARGEST_M:
+            raise CalibrationError(f"squares of {self.square_m:g} m: --square-mm is the side of one square in millimetres")
+        if not 0.0 <= self.marker_m < self.square_m:
+            raise CalibrationError("the markers of a ChArUco board are smaller than its squares: --marker-mm, --square-mm")
 
     @cached_property
     def points(self) -> Array:
         """Corners (N, 3) in the board's frame o [m]: x along the columns, y along the rows, z = 0."""
         grid = np.mgrid[0 : self.columns, 0 : self.rows].T.reshape(-1, 2)
         return np.column_stack((self.square_m * grid, np.zeros(len(grid))))
+
+    @property
+    def ends_alike(self) -> bool:
+        """Whether the board looks the same upside down, so that nobody can tell which end corner 0 is at."""
+        return self.marker_m == 0.0 and (self.columns + self.rows) % 2 == 0
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
@@ -91,7 +86,7 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square_m, self.marker_m, kinds)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """A board as one camera sees it: corner `ids` of Board.points at px (N, 2); edge_px: width of its edges (sharpness)."""
 
@@ -261,9 +256,9 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
 
     With an odd number of squares between the end corners' own squares the two ends differ in colour; else they look alike and
-    nothing can be told (stereo then compares the two pictures).
+    nothing can be told (stereo then compares the two pictures, camera-imu one with the next).
     """
-    if (board.columns + board.rows) % 2 == 0:
+    if board.ends_alike:
         return False
     grid = px.reshape(board.rows, board.columns, 2)
     middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])

@@ -8,11 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib import verdict
+from calib.bundle import rotation_vector
 from calib.errors import CalibrationError
 from calib.mono import Dropped, Mono
 from calib.stereo import Stereo
 from calib.verdict import Grade, Verdict
-from models import so3, web_page
+from models import web_page
 from models.camera import CameraModel
 from models.web_page import Table
 
@@ -70,7 +71,7 @@ def stereo_tables(result: Stereo) -> list[Table]:
     rig = result.rig
     assert rig.covariance_rc is not None
     sigma = np.sqrt(np.diagonal(rig.covariance_rc))
-    turn = np.rad2deg(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc))))
+    turn = np.rad2deg(rotation_vector(rig.R_rc))
     between = [
         (f"t_rc {n}", f"{1e3 * t:.3f}", f"{1e3 * s:.2g}", "mm") for n, t, s in zip("xyz", rig.t_rc, sigma[:3], strict=True)
     ]

@@ -61,7 +61,7 @@ def calibrate(
     told = progress or (lambda _: None)
     for side in (0, 1):
         check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} pictures")
-    both = [common for pair in pairs if (common := shared(pair)) is not None]
+    both = [common for pair in pairs if (common := shared(pair, board)) is not None]
     chosen = [both[i] for i in choose([p.left for p in both], board)]
     problem = _start(chosen, board, lens)
     told(0.4)
@@ -126,15 +126,15 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
     return middle
 
 
-def shared(pair: Pair) -> Pair | None:
+def shared(pair: Pair, board: Board) -> Pair | None:
     """The corners that both pictures show, in one order; None where there are too few."""
     left, right = pair
     ids, a, b = np.intersect1d(left.ids, right.ids, return_indices=True)
     if len(ids) < 6:
         return None
     p, q = left.px[a], right.px[b]
-    if len(ids) == len(left.ids) and np.sum((p[-1] - p[0]) * (q[-1] - q[0])) < 0.0:
-        q = q[::-1]  # a board that looks the same upside down, read from the other end
+    if board.ends_alike and np.sum((p[-1] - p[0]) * (q[-1] - q[0])) < 0.0:
+        q = q[::-1]  # read from the other end
     return Pair(
         View(left.name, left.width, left.height, ids, p, left.edge_px),
         View(right.name, right.width, right.height, ids, q, right.edge_px),
@@ -142,14 +142,12 @@ def shared(pair: Pair) -> Pair | None:
 
 
 def _start(pairs: Sequence[Pair], board: Board, lens: Lens) -> Problem:
-    """Both cameras alone; the pose between them is the median over the pairs."""
+    """Both cameras alone; between them the rotation of the pair nearest to the others, the median translation."""
     left, right = (adjust(mono.start([p[side] for p in pairs], board, lens)).problem for side in (0, 1))
-    t, r = [], []
-    for a, b in zip(left.poses, right.poses, strict=True):
-        R = b.R @ a.R.T
-        t.append(b.t - R @ a.t)
-        r.append(so3.quat_log(so3.from_matrix(np.ascontiguousarray(R))))
-    place = Pose(so3.matrix(so3.quat_exp(np.median(r, axis=0))), np.median(t, axis=0))
+    R = np.array([b.R @ a.R.T for a, b in zip(left.poses, right.poses, strict=True)])
+    t = np.array([b.t - R_rc @ a.t for a, b, R_rc in zip(left.poses, right.poses, R, strict=True)])
+    middle = int(np.argmax(np.median(np.einsum("iab,jab->ij", R, R), axis=1)))  # trace(R_i R_j^T) = 1 + 2 cos(angle between)
+    place = Pose(R[middle], np.median(t, axis=0))
     views = tuple((*a, *b) for a, b in zip(left.views, right.views, strict=True))
     return Problem((left.cameras[0], right.cameras[0]), (IDENTITY, place), views, left.poses, (*left.free, *right.free))
 
@@ -166,11 +164,12 @@ def _rig(solution: Solution) -> StereoRig:
 
 
 def _check_sides(rig: StereoRig) -> None:
-    """The right camera stands to the right of the left one, and about beside it."""
+    """The right camera stands to the right of the left one, within 45 degrees of its picture's rows."""
     x, y, z = -rig.R_rc.T @ rig.t_rc
-    if abs(x) < max(abs(y), abs(z)):
+    if x * x < y * y + z * z:
         raise CalibrationError(
-            f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not beside it"
+            f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not beside it: "
+            "are they partners? If the cameras lie on their sides, turn both's pictures upright"
         )
     if x < 0.0:
         raise CalibrationError(

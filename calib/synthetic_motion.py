@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from calib import synthetic
-from calib.bundle import Pose
+from calib.bundle import Pose, rotation_vector
 from calib.camera_imu import Recording, Times
 from calib.chessboard import Board, View
 from models import so3
@@ -67,7 +67,7 @@ class Motion:
     def imu(self, t: float) -> tuple[Array, Array]:
         """Exact rate and specific force in b."""
         (p0, R0), (p1, R1), (p2, R2) = (self.body(t + d) for d in (-_EPSILON, 0.0, _EPSILON))
-        turn = so3.quat_log(so3.from_matrix(np.ascontiguousarray(R0.T @ R2)))
+        turn = rotation_vector(R0.T @ R2)
         a_n = (p2 - 2.0 * p1 + p0) / _EPSILON**2
         return turn / (2.0 * _EPSILON), R1.T @ (a_n - np.array([0.0, 0.0, GRAVITY]))
 

@@ -41,8 +41,10 @@ def mono_command(
       landfix calibrate mono camera:0 -o camera.yaml            a live camera, for a minute and a half
     """
     from calib import files, mono, pictures, report, verdict
+    from estimator.commands.picture_source import files_of
     from estimator.commands.views import gather
 
+    options.check_outputs(report_file or out, out, *map(Path, files_of(sources)))
     pattern = options.board_of(board, square_mm, marker_mm, dictionary)
     with progress("calibrate") as told:
         views, unused = gather(sources, topic, pattern, lambda f: told(0.8 * f))
@@ -85,15 +87,14 @@ def stereo_command(
       landfix calibrate stereo --left log.mcap --right log.mcap -o rig.yaml
     """
     from calib import files, mono, pictures, report, stereo, verdict
-    from estimator.commands.views import gather, pair
+    from estimator.commands.picture_source import files_of
+    from estimator.commands.views import gather_pairs
 
+    options.check_outputs(report_file or out, out, *map(Path, files_of([*left, *right])))
     pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), _mount(mount, mount_sigma)
     with progress("calibrate") as told:
-        left_views, left_unused = gather(left, left_topic, pattern, lambda f: told(0.4 * f))
-        right_views, right_unused = gather(right, right_topic, pattern, lambda f: told(0.4 + 0.4 * f))
-        pairs, unpaired = pair(left_views, right_views)
+        pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: told(0.8 * f))
         result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
-    unused = [*left_unused, *right_unused, *unpaired]
     judged, tables = verdict.of_stereo(result), [*report.stereo_tables(result), report.dropped(unused)]
     rig = placed(result.rig)
     written = files.save_rig(out, rig)

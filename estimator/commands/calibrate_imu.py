@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from estimator.commands import calibrate_options as options
-from estimator.commands.console import ConfigFile, Json, progress
+from estimator.commands.console import ConfigFile, Json, note, progress
 
 if TYPE_CHECKING:
     from calib.camera_imu import CameraImu, Recording
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _NOISE = ("density", "density_sigma", "white_from_s", "instability", "instability_sigma", "walk", "walk_sigma")
 _MOST_PICTURES = 6000  # five minutes at 20 Hz
+_LEAST_SOUND = 0.99  # of the IMU's samples must be finite; the few others are left out
 
 Log = Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log of the IMU; other recordings: landfix import first.")]
 
@@ -43,6 +44,8 @@ def imu_command(
     """
     from calib import imu, imu_report, report
 
+    page = report_file or log.with_suffix(".html")
+    options.check_outputs(page, out, log)
     with progress("calibrate") as told:
         recording = _recording(log, _config(config), told)
         static = imu.static_noise(recording.t_ns, recording.gyro, recording.accel)
@@ -50,9 +53,7 @@ def imu_command(
     judged, tables = imu_report.of_static(static), imu_report.static_tables(static)
     if sides is not None:
         tables.append(imu_report.six_table(sides))
-    written = report.write(
-        report_file or log.with_suffix(".html"), f"IMU of {log.name}", judged, tables, imu_report.static_figure(static)
-    )
+    written = report.write(page, f"IMU of {log.name}", judged, tables, imu_report.static_figure(static))
     if out is not None:
         options.write_text(out, _toml(static))
         written.append(out)
@@ -90,6 +91,7 @@ def camera_imu_command(
     from calib.mono import Dropped
     from estimator.commands.views import gather
 
+    options.check_outputs(report_file or out, out, log)
     stereo, pattern, settings = files.load_rig(rig), options.board_of(board, square_mm, marker_mm, dictionary), _config(config)
     with progress("calibrate") as told:
         recording = _recording(log, settings, lambda f: told(0.05 * f))
@@ -139,9 +141,14 @@ def _recording(log: Path, config: "Config", told: Callable[[float], None]) -> "R
         raise CalibrationError(f"{log}: no IMU in it under the configuration's topic")
     samples.sort(key=lambda s: s.t_ns)
     t_ns = np.array([s.t_ns for s in samples], dtype=np.int64)
-    once = np.concatenate(([True], np.diff(t_ns) > 0))
-    gyro, accel = (np.array([getattr(s, name) for s in samples])[once] for name in ("gyro_b", "accel_b"))
-    return Recording(t_ns[once], gyro, accel)
+    gyro, accel = (np.array([getattr(s, name) for s in samples]) for name in ("gyro_b", "accel_b"))
+    sound = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+    if not sound.mean() > _LEAST_SOUND:
+        raise CalibrationError(f"{log}: {int((~sound).sum())} of {len(sound)} IMU samples are not finite: mend what logs them")
+    if not sound.all():
+        note(f"{int((~sound).sum())} IMU samples are not finite and are left out")
+    used = sound & np.concatenate(([True], np.diff(t_ns) > 0))
+    return Recording(t_ns[used], gyro[used], accel[used])
 
 
 def _toml(static: "Static") -> str:

@@ -61,6 +61,20 @@ def board_of(size: str, square_mm: float, marker_mm: float, dictionary: str) -> 
     return Board(columns, rows, 1e-3 * square_mm, 1e-3 * marker_mm, dictionary)
 
 
+def check_outputs(report_file: Path, out: Path | None, *inputs: Path) -> None:
+    """Refuse, before the work, files that cannot be written after it. Raises CalibrationError or LogError."""
+    from calib.errors import CalibrationError
+    from logs.reader import check_output
+
+    pages = [report_file.with_suffix(".html"), report_file.with_suffix(".png")]
+    if out in pages:
+        raise CalibrationError(f"{out}: the report is written there; name the result .yaml, .xml or .yml")
+    for path in (*pages, *([out] if out else [])):
+        check_output(path, *inputs)
+        if path.is_dir():
+            raise CalibrationError(f"{path}: cannot be written: it is a folder")
+
+
 def tell(
     judged: "Verdict", tables: "Sequence[Table]", unused: "Sequence[Dropped]", written: list[Path], facts: dict[str, Any] | None
 ) -> None:

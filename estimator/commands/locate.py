@@ -67,7 +67,7 @@ def command(
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from calib.files import load_rig
-    from estimator.commands.picture_source import pictures
+    from estimator.commands.picture_source import picture as read_picture
     from estimator.vision_requests import PictureFile
     from vision.recognisers import Recognisers
 
@@ -80,7 +80,7 @@ def command(
     if picture is not None:
         known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
     landmarks, map_picture = _map(map_file, known)
-    images = [None if path is None else next(pictures([str(path)], "", 1)).image for path in (left, right)]
+    images = [None if path is None else read_picture(path) for path in (left, right)]
     start = _prior(landmarks, believed, sigma)
     try:
         recognisers = Recognisers(rig, landmarks, map_picture)

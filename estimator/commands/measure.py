@@ -51,7 +51,7 @@ def command(
       landfix measure left.tif right.tif --rig rig.yaml --json
     """
     from calib.files import load_rig
-    from estimator.commands.picture_source import pictures
+    from estimator.commands.picture_source import picture
     from vision.correspond import Search
     from vision.regions import Limits
     from vision.survey import Settings, survey
@@ -63,7 +63,7 @@ def command(
         limits=Limits(most=most, least_px=least_px),
         search=Search(nearest_m=nearest_m),
     )
-    images = [next(pictures([str(path)], "", 1)).image for path in (left, right)]
+    images = [picture(path) for path in (left, right)]
     found = survey(images[0], images[1], _rectified(rig_file, rig), settings)
     if isinstance(found, str):
         raise MeasureError(found)

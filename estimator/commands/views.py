@@ -7,7 +7,7 @@ from calib.errors import CalibrationError
 from calib.mono import Dropped
 from calib.selection import FEWEST
 from calib.stereo import Pair
-from estimator.commands.picture_source import MOST_FRAMES, pictures
+from estimator.commands.picture_source import MOST_FRAMES, Picture, is_live, live, pictures
 from vision.rectify import Image
 
 Keyed = tuple[int, View]
@@ -16,29 +16,65 @@ _SAME_TIME_NS = 5_000_000
 _HINTS = 2  # pictures searched for a board of another size
 
 
+class _Gathered:
+    """The views of a board in the pictures so far, and the pictures that show none."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self._views: list[Keyed] = []
+        self._unused: list[Dropped] = []
+        self._without: list[Image] = []
+        self._shown: list[Image] = []
+
+    def add(self, picture: Picture) -> None:
+        """Look for the board in one more picture."""
+        if picture.fault:
+            self._unused.append(Dropped(picture.name, picture.fault))
+            return
+        found = find(picture.image, self._board, picture.name)
+        if isinstance(found, View):
+            self._views.append((picture.key, found))
+            self._shown += [picture.image] * (len(self._shown) < _HINTS)
+        else:
+            self._unused.append(Dropped(picture.name, found.value))
+            self._without += [picture.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
+
+    def checked(self) -> tuple[list[Keyed], list[Dropped]]:
+        """Views with their keys, and what was not used. Raises CalibrationError where they are too few or of a larger board."""
+        _check_whole(self._board, self._shown)
+        if len(self._views) < FEWEST:
+            sizes = [size_seen(image, self._board) for image in self._without]
+            raise CalibrationError(_why_few(self._board, len(self._views), self._unused, sizes))
+        return self._views, self._unused
+
+
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
     """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where too few do."""
-    views: list[Keyed] = []
-    unused: list[Dropped] = []
-    without: list[Image] = []
-    shown: list[Image] = []
+    gathered = _Gathered(board)
     for picture in pictures(sources, topic, most):
-        found = find(picture.image, board, picture.name)
-        if isinstance(found, View):
-            views.append((picture.key, found))
-            if len(shown) < _HINTS:
-                shown.append(picture.image)
-        else:
-            unused.append(Dropped(picture.name, found.value))
-            if found is Why.NOT_FOUND and len(without) < _HINTS:
-                without.append(picture.image)
+        gathered.add(picture)
         progress(picture.done)
-    _check_whole(board, shown)
-    if len(views) < FEWEST:
-        raise CalibrationError(_why_few(board, len(views), unused, [size_seen(image, board) for image in without]))
-    return views, unused
+    return gathered.checked()
+
+
+def gather_pairs(
+    left: Sequence[str], right: Sequence[str], topics: tuple[str, str], board: Board, progress: Callable[[float], None]
+) -> tuple[list[Pair], list[Dropped]]:
+    """The pairs of views, and the pictures without one; two live cameras take their pictures together."""
+    if [is_live(s) for s in (*left, *right)] == [True, True]:
+        sides = _Gathered(board), _Gathered(board)
+        for taken in live([*left, *right]):
+            for side, picture in zip(sides, taken, strict=True):
+                side.add(picture)
+            progress(taken[0].done)
+        (left_views, left_unused), (right_views, right_unused) = (side.checked() for side in sides)
+    else:
+        left_views, left_unused = gather(left, topics[0], board, lambda f: progress(0.5 * f))
+        right_views, right_unused = gather(right, topics[1], board, lambda f: progress(0.5 + 0.5 * f))
+    pairs, unpaired = pair(left_views, right_views)
+    return pairs, [*left_unused, *right_unused, *unpaired]
 
 
 def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], list[Dropped]]:
@@ -78,6 +114,8 @@ def _why_few(board: Board, views: int, unused: Sequence[Dropped], sizes: Sequenc
     size, total = f"{board.columns}x{board.rows}", views + len(unused)
     blurred = sum(d.reason == Why.BLURRED for d in unused)
     seen = [s for s in sizes if isinstance(s, tuple)]
+    if not views and unused and not any(d.reason in set(Why) for d in unused):
+        return f"{unused[0].name}: {unused[0].reason}"
     if blurred > len(unused) / 2 or Why.BLURRED in sizes:
         many = f"{blurred} of {total}" if blurred else "the"
         return f"{many} pictures are blurred: hold the board still, focus, give more light"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib import stereo, synthetic, verdict
-from calib.chessboard import View, find
+from calib.chessboard import Board, View, find
 from calib.errors import CalibrationError
 from calib.mono import Lens
 from calib.stereo import Pair
@@ -16,13 +16,15 @@ from models.messages import Array
 from tests.calib.conftest import BOARD, seen_by, true_rig
 
 
-def simulated_pairs(count: int = 12, seed: int = 0, sigma_px: float = 0.2, rig: StereoRig | None = None) -> list[Pair]:
+def simulated_pairs(
+    count: int = 12, seed: int = 0, sigma_px: float = 0.2, rig: StereoRig | None = None, board: Board = BOARD
+) -> list[Pair]:
     rng = np.random.default_rng(seed)
     (left, at_left), (right, at_right) = cameras = synthetic.both(rig or true_rig())
     pairs = []
-    for k, pose in enumerate(synthetic.poses(cameras, BOARD, count, rng)):
-        l_view = synthetic.seen(left, seen_by(at_left, pose), BOARD, rng, sigma_px, f"l{k}")
-        r_view = synthetic.seen(right, seen_by(at_right, pose), BOARD, rng, sigma_px, f"r{k}")
+    for k, pose in enumerate(synthetic.poses(cameras, board, count, rng)):
+        l_view = synthetic.seen(left, seen_by(at_left, pose), board, rng, sigma_px, f"l{k}")
+        r_view = synthetic.seen(right, seen_by(at_right, pose), board, rng, sigma_px, f"r{k}")
         pairs.append(Pair(l_view, r_view))
     return pairs
 
@@ -80,11 +82,38 @@ def test_swapped_and_stacked_cameras_are_refused_with_what_to_do() -> None:
         stereo.calibrate(simulated_pairs(8, rig=stacked), BOARD)
 
 
-def test_a_board_read_from_its_other_end_in_one_picture_is_turned() -> None:
-    pairs = simulated_pairs(8)
+def test_a_board_that_looks_the_same_upside_down_is_turned_where_one_picture_read_it_from_the_other_end() -> None:
+    alike = Board(8, 6, 0.025)
+    pairs = simulated_pairs(8, board=alike)
     first = pairs[0].right
     other_end = Pair(pairs[0].left, View(first.name, 640, 480, first.ids, first.px[::-1], 2.0))
-    assert stereo.calibrate([other_end, *pairs[1:]], BOARD).solution.rms < 0.32
+    result = stereo.calibrate([other_end, *pairs[1:]], alike)
+    assert not result.dropped
+    assert result.solution.rms < 0.32
+
+
+def test_a_pair_read_from_both_ends_is_dropped() -> None:
+    pairs = simulated_pairs(8)
+    first = pairs[0].right
+    both_ends = Pair(pairs[0].left, View(first.name, 640, 480, first.ids, first.px[::-1], 2.0))
+    assert [d.name for d in stereo.calibrate([both_ends, *pairs[1:]], BOARD).dropped] == ["l0, r0"]
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_right_camera_on_its_side_or_head_is_one_that_is_turned(turns: int) -> None:
+    """Its pixels turned by a quarter or a half: the same rays, R_rc turned about the optical axis."""
+    truth, size = true_rig(), (480, 640) if turns == 1 else (640, 480)
+    pairs = []
+    for p in simulated_pairs(12):
+        u, v = p.right.px.T
+        px = np.column_stack((v, 639.0 - u) if turns == 1 else (639.0 - u, 479.0 - v))
+        pairs.append(Pair(p.left, View(p.right.name, *size, p.right.ids, px, 2.0)))
+    result = stereo.calibrate(pairs, BOARD)
+    turned = so3.matrix(so3.quat_exp(np.array([0.0, 0.0, -0.5 * np.pi * turns])))
+    assert result.solution.rms < 0.32
+    assert result.epipolar_after_px < 0.3
+    np.testing.assert_allclose(result.rig.R_rc, turned @ truth.R_rc, atol=5e-3)
+    np.testing.assert_allclose(result.rig.t_rc, turned @ truth.t_rc, atol=1e-3)
 
 
 def test_pairs_that_see_different_corners_share_what_both_see() -> None:

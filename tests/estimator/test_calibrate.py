@@ -12,6 +12,7 @@ from calib.chessboard import Board
 from calib.files import load_camera, load_rig, save_rig
 from calib.synthetic_motion import EUROC_NOISE, Truth
 from estimator.cli import app
+from estimator.commands import picture_source
 from logs.codec import encode_input
 from logs.pictures import encode_picture
 from logs.recorder import Recorder
@@ -111,6 +112,9 @@ def test_bad_pictures_are_one_line_that_says_what_to_do(folder: Path, tmp_path: 
     part = fails("mono", *left[:6], "--board", "6x5", *out)
     assert "a board of 7x5 inner corners, not 6x5: is --board right?" in part
     assert "all alike" in fails("mono", *[left[0]] * 8, *SIZE, *out)
+    assert "squares of 25 m: --square-mm is the side of one square in millimetres" in fails(
+        "mono", *left, "--board", "7x5", "--square-mm", "25000", *out
+    )
     blurred, empty, large = tmp_path / "blurred", tmp_path / "empty", tmp_path / "large"
     for made in (blurred, empty, large):
         made.mkdir()
@@ -126,6 +130,73 @@ def test_bad_pictures_are_one_line_that_says_what_to_do(folder: Path, tmp_path: 
     assert "exchange --left and --right" in fails(
         "stereo", "--left", folder / "right_*.png", "--right", folder / "left_*.png", *SIZE, *out
     )
+
+
+def test_a_picture_that_cannot_be_read_is_left_out_with_its_reason(folder: Path, tmp_path: Path) -> None:
+    """Two folders with the same names, too: each picture stands for itself."""
+    for k in (1, 2):
+        (tmp_path / str(k)).mkdir()
+        for path in sorted(folder.glob("left_*.png"))[6 * k - 6 : 6 * k]:
+            (tmp_path / str(k) / f"{int(path.stem[-2:]) % 6}.png").write_bytes(path.read_bytes())
+    (tmp_path / "1" / "torn.png").write_bytes((tmp_path / "1" / "0.png").read_bytes()[:900])
+    (tmp_path / "2" / "empty.jpg").write_bytes(b"")
+    facts = json.loads(run("mono", tmp_path / "1", tmp_path / "2", *SIZE, "-o", tmp_path / "x.yaml", "--json").stdout)
+    assert set(facts["unused"]) == {"torn.png", "empty.jpg"}
+    assert all("no picture that can be read" in reason for reason in facts["unused"].values())
+    assert facts["figures"]["views short of 20"] == 8
+
+
+def test_files_that_cannot_be_written_are_told_of_before_the_work(tmp_path: Path) -> None:
+    board, log = tmp_path / "board.png", tmp_path / "log.mcap"  # empty: told of, were they looked at first
+    board.touch()
+    log.touch()
+    nowhere = ("-o", tmp_path / "no" / "x.yaml")
+    assert "cannot be written" in fails("mono", board, *nowhere)
+    assert "it is a folder" in fails("mono", board, "-o", tmp_path)
+    assert "the report is written there" in fails("mono", board, "-o", tmp_path / "x.html")
+    assert "would overwrite the input" in fails("mono", tmp_path / "*.png", "-o", tmp_path / "board.yaml")  # its report's picture
+    assert "would overwrite the input" in fails("imu", log, "-o", log)
+    assert "cannot be written" in fails("imu", log, "--report", tmp_path / "no" / "x.html")
+    assert "cannot be written" in fails("camera-imu", log, "--rig", board, *nowhere)
+    assert "cannot be written" in fails("stereo", "--left", board, "--right", board, *nowhere)
+
+
+class TwoCameras:
+    """Stands in for cv2.VideoCapture: what a right camera hands over is what the left one grabbed last."""
+
+    def __init__(self, folder: Path) -> None:
+        self.frames = {side: sorted(folder.glob(f"{side}_*.png")) for side in ("left", "right")}
+        self.now = -1
+
+    def __call__(self, side: str) -> "TwoCameras.One":
+        return self.One(self, side)
+
+    class One:
+        def __init__(self, both: "TwoCameras", side: str) -> None:
+            self.both, self.side = both, side
+
+        def isOpened(self) -> bool:
+            return True
+
+        def grab(self) -> bool:
+            self.both.now += self.side == "left"
+            return self.both.now < 12
+
+        def retrieve(self) -> tuple[bool, object]:
+            return True, cv2.imread(str(self.both.frames[self.side][self.both.now]))
+
+
+def test_two_live_cameras_take_their_pictures_together(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture_source, "_LIVE_S", 0.0)
+    monkeypatch.setattr(cv2, "VideoCapture", TwoCameras(folder))
+    live = ("--left", "camera:left", "--right", "camera:right")
+    facts = json.loads(run("stereo", *live, *SIZE, "-o", tmp_path / "rig.yaml", "--json").stdout)
+    assert facts["baseline_m"] == pytest.approx(0.06, abs=1e-3)
+    assert facts["figures"]["views short of 20"] == 8
+    dark = TwoCameras(folder)
+    dark.now = 12
+    monkeypatch.setattr(cv2, "VideoCapture", dark)
+    assert "gives no picture" in fails("mono", "camera:left", "-o", tmp_path / "x.yaml")
 
 
 def test_bad_sources_are_one_line(folder: Path, tmp_path: Path) -> None:
@@ -171,13 +242,15 @@ def test_dlt(tmp_path: Path) -> None:
     assert "No such file" in fails("dlt", tmp_path / "none.csv")
 
 
-def imu_log(path: Path, seconds: float, still: bool) -> None:
+def imu_log(path: Path, seconds: float, still: bool, broken: int = 0) -> None:
+    """broken: so many samples are NaN."""
     rng = np.random.default_rng(0)
     with Recorder(path) as log:
         for k in range(int(100 * seconds)):
             t_ns = 1_700_000_000_000_000_000 + k * 10_000_000
             shake = np.zeros(3) if still else 3.0 * rng.normal(size=3)
             gyro, accel = rng.normal(0.0, 2e-3, 3) + shake, np.array([0.0, 0.0, -GRAVITY]) + rng.normal(0.0, 0.02, 3) + shake
+            gyro = gyro if k % 100 or k >= 100 * broken else np.full(3, np.nan)
             log.write(*encode_input(ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel))), t_ns)
 
 
@@ -203,6 +276,12 @@ def test_imu_logs_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
         pass
     assert "no IMU in it" in fails("imu", empty)
     assert "no such file" in fails("imu", tmp_path / "none.mcap").lower()
+    imu_log(log, 20.0, still=True, broken=9)
+    few = run("imu", log, "--json")
+    assert "9 IMU samples are not finite and are left out" in few.stderr
+    assert json.loads(few.stdout)["config"]["gyro_noise"] == pytest.approx(2e-4, rel=0.15)
+    imu_log(log, 4.0, still=True, broken=5)
+    assert "4 of 400 IMU samples are not finite" in fails("imu", log)
 
 
 def test_camera_imu_from_a_log_of_pictures(tmp_path: Path) -> None:
