@@ -36,8 +36,7 @@ campaign: install  ## consistency over many simulated flights (minutes)
 soak: install  ## the daemon under load for an hour: latency, memory, drops, and its log replayed (MINUTES=60)
 	$(BIN)/python -m benchmarks.service --minutes $(or $(MINUTES),60)
 
-site: install  ## the documentation as pages to browse, links checked: site/index.html
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
+site: install $(VENV)/.site  ## the documentation as pages to browse, links checked: site/index.html
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build
 
 install: $(VENV)/.installed $(VENV)/.kernels
@@ -49,6 +48,10 @@ $(VENV)/.kernels: $(wildcard models/*.py estimator/*.py estimator/sources/*.py l
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.site: requirements-site.lock | $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
 	@touch $@
 
 $(VENV)/.locked: requirements.lock | $(BIN)/pip

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from statistics import mode
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from logs import metrics
@@ -155,11 +156,16 @@ def innovations(evidence: Evidence) -> Charts:
 
 def thinned(aids: list[AidStatus]) -> list[AidStatus]:
     """At most MOST_POINTS: of equal parts of them the first and the one that fits worst."""
-    if len(aids) <= MOST_POINTS:
-        return aids
-    parts = [part.tolist() for part in np.array_split(np.arange(len(aids)), MOST_POINTS // 2)]
-    kept = {row for part in parts for row in (part[0], max(part, key=lambda row: aids[row].test_ratio))}
-    return [aids[row] for row in sorted(kept)]
+    return [aids[row] for row in _worst([aid.test_ratio for aid in aids])]
+
+
+def _worst(misfit: list[float]) -> list[int]:
+    """Rows as thinned keeps them."""
+    rows = list(range(len(misfit)))
+    if len(rows) <= MOST_POINTS:
+        return rows
+    parts = [part.tolist() for part in np.array_split(rows, MOST_POINTS // 2)]
+    return sorted({row for part in parts for row in (part[0], max(part, key=misfit.__getitem__))})
 
 
 def _innovation(title: str, group: list[AidStatus], start_ns: int) -> Chart:
@@ -271,11 +277,12 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
         rows.setdefault(report.outcome.replace("_", " "), []).append(Stay(at, at + step, colour, report.detail or report.outcome))
-    charts: Charts = {
-        "outcomes": StripChart("What came of each pair of pictures", dict(sorted(rows.items(), key=lambda r: -len(r[1]))))
-    }
+    span = (looks[-1][0] - looks[0][0]) * 1e-9 / MOST_POINTS
+    strips = {outcome: _joined(stays, span) for outcome, stays in sorted(rows.items(), key=lambda r: -len(r[1]))}
+    charts: Charts = {"outcomes": StripChart("What came of each pair of pictures", strips)}
     fits = [(t, r) for t, r in looks if np.isfinite(r.residual_px)]
     if fits:
+        fits = [fits[row] for row in _worst([r.residual_px for _, r in fits])]
         y = short(np.array([r.residual_px for _, r in fits]))
         points = Points("fit", "green", "dot", short(seconds([t for t, _ in fits], start_ns), 7), y, [f"{v} px" for v in y])
         charts["fit"] = TimeChart("RMS of the outline fit", "px", [points], height=165)
@@ -289,6 +296,17 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
 def _bars(title: str, edges_s: Array, counts: Iterable[int], colour: Colour = "blue") -> BarChart:
     """Times in milliseconds."""
     return BarChart(title, "ms", short(1e3 * edges_s, 4), [int(n) for n in counts], colour)
+
+
+def _joined(stays: list[Stay], span: float) -> list[Stay]:
+    """Those that begin within a span of each other as one, told by the first: nobody sees them apart."""
+    joined: list[Stay] = []
+    for stay in stays:
+        if joined and stay.start - joined[-1].start < span:
+            joined[-1] = msgspec.structs.replace(joined[-1], end=stay.end)
+        else:
+            joined.append(stay)
+    return joined
 
 
 def _stays(stretches: list[Stretch], colours: dict[str, Colour], start_ns: int, end_ns: int) -> list[Stay]:

@@ -50,6 +50,7 @@ NOT_RUN = {
     "reboot": "ArduPilot",
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
     "landfix report out/sitl/": "of a flight in a simulator", "python examples/sitl_fixes.py ": "needs a simulator",
+    "make install": "has put this in place", "source ": "the shell's own",
     "make demo": "tests/estimator/test_demo.py flies a shorter one", "make test": "is what runs this",
 }  # fmt: skip
 

@@ -19,9 +19,10 @@ from logs.evidence import read
 from logs.reader import LogError, LogReader
 from logs.recorder import Recorder
 from logs.report import write
-from logs.report_gather import Gathered, attitude_deg, sigmas
+from logs.report_charts import Points, StripChart, TimeChart
+from logs.report_gather import Gathered, Look, attitude_deg, sigmas
 from logs.report_map import flight
-from logs.report_plots import MOST_POINTS, thinned
+from logs.report_plots import MOST_POINTS, thinned, vision
 from logs.report_words import Level, findings
 from models import so3
 from models.messages import AidStatus, Health, LandmarkFix, Mode, Reason, Reset, VisionReport
@@ -439,6 +440,24 @@ def test_of_many_measurements_the_worst_are_shown(log: Path) -> None:
     assert max(a.test_ratio for a in shown) == ratios.max()
     assert [a.t_ns for a in shown] == sorted(a.t_ns for a in shown)
     assert thinned(aids[:MOST_POINTS]) == aids[:MOST_POINTS]
+
+
+def test_of_many_looks_the_strips_and_the_fits_are_bounded_and_the_worst_fit_stays(log: Path) -> None:
+    evidence, gathered = read(log), Gathered()
+    for k in range(10_000):
+        outcome, residual = ("fixed", 0.5 + (k == 4321)) if k % 3 else ("too few", np.nan)
+        report = VisionReport(EPOCH_NS + k * S // 10, 0, outcome, f"{k}", 1, 1, (), (), residual, 0.1)
+        gathered.looks[report.t_ns] = Look(report=report)
+    charts = vision(evidence, gathered)
+    strips, fit = charts["outcomes"], charts["fit"]
+    assert isinstance(strips, StripChart)
+    assert {name: len(stays) <= MOST_POINTS for name, stays in strips.rows.items()} == {"fixed": True, "too few": True}
+    assert strips.rows["too few"][-1].end == pytest.approx(1000.0)
+    assert isinstance(fit, TimeChart)
+    (points,) = fit.parts
+    assert isinstance(points, Points)
+    assert len(points.t) <= MOST_POINTS
+    assert 1.5 in points.y
 
 
 def test_parts_of_fixes_are_not_taken_for_directions_of_the_map(log: Path, tmp_path: Path) -> None:
