@@ -2,7 +2,8 @@
 
 grey -> median 5 -> contrast stretch -> find the board -> corners refined on the lightly smoothed grey picture.
 The window of the refinement follows the local size of the squares and ends at the picture's border. A corner that left its
-neighbours' pattern is put back and refined again: the median moves the first guess by pixels where squares are small.
+neighbours' pattern is put back and refined again: the median moves the first guess by pixels where squares are small. It stays
+there if the picture is more of a saddle there: of a wide lens the pattern itself may be wrong.
 
 The refinement takes edges for straight. An edge of curvature kappa, y = kappa x^2 / 2 along and across it, pulls the corner:
 
@@ -180,13 +181,23 @@ def _find_charuco(picture: Grey, board: Board) -> tuple[NDArray[np.int64], Array
 
 
 def _refined(picture: Grey, corners: Array, board: Board) -> Array:
-    """Corners to a part of a pixel; those that left the pattern begin again from where it says."""
+    """Corners to a part of a pixel; one off the pattern begins again from there, and stays if it is more of a corner there."""
     smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTHING_PX), dtype=np.uint8)
-    px = _sub_pixel(smooth, corners, _windows(picture, corners, _FIRST_WINDOW * _spacing(corners, board)))
+    windows = _windows(picture, corners, _FIRST_WINDOW * _spacing(corners, board))
+    px = _sub_pixel(smooth, corners, windows)
     predicted, off = _pattern(px, board)
-    px[off] = predicted[off]
+    again = _sub_pixel(smooth, np.where(off[:, None], predicted, px), windows)
+    better = off & (_saddle(smooth, again) > _saddle(smooth, px))
+    px[better] = again[better]
     windows = _windows(picture, px, _WINDOW * _spacing(px, board))
     return _straightened(_sub_pixel(smooth, px, windows), windows, board)
+
+
+def _saddle(picture: Grey, px: Array) -> Array:
+    """How much of a chessboard's corner is at px (N, 2): I_xy^2 - I_xx I_yy, near 0 on edges and where nothing is."""
+    xx, yy, xy = (cv2.Sobel(picture, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
+    u, v = np.clip(np.rint(px), 0, np.array(picture.shape[::-1]) - 1).astype(np.int64).T
+    return np.asarray((xy * xy - xx * yy)[v, u])
 
 
 def _windows(picture: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:

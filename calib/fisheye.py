@@ -51,7 +51,8 @@ def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[i
 def first_camera(x_o: list[Array], px: list[Array], size: tuple[int, int]) -> tuple[CameraModel, list[Pose]]:
     """Equidistant calibration by OpenCV, as a rational camera, and the board's poses. Raises CalibrationError."""
     objects, images = [x.reshape(1, -1, 3) for x in x_o], [p.reshape(1, -1, 2) for p in px]
-    flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
+    # Two coefficients to begin with: four bend back beyond the outermost corner.
+    flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4
     try:
         _, K, k, rvecs, tvecs = cv2.fisheye.calibrate(objects, images, size, np.eye(3), np.zeros(4), flags=flags)
     except cv2.error:
