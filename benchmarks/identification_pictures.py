@@ -3,7 +3,7 @@
 Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), or houses of all shapes (village); 30 % of them are not
 in the map, 10 % of the map is gone; cars, trees and patches of colour beside them. Map errors 0.3 m, rig errors as the rig's own
 covariance says. Wrong fix: with the prior more than 3 m off and outside its own 99.99 % ellipsoid. Wrong identity: a landmark of
-the fix that truly is not where its region is.
+the fix that truly is not where its region is, or that no longer stands.
 """
 
 import argparse
@@ -33,6 +33,7 @@ from vision.synthetic.scenes import Layout, Scene, WorldSpec, make_world
 FRAMES_PER_WORLD = 12
 PRIORS_M = (5.0, 10.0, 20.0)
 ATTITUDE_SIGMA_DEG = (1.0, 1.0, 2.0)
+SLACK_PX = 5.0
 Job = tuple[Layout, float, bool, int, int, int]  # prior [m], one camera, seed, cell, world
 
 
@@ -88,7 +89,10 @@ def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) ->
 
 
 def _is_there(scene: Scene, said: RegionReport, p_n: Array, R_nb: Array) -> bool:
-    """Whether the middle of what the left picture shows of the true landmark's roof lies in the region's box."""
+    """Whether the region's box and what the left picture shows of the true landmark's roof hold each other's middle.
+
+    Both in the picture that the line's path speaks of. A roof that is not in view is nowhere.
+    """
     true = next((m for m in scene.world.landmarks if m.id == said.landmark), None)
     if true is None:
         return False
@@ -96,9 +100,15 @@ def _is_there(scene: Scene, said: RegionReport, p_n: Array, R_nb: Array) -> bool
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     roof = np.column_stack((true.outline_n, np.full(len(true.outline_n), true.roof_d)))
     px = np.clip(rig.left.project((roof - p_nc) @ R_nc), 0.0, (rig.left.width - 1.0, rig.left.height - 1.0))
-    u, v = 0.5 * (px.min(axis=0) + px.max(axis=0))
-    u0, v0, width, height = said.bbox
-    return bool(u0 - 5 <= u <= u0 + width + 5 and v0 - 5 <= v <= v0 + height + 5)
+    low, high = px.min(axis=0), px.max(axis=0)
+    u, v, width, height = said.bbox
+    box = np.array([(u, v), (u + width, v + height)])
+    in_view = bool((high > low).all())  # clipped, a roof outside has no width or no height
+    return in_view and _inside((low + high) / 2.0, *box) and _inside(box.mean(axis=0), low, high)
+
+
+def _inside(point: Array, low: Array, high: Array) -> bool:
+    return bool((point >= low - SLACK_PX).all() and (point <= high + SLACK_PX).all())
 
 
 def row(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:

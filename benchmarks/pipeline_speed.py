@@ -55,7 +55,6 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("correspond", segmented, "correspond"),
     ("measure", segmented, "measure"),
     ("identify", segmented, "identify"),
-    ("fit after identify", segmented, "estimate_pose"),
 )  # name, where it is looked up, under which name
 
 

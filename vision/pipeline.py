@@ -22,9 +22,9 @@ from vision.pictures import Pictures, usable
 from vision.pose import PoseConfig
 from vision.predict import PredictConfig, PredictPath
 from vision.rectify import Image, rectification
-from vision.reports import RegionReport, Result, nothing
+from vision.reports import RegionReport, Result, nothing, with_regions
 from vision.segment import Space
-from vision.segmented import SegmentConfig, SegmentPath
+from vision.segmented import Identified, SegmentConfig, SegmentPath
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
 
@@ -52,7 +52,7 @@ class LandmarkPipeline:
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
         c = config or PipelineConfig()
         self._rig, self._map, self._config = rig, landmarks, c
-        segment = SegmentConfig(c.space, c.least_px, c.most_regions, c.most_landmarks, c.identify, c.pose, c.memory)
+        segment = SegmentConfig(c.space, c.least_px, c.most_regions, c.most_landmarks, c.identify, c.memory)
         self._segment = SegmentPath(rig, rectification(rig), segment)
         self._predict = PredictPath(rig, c.predict, c.pose)
 
@@ -79,10 +79,18 @@ class LandmarkPipeline:
         predicted = None if self._config.path == "segment" else self._predicted(pictures, near, t_ns, prior)
         if predicted is not None:
             return predicted
-        result = self._segment.locate(pictures, near, t_ns, prior)
+        found = self._segment.locate(pictures, near, t_ns, prior)
+        return found if isinstance(found, Result) else self._verified(found, near, t_ns, prior)
+
+    def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
+        """What predict and verify says of the place that identified regions tell."""
+        moves = self._predict.moves(found.pictures, near, found.place)
+        if moves is None:
+            return nothing(t_ns, "no_pose", found.pictures.remark)
+        result = self._predict.locate(found.pictures, *moves, t_ns, prior)
         if result.fix is not None:
-            self._predict.clear()
-        return result
+            self._segment.clear()
+        return with_regions(result, found.reports)
 
     def _predicted(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Result | None:
         """What predict and verify says; None where segmentation is to have its turn."""
@@ -93,7 +101,7 @@ class LandmarkPipeline:
         marks, move = moves
         if not only and not self._predict.narrow(pictures, move):
             return None
-        result = self._predict.locate(pictures, marks, move, t_ns)
+        result = self._predict.locate(pictures, marks, move, t_ns, prior)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed

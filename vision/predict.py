@@ -50,10 +50,6 @@ class PredictPath:
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted)
         self._waiting = Waiting(config.verify)
 
-    def clear(self) -> None:
-        """A fix was made otherwise."""
-        self._waiting.clear()
-
     def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
         """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
         eye = self._eye(pictures)
@@ -67,9 +63,9 @@ class PredictPath:
         shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
         return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
 
-    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int) -> Result:
-        """Fix or reason."""
-        eye, prior = self._eye(pictures), move.prior
+    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
+        """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
+        eye = self._eye(pictures)
         picture = pictures.right if pictures.only_right else pictures.left
         assert picture is not None
         candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)

@@ -1,7 +1,7 @@
 """What became of a pair of pictures: the fix, or why there is none, and one line for each region or landmark."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import msgspec
@@ -75,6 +75,12 @@ def report_of(
         t_ns, t_ns, outcome, detail.removesuffix("; "), len(reports), len(candidates), tuple(r.landmark for r in candidates),
         tuple(r.similarity for r in candidates), residual_px,
     )  # fmt: skip
+
+
+def with_regions(result: Result, regions: Sequence[RegionReport]) -> Result:
+    """The result of a look at the place that regions told: after its lines those of the regions that were not identified."""
+    said, r = (*result.regions, *(one for one in regions if one.state != "identified")), result.report
+    return replace(result, regions=said, report=report_of(r.t_ns, r.outcome, r.detail, said, r.residual_px))
 
 
 def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:

@@ -1,10 +1,12 @@
 """Recognition by description, for boot and for a prior that is lost: the stages of the thesis' chapter 5 in their order.
 
-rectify -> segment -> regions -> correspond -> measure -> identify -> pose -> tests of the fix
+rectify -> segment -> regions -> correspond -> measure -> identify -> where the pictures were taken
+
+That place is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,16 +21,14 @@ from vision.identify import NONE, Identification, IdentifyConfig, Prior, identif
 from vision.likelihood import Catalogue, Sighting, catalogue
 from vision.measure import Measured, measure
 from vision.pictures import Pictures
-from vision.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose
 from vision.rectify import Image, Mask, Rectification, rectify
 from vision.regions import Limits, Region
-from vision.reports import INSIDE_9999, RegionReport, Result, fix_of, nothing, pose_flaw, report_of, squared_distance
+from vision.reports import RegionReport, Result, nothing, report_of
 from vision.segment import Space
-from vision.sensitivity import eyes
-from vision.start import centroid_and_size, start_from_regions
 from vision.survey import Settings, grey, segment_regions
 
 _ROWS_PX: Final = 0.8  # rows that differ by less do no harm
+_WIDER: Final = 4.0  # variances of the place where is looked: outlines of regions are not quite those of roofs
 _TOO_FLAT: Final = "seen too flat to know its size"
 
 
@@ -41,7 +41,6 @@ class SegmentConfig:
     most_regions: int
     most_landmarks: int
     identify: IdentifyConfig
-    pose: PoseConfig
     memory: MemoryConfig
 
 
@@ -66,6 +65,18 @@ class _Seen:
     remark: str
 
 
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """A place to look at: pictures, those that fit each other; place: where they were taken, by the prior and the identities.
+
+    reports: a line of each region.
+    """
+
+    pictures: Pictures
+    place: Prior
+    reports: list[RegionReport]
+
+
 class SegmentPath:
     """Regions of pictures of one rig, identified as landmarks."""
 
@@ -78,8 +89,8 @@ class SegmentPath:
         """A fix was made: what is remembered has another error from now on."""
         self._memory.clear()
 
-    def locate(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
-        """Fix or reason; near: the landmarks that may be in view."""
+    def locate(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Identified | Result:
+        """Place or reason; near: the landmarks that may be in view."""
         if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may look sure
             return nothing(t_ns, "prior_too_wide", f"{pictures.remark}{len(near)} landmarks may be in view")
         known = catalogue(near)
@@ -90,7 +101,7 @@ class SegmentPath:
         seen = self._measure(pictures, views, regions, prior, known)
         if isinstance(seen, str):
             return nothing(t_ns, "swapped", seen, len(regions))
-        return self._decide(pictures, seen, near, known, t_ns, prior)
+        return self._decide(pictures, seen, known, t_ns, prior)
 
     def _views(self, pictures: Pictures) -> _Views:
         """Rectified."""
@@ -169,47 +180,22 @@ class SegmentPath:
                 seen.append(one)
         return _Seen(kept, seen, refused, False, sight.ONE_CAMERA_SCALE_SIGMA, remark)
 
-    def _decide(self, pictures: Pictures, seen: _Seen, near: list[Landmark], known: Catalogue, t_ns: int, prior: Prior) -> Result:
-        """Identify, and where that succeeds fit the pose; regions that stay open are kept for the next picture."""
+    def _decide(self, pictures: Pictures, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
+        """Identify; regions that stay open are kept for the next picture."""
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
         found = identify(every, known, prior, rig, seen.scale_sigma, self._config.identify, metric=seen.metric)
         now = len(seen.sightings)
         reports = [*(_region(seen.regions[i], found, i, known, self._config.identify) for i in range(now)), *seen.refused]
-        chosen = [i for i in range(now) if found.accepted[i]]
-        remark = seen.remark
-        if not chosen or found.place_posterior < self._config.identify.fix_posterior:
+        remark = f"{seen.remark}{_summary(found, now, len(remembered))}; "
+        if not found.accepted[:now].any() or found.place_posterior < self._config.identify.fix_posterior:
             if seen.metric:
                 self._memory.hold(seen.sightings, remembered, t_ns, prior)
-            outcome = _unsettled(found, now)
-            return Result(None, report_of(t_ns, outcome, remark + _summary(found, now, len(remembered)), reports), tuple(reports))
-        marks = [near[found.landmark[i]] for i in chosen]
-        used = (pictures.left, pictures.right if seen.metric or pictures.only_right else None)
-        pose = self._pose(used, [seen.regions[i] for i in chosen], marks, prior, pictures.only_right)
-        flaw = f"{pose.reason} {pose.detail}".strip() if isinstance(pose, NoPose) else _fix_flaw(pose, prior, found)
-        if flaw or isinstance(pose, NoPose):
-            return Result(None, report_of(t_ns, "no_pose", remark + flaw, reports), tuple(reports))
-        self._memory.clear()
-        similarity = float(np.mean([_similarity(found, i) for i in chosen]))
-        fix = fix_of(pose, t_ns, tuple(m.id for m in marks), similarity)
-        report = report_of(t_ns, "fixed", remark + _summary(found, now, len(remembered)), reports, pose.residual_px)
-        return Result(fix, report, tuple(reports), pose)
-
-    def _pose(
-        self,
-        raw: tuple[Image | None, Image | None],
-        regions: Sequence[Region],
-        marks: Sequence[Landmark],
-        prior: Prior,
-        right: bool,
-    ) -> PoseEstimate | NoPose:
-        """Start from the regions' places in the rectified picture, then fit the outlines in the pictures as they came."""
-        eye = eyes(self._rectified.rig)[int(right)]
-        described = [centroid_and_size(np.ascontiguousarray(r.outline)) for r in regions]
-        centres, sizes = np.array([c for c, _ in described]), np.array([s for _, s in described])
-        p_n, R_nb, shift = start_from_regions(eye, marks, centres, sizes, prior)
-        return estimate_pose(self._rig, raw, marks, (p_n, R_nb), prior, self._config.pose, shift)
+            return Result(None, report_of(t_ns, _unsettled(found, now), remark, reports), tuple(reports))
+        place = Prior(*prior.moved(found.x), _WIDER * found.covariance[:6, :6])
+        right = pictures.right if seen.metric or pictures.only_right else None
+        return Identified(replace(pictures, right=right, remark=remark), place, reports)
 
 
 def _rows_sigma(rig: StereoRig) -> float:
@@ -254,14 +240,3 @@ def _summary(found: Identification, now: int, remembered: int) -> str:
     count = int(found.accepted[:now].sum())
     before = f", {remembered} of earlier pictures" if remembered else ""
     return f"{count} of {now} regions identified{before}, place sure to {found.place_posterior:.5f}"
-
-
-def _fix_flaw(pose: PoseEstimate, prior: Prior, found: Identification) -> str:
-    """Why a fitted pose is not believed: not a number, not where the prior may be, not where the regions said."""
-    if flaw := pose_flaw(pose, prior):
-        return flaw
-    p_n, q = prior.moved(found.x)
-    distance = squared_distance(pose.joint_p_n, pose.joint_R_nb, p_n, q, found.covariance[:6, :6] + pose.joint_covariance)
-    if distance > INSIDE_9999:
-        return f"outlines and regions disagree: squared distance {distance:.0f}, 99.99 % are below {INSIDE_9999:.0f}"
-    return ""

@@ -15,6 +15,7 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.rectify import Image
+from vision.segmented import Identified, SegmentPath
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render_pair
 from vision.synthetic.scenes import Scene, WorldSpec, make_world
@@ -219,6 +220,33 @@ def test_the_wrong_street_is_not_taken_for_the_right_one() -> None:
     for _ in range(2):
         result = pipeline().process(v.left, v.right, 0, wrong)
         assert result.fix is None or np.linalg.norm(v.p_n - np.array(result.fix.p_n)) < 3.0, result.report
+
+
+def test_a_place_that_the_picture_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where identified regions say: at the true place there is a fix, 13 m aside, between look-alikes, there is none."""
+    v, sigma = view(), np.diag(np.array([0.5, 0.5, 0.5, *np.radians([0.3, 0.3, 0.5])]) ** 2)
+    results = []
+    for aside in (0.0, 13.0):
+        place = Prior(v.p_n + np.array([aside, 0.0, 0.0]), v.q_nb, sigma)
+        monkeypatch.setattr(SegmentPath, "locate", lambda _, pictures, *__, at=place: Identified(pictures, at, []))
+        segmenting = LandmarkPipeline(scene().rig_believed, scene().map, PipelineConfig(path="segment"))
+        results.append(segmenting.process(v.left, v.right, 0, v.prior))
+    assert results[0].fix is not None
+    assert_not_confidently_wrong(results[0], v)
+    assert (results[1].fix, results[1].report.outcome) == (None, "not_found")
+
+
+def test_regions_tell_the_place_and_the_outlines_there_make_the_fix() -> None:
+    v = view()
+    segmenting = LandmarkPipeline(scene().rig_believed, scene().map, PipelineConfig(path="segment"))
+    result = segmenting.process(v.left, v.right, 0, v.prior)
+    assert result.fix is not None
+    assert_not_confidently_wrong(result, v)
+    assert "regions identified" in result.report.detail
+    assert "predicted:" in result.report.detail
+    assert {r.path for r in result.regions} == {"predict", "segment"}
+    assert sum(r.state == "identified" for r in result.regions) == len(result.fix.landmarks)
+    assert result.report.regions == len(result.regions)
 
 
 def moved_mark(mark: Landmark, north: float) -> Landmark:
