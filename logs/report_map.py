@@ -7,7 +7,7 @@ import numpy as np
 
 from logs.evidence import Evidence
 from logs.metrics import Indices, Times
-from logs.report_charts import Ellipse, MapChart, Marks, Numbers, Path, Place
+from logs.report_charts import Colour, Ellipse, MapChart, Marks, Numbers, Path, Place
 from logs.report_gather import Gathered, seconds
 from logs.report_plots import MODES
 from logs.trajectory import Trajectory
@@ -17,6 +17,7 @@ from models.messages import Array
 _MOST_POINTS: Final = 2000
 _MOST_PLACES: Final = 3000
 _ELLIPSES: Final = 30
+_HOLE_NS: Final = 2_000_000_000
 _SIGMAS_95_PLANE: Final = 2.447747
 
 
@@ -26,8 +27,7 @@ def flight(evidence: Evidence, gathered: Gathered, outages: list[tuple[int, int]
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     paths = _by_mode(estimate, gathered, start_ns)
     if len(truth):
-        few = _few(len(truth))
-        paths.insert(0, Path("truth", "black", _m(truth.p[few, 0]), _m(truth.p[few, 1]), _s(truth.t_ns[few], start_ns)))
+        paths = [*_paths("truth", "black", truth[_few(len(truth))], start_ns), *paths]
     box = _box(np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
     used = {name for look in gathered.looks.values() if look.fix for name in look.fix.landmarks}
     return MapChart(
@@ -45,17 +45,23 @@ def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Pa
     stretches = gathered.states.get("mode", [])
     few = estimate[_few(len(estimate))]
     if not stretches:
-        return [Path("estimate", "blue", _m(few.p[:, 0]), _m(few.p[:, 1]), _s(few.t_ns, start_ns))]
+        return _paths("estimate", "blue", few, start_ns)
     ends = [s.t_ns for s in stretches[1:]] + [int(few.t_ns[-1]) + 1]
     paths = []
     for stretch, end in zip(stretches, ends, strict=True):
         rows = np.flatnonzero((few.t_ns >= stretch.t_ns) & (few.t_ns < end))
         if len(rows):
             part = few[np.arange(max(0, rows[0] - 1), rows[-1] + 1)]
-            colour = MODES.get(stretch.state, "grey")
-            name = stretch.state.replace("_", " ")
-            paths.append(Path(name, colour, _m(part.p[:, 0]), _m(part.p[:, 1]), _s(part.t_ns, start_ns)))
+            paths += _paths(stretch.state.replace("_", " "), MODES.get(stretch.state, "grey"), part, start_ns)
     return paths
+
+
+def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int) -> list[Path]:
+    """A line, or several where there is a hole in time: no line leads over what is not known."""
+    step = np.diff(way.t_ns)
+    holes = np.flatnonzero(step > max(_HOLE_NS, 3.0 * float(np.median(step)))) + 1 if len(step) else []
+    parts = (way[rows] for rows in np.split(np.arange(len(way)), holes))
+    return [Path(name, colour, _m(part.p[:, 0]), _m(part.p[:, 1]), _s(part.t_ns, start_ns)) for part in parts]
 
 
 def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: int, view_m: float) -> list[Ellipse]:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -228,6 +229,15 @@ def test_the_map_shows_the_way_by_mode_ellipses_and_fixes(page: Page, log: Path)
     assert {(m["name"], m["shape"]) for m in chart["marks"]} == {
         ("/pose_fix used", "dot"), ("/pose_fix not used", "cross"), ("start", "ring"), ("end", "ring"),
     }  # fmt: skip
+
+
+def test_no_line_leads_over_a_hole(log: Path) -> None:
+    evidence, hole = read(log), (40.02, 49.98)
+    known = np.array([not hole[0] < t < hole[1] for t in (evidence.estimate.t_ns - EPOCH_NS) * 1e-9])
+    broken = replace(evidence, estimate=evidence.estimate[known], truth=evidence.truth[known])
+    chart = flight(broken, Gathered(), [], [])
+    assert [p.name for p in chart.paths] == ["truth", "truth", "estimate", "estimate"]
+    assert [t for p in chart.paths for t in (p.t[0], p.t[-1])] == pytest.approx([0.0, 40.0, 50.0, 120.0] * 2, abs=0.09)
 
 
 def test_an_ellipse_lies_as_its_covariance(log: Path) -> None:
