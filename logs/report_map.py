@@ -59,7 +59,8 @@ def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Pa
 def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int) -> list[Path]:
     """A line, or several where there is a hole in time: no line leads over what is not known."""
     step = np.diff(way.t_ns)
-    holes = np.flatnonzero(step > max(_HOLE_NS, 3.0 * float(np.median(step)))) + 1 if len(step) else []
+    longest = max(_HOLE_NS, 3.0 * float(np.median(step))) if len(step) else _HOLE_NS
+    holes = np.flatnonzero(step > longest) + 1
     parts = (way[rows] for rows in np.split(np.arange(len(way)), holes))
     return [Path(name, colour, _m(part.p[:, 0]), _m(part.p[:, 1]), _s(part.t_ns, start_ns)) for part in parts]
 
