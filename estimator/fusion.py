@@ -313,7 +313,7 @@ class Fusion:
             dict(sorted(self._counts.items())),
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,
-            self._detail or (tracker.plausibility.detail if not tracker.is_aligned else ""),
+            self._detail or (tracker.detail if not tracker.is_aligned else ""),
             biases,
         )
 

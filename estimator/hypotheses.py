@@ -100,12 +100,13 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the leading hypothesis made of a measurement."""
+    """What the leading hypothesis made of a measurement; foreseen: by any."""
 
     seen: Innovation
     gate: float
     passed: bool
     fused: bool
+    foreseen: bool
 
 
 class Hypotheses:
@@ -143,7 +144,7 @@ class Hypotheses:
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
-            return Verdict(seen[0], limit, passed[0], fused=False)
+            return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
         born: list[Hypothesis] = []
         agreement = [self._agreement(k, aid, seen, passed) for k in range(len(self.members))]
@@ -154,7 +155,7 @@ class Hypotheses:
                 member.parted_ns = aid.t_ns
         self.members += born + ([believer] if believer else [])
         self._rank(aid.t_ns)
-        return Verdict(seen[0], limit, passed[0], fused[0])
+        return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 
     def _agreement(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> float | None:
         """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again.

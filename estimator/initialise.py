@@ -158,18 +158,22 @@ def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
     return x, cov
 
 
-def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> None:
-    """Every heading fuses the measurement and is weighed by how well it foresaw it."""
+def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> bool:
+    """Every heading fuses the measurement and is weighed by how well it foresaw it; whether any did."""
+    foreseen = False
     for member in bank.members:
         seen = innovation(member.filter, aid, z, gyro_b)
         # A single wild measurement must not decide the heading.
         member.weight += max(seen.log_likelihood, aid.log_false)
-        if seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu)) or seen.log_likelihood > aid.log_false:
+        passed = seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu))
+        foreseen |= passed
+        if passed or seen.log_likelihood > aid.log_false:
             member.filter.update(seen)
     best = max(m.weight for m in bank.members)
     bank.members = sorted((m for m in bank.members if m.weight > best - _HOPELESS), key=lambda m: -m.weight)
     for member in bank.members:
         member.weight -= best
+    return foreseen
 
 
 def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:

@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from estimator import initialise
+from estimator import contradiction, initialise
+from estimator.contradiction import NO_CONTRADICTION
 from estimator.eskf import Eskf
 from estimator.hypotheses import Hypotheses, Hypothesis
 from estimator.initialise import InitialiseConfig, Level
@@ -29,6 +30,8 @@ _NEVER = -(2**62)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
+_PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
+_THRICE_AT_MOST = 2
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
@@ -93,6 +96,8 @@ class Tracker:
         self.still: Still | None = None
         self.prior: tuple[int, Pose] | None = None
         self.stretch: Stretch | None = None
+        self.contradiction = NO_CONTRADICTION
+        self.given_up = 0  # how often a filter was
         self.plausibility = Plausibility(Phase.STARTING, "no IMU yet")
         self.sources: dict[str, SourceState] = {}
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
@@ -120,6 +125,11 @@ class Tracker:
         if (last := checkpoint.last_gnss) is not None:
             place, fixed_ns = (last.lat_deg, last.lon_deg, last.alt_m), checkpoint.t_ns - round(last.age_s * 1e9)
             self.anchor = GnssAnchor(place, fixed_ns, last.sigma_m, float(np.linalg.norm(lead.x[X.V])))
+
+    @property
+    def detail(self) -> str:
+        """What keeps it from an estimate."""
+        return self.plausibility.detail or (contradiction.SAYS if self.given_up else "")
 
     @property
     def needs_from_ns(self) -> int:
@@ -170,7 +180,7 @@ class Tracker:
         else:
             switches = self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
-            if self.hypotheses.switches != switches:
+            if self.hypotheses is None or self.hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past
             elif self.stretch is not None and decision.reason is Reason.FUSED:
                 self._settle(self.stretch.also(aid, z, gyro_b), samples)
@@ -182,6 +192,8 @@ class Tracker:
         assert self.hypotheses is not None
         trusted = state.phase is Phase.ACTIVE
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
+        if trusted:
+            self._note_contradiction(aid, z, foreseen=verdict.foreseen)
         sigma = np.sqrt(np.diag(verdict.seen.s))
         if verdict.fused:
             reason = Reason.FUSED
@@ -233,10 +245,13 @@ class Tracker:
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
-        initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        foreseen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        self._note_contradiction(aid, z, foreseen=foreseen)
+        if self.hypotheses is None:
+            return
         if self.stretch is not None:
             self.stretch = self.stretch.also(aid, z, gyro_b)
-        known = initialise.aligned(self.hypotheses, self.config.initialise)
+        known = self._is_proven() and initialise.aligned(self.hypotheses, self.config.initialise)
         if known:
             del self.hypotheses.members[1:]
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
@@ -245,6 +260,20 @@ class Tracker:
         elif len(self.hypotheses.members) == 1 and self.stretch.has_grown:
             confirmed = self._relinearise(self.stretch, samples).is_confirmed
             self.is_aligned = known and confirmed and initialise.aligned(self.hypotheses, self.config.initialise)
+
+    def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
+        """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
+        if not aid.absolute:
+            return
+        self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
+        if self.contradiction.is_shown:
+            self.hypotheses, self.stretch, self.still, self.is_aligned = None, None, None, False
+            self.contradiction, self.given_up = NO_CONTRADICTION, self.given_up + 1
+
+    def _is_proven(self) -> bool:
+        """The newest position was foreseen, by a filter that has gone on for a while."""
+        since_ns = self.stretch.t_ns if self.stretch is not None else _NEVER
+        return not self.contradiction.count and self.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone."""

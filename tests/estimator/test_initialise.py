@@ -187,7 +187,8 @@ def test_a_pose_fix_ends_the_wait() -> None:
     messages = _at_rest_with_gnss(10.0)
     fix = pose_fix(EPOCH_NS + 5 * SECOND + 3, sigma_m=0.2)
     run = Run(Fusion(FusionConfig(origin=HOME))).feed(by_arrival([*messages, fix]))
-    assert fix.t_ns <= run.estimates[0].t_ns < fix.t_ns + SECOND
+    waited_ns = run.estimates[0].t_ns - fix.t_ns
+    assert SECOND // 2 < waited_ns < SECOND + SECOND // 5  # so long the IMU has to show that it is right
     assert np.linalg.norm(run.estimates[-1].nav[X.P]) < 1.0
 
 

@@ -1,0 +1,63 @@
+"""Fixes that agree with one another but with no hypothesis: then it is the IMU that is wrong.
+
+A false fix does not agree with the next one. False fixes that agree make a believer, which foresees the next. So where not even a
+filter that begins at one fix foresees the next, although the fixes draw a path that a vehicle can fly, the motion between them is
+not what the IMU says: its axes or units are wrong, or it has failed. Two velocities from three positions tell whether it can be
+flown:
+
+    |(p2 - p1) / h2 - (p1 - p0) / h1|  <  a (h1 + h2) / 2 + k sigma (1 / h1 + 1 / h2)
+
+Nothing can be told of fixes that are too far apart in time. What is shown for some seconds is believed: the filter is given up.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from models.measurements import Measurement, Pose, Position
+from models.messages import Array
+
+SAYS = "the IMU contradicts fixes that agree with one another: check [imu] axes, mounting_rpy_deg and the units"
+_SHOWN_S, _SHOWN_FIXES = 3.0, 5
+_APART_S = 2.0  # fixes further apart tell nothing
+_AGILE_M_S2 = 40.0  # no vehicle accelerates more
+_SIGMAS = 3.0
+_XYZ = slice(0, 3)
+
+
+class Contradiction(NamedTuple):
+    """count: how many fixes in a row nobody has foreseen, since since_ns; of the last two the time [ns] and the position (3,)."""
+
+    count: int = 0
+    since_ns: int = 0
+    last: tuple[tuple[int, Array], ...] = ()
+
+    def also(self, t_ns: int, z: Measurement) -> "Contradiction":
+        """With one more that nobody has foreseen."""
+        if not isinstance(z, Pose | Position):
+            return self
+        here = (t_ns, z.z_n)
+        if not self.count or not self._leads_to(t_ns, z):
+            return Contradiction(1, t_ns, (here,))
+        return Contradiction(self.count + 1, self.since_ns, (*self.last[-1:], here))
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it has lasted long enough."""
+        return self.count >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
+
+    def _leads_to(self, t_ns: int, z: Pose | Position) -> bool:
+        """Whether a vehicle can fly from the last two positions to this one."""
+        (t1_ns, p1), h2 = self.last[-1], (t_ns - self.last[-1][0]) * 1e-9
+        if not 0.0 < h2 <= _APART_S:
+            return False
+        if len(self.last) == 1:
+            return True
+        t0_ns, p0 = self.last[0]
+        h1 = (t1_ns - t0_ns) * 1e-9
+        change = np.linalg.norm((z.z_n - p1) / h2 - (p1 - p0) / h1)
+        sigma = np.sqrt(np.trace(z.noise[_XYZ, _XYZ]))
+        return bool(change < _AGILE_M_S2 * 0.5 * (h1 + h2) + _SIGMAS * sigma * (1.0 / h1 + 1.0 / h2))
+
+
+NO_CONTRADICTION = Contradiction()
