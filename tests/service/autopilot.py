@@ -155,12 +155,6 @@ class Flight:
         self.autopilot, self._daemon, self._rng = autopilot, daemon, rng
         self.samples, self.has_gnss = 0, True
 
-    def go(self, seconds: float) -> None:
-        """For so long."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._step()
-
     def until(self, condition: Callable[[], object], what: str) -> None:
         """Until something is so."""
         end = time.monotonic() + 180.0
