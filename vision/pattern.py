@@ -4,8 +4,9 @@
 
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
 together still have one place (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
-searched: a fit that is not at the summit is refused; and where there is no fit, a summit that stands out is told, along the
-directions it measures. By chance the best of M places is r times the second one with a probability of about M^(-2 (r - 1)).
+searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
+no fit, a summit that stands out is told, along the directions it measures. By chance the best of M places is r times the second
+one with a probability of about M^(-2 (r - 1)).
 """
 
 import math
@@ -31,14 +32,15 @@ from vision.visibility import Prisms
 from vision.voters import chromas, voters
 
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
-_ROOF_PX = 16.0  # a roof's width where the picture is reduced, at least
-_STIFF_PX = 2.0  # of the reduced picture: what turn and scale may move the outlines' ends
-_APART_PX = 8.0  # the same: nearer places are one, as for the window of a fit
-_PLACE_PX = 1.0  # the same: how well the summit's place is known
+_ROOF_PX = 32.0  # wider roofs are fitted edge by edge
+_STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
+_APART_PX = 8.0  # nearer places are one, as for the window of a fit
+_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: what the prior excludes still tells what chance makes
+_PLACE_PX = 1.0  # how well the summit's place is known
 _POINTS = 400
-_MOST = 16_000_000  # points at all shifts together; else the picture is reduced further
 _FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
-_DISTINCT = 1.4  # 0.2 % by chance, M being some thousand
+_SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
+_LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
 
 
@@ -46,56 +48,49 @@ def judged(
     result: Result, rig: StereoRig, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig
 ) -> Result:
     """What predict and verify says, beside the pattern of all outlines."""
-    size = _reduction(eyes(rig)[int(pictures.only_right)], move, config)
-    best = None if size is None else _summit(eyes(rig)[int(pictures.only_right)], pictures, marks, move, config, size)
-    if size is None or best is None:
+    eye = eyes(rig)[int(pictures.only_right)]
+    best = _summit(eye, pictures, marks, move, config) if _only_shifts(eye, move, config) else None
+    if best is None:
         return result
-    if result.pose is not None:
-        error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
-        off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
-        return (
-            result if off_px <= _APART_PX * size else _refused(result, f"all outlines together lie {off_px:.0f} px from the fit")
-        )
-    return result if best.ratio < _DISTINCT else _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best, size)
+    if result.pose is None:
+        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= _SURE else result
+    error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
+    off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
+    if off_px > _APART_PX:
+        return _refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
+    if best.ratio < _LIKELY:
+        return _refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
+    return result
 
 
-def _reduction(eye: Eye, move: Motion, config: CoarseConfig) -> int | None:
-    """By how much the picture is reduced; None where more than the shift is open, or more of it than is searched."""
-    open_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
-    reach_px = config.sigmas * move.shift_px
-    if reach_px > limit_px(eye.camera, config):
-        return None
-    size = 1
-    while move.roof_px >= 2.0 * size * _ROOF_PX or _POINTS * (2.0 * reach_px / size) ** 2 > _MOST:
-        size *= 2
-    return size if open_px <= _STIFF_PX * size else None
+def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
+    """Whether small roofs are seen from a pose that leaves their common shift open, within the limits, and no more."""
+    ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
+    return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
 
 
-def _summit(
-    eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig, size: int
-) -> Summit | None:
+def _summit(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
     """The best of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
     picture = pictures.right if pictures.only_right else pictures.left
     assert picture is not None
-    level = levels(picture, eye.camera, (size,))[0]
-    reach = config.sigmas * np.sqrt(np.diag(move.covariance)[:2]) / size
-    small, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
-    seen = voters(small, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
+    level = levels(picture, eye.camera, (1,))[0]
+    reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
+    straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
+    seen = voters(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
     if seen is None:
         return None
-    su, sv = (np.arange(-n, n + 1.0) * size for n in np.ceil(reach).astype(int))
-    aimed, c = seen.aimed(small, pose, move.gain[:, :2]), level.camera
+    su, sv = (np.arange(-n, n + 1.0) for n in np.ceil(reach).astype(int))
+    aimed, c = seen.aimed(straight, pose, move.gain[:, :2]), level.camera
     field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
     floor = _FLOOR * level.typical() + 0.5
-    score = joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv)
-    return summit(score, su, sv, _APART_PX * size)
+    return summit(joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv), su, sv, _APART_PX)
 
 
-def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit, size: int) -> Result:
+def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
     """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
     middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))
-    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * (_PLACE_PX * size) ** 2)
+    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * _PLACE_PX**2)
     variance = np.mean([(mark.sigma_m**2, mark.height_sigma_m**2) for mark in marks], axis=0)
     sigma = math.sqrt(variance[0]), math.sqrt(variance[1]), 0.0
     found = fit_points(rig, point, move.pose(np.zeros(6)), move.prior, sigma, _ALONE)
@@ -103,12 +98,12 @@ def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motio
         return result
     pose, t_ns = found.estimate, result.report.t_ns
     if flaw := pose_flaw(pose, move.prior):
-        return _refused(result, flaw)
+        return _refused(result, "no_pose", flaw)
     detail = f"{result.report.detail}; all {len(marks)} outlines together have one place, {best.ratio:.2f} times the second"
     report = msgspec.structs.replace(result.report, outcome="fixed", detail=detail, residual_px=pose.residual_px)
     return Result(fix_of(pose, t_ns, (NAME,), min(best.score, 1.0)), report, result.regions, pose)
 
 
-def _refused(result: Result, detail: str) -> Result:
-    report = msgspec.structs.replace(result.report, outcome="no_pose", detail=f"predicted: {detail}")
+def _refused(result: Result, outcome: str, detail: str) -> Result:
+    report = msgspec.structs.replace(result.report, outcome=outcome, detail=f"predicted: {detail}")
     return replace(result, fix=None, pose=None, report=report)

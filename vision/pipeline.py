@@ -1,6 +1,7 @@
 """From pictures to a LandmarkFix, or the reason why there is none.
 
     check -> predict and verify (predict.py)      where the prior is good enough
+          -> all outlines as one pattern (pattern.py) from far above, where only their shift is open
           -> segment and identify (segmented.py)  at boot, where the prior is lost, or where that does not settle
 
 Nothing in here raises in flight. A picture that is missing or useless leaves the work to the other camera: known landmarks give
@@ -18,6 +19,7 @@ from models.landmarks import Landmark, LandmarkMap
 from vision.constellation import MemoryConfig
 from vision.identify import IdentifyConfig, Prior
 from vision.map_error import with_map_error
+from vision.pattern import judged
 from vision.pictures import Pictures, usable
 from vision.pose import PoseConfig
 from vision.predict import PredictConfig, PredictPath
@@ -101,7 +103,8 @@ class LandmarkPipeline:
         marks, move = moves
         if not only and not self._predict.narrow(pictures, move):
             return None
-        result = self._predict.locate(pictures, marks, move, t_ns, prior)
+        located = self._predict.locate(pictures, marks, move, t_ns, prior)
+        result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed

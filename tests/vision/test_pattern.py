@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from models import so3
 from models.camera import CameraModel, StereoRig
-from models.landmarks import Landmark
+from models.landmarks import Landmark, LandmarkMap
 from vision import pattern
 from vision.coarse import CoarseConfig
 from vision.identify import Prior
 from vision.motion import motion
 from vision.pictures import Pictures
+from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.reports import Result, nothing
 from vision.sensitivity import eyes
 
@@ -57,9 +58,12 @@ def drawn(boxes: Boxes) -> Pictures:
     return Pictures(image, None, "")
 
 
-def asked(boxes: Boxes, standing: Boxes, yaw_rad: float = 1e-3, result: Result | None = None) -> tuple[Result, Prior]:
+def asked(
+    boxes: Boxes, standing: Boxes, yaw_rad: float = 1e-3, result: Result | None = None, sigma_m: float = 12.0
+) -> tuple[Result, Prior]:
     """What is made of a result: a map of boxes over a picture of those that stand there."""
-    prior = Prior(TRUTH + OFF, np.array([1.0, 0.0, 0.0, 0.0]), np.diag([12.0**2, 12.0**2, 1.0, 1e-7, 1e-7, yaw_rad**2]))
+    covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 1e-7, 1e-7, yaw_rad**2])
+    prior = Prior(TRUTH + OFF * sigma_m / 12.0, np.array([1.0, 0.0, 0.0, 0.0]), covariance)
     marks = [mark(str(k), box) for k, box in enumerate(boxes)]
     move = motion(eyes(RIG)[0], marks, prior)
     assert move is not None
@@ -93,9 +97,11 @@ def test_the_error_of_the_map_repeats() -> None:
 
 
 def test_nothing_there_is_no_fix() -> None:
-    result, _ = asked(VILLAGE, ())
-    assert result.fix is None
-    assert result.report.outcome == "no_pose"
+    """However narrow the prior is: the places it excludes tell what chance makes."""
+    for sigma_m in (12.0, 1.0):
+        result, _ = asked(VILLAGE, (), sigma_m=sigma_m)
+        assert result.fix is None
+        assert result.report.outcome == "no_pose"
 
 
 def test_a_row_of_equal_houses_is_no_place() -> None:
@@ -118,3 +124,14 @@ def test_a_fit_elsewhere_is_refused(off_m: float, stays: bool) -> None:
     result, _ = asked(VILLAGE, VILLAGE, result=fitted)
     assert (result is fitted) is stays
     assert (result.fix is None) is not stays
+
+
+def test_the_pipeline_asks_the_pattern() -> None:
+    prior = Prior(TRUTH + OFF, np.array([1.0, 0.0, 0.0, 0.0]), np.diag([12.0**2, 12.0**2, 1.0, 1e-7, 1e-7, 1e-6]))
+    known = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [mark(str(k), box) for k, box in enumerate(VILLAGE)])
+    pipeline = LandmarkPipeline(RIG, known, PipelineConfig(farthest_m=3000.0))
+    result = pipeline.process(drawn(VILLAGE).left, None, 7, prior)
+    assert result.fix is not None
+    assert result.pose is not None
+    assert float(np.linalg.norm((result.pose.joint_p_n - TRUTH)[:2])) < 0.8
+    assert pipeline.process(drawn(()).left, None, 8, prior).fix is None
