@@ -26,9 +26,9 @@ _XYZ = slice(0, 3)
 
 
 class Contradiction(NamedTuple):
-    """count: how many fixes in a row nobody has foreseen, since since_ns; of the last two the time [ns] and the position (3,)."""
+    """unforeseen: fixes in a row that nobody has foreseen, since since_ns; last: time [ns] and position (3,) of the last two."""
 
-    count: int = 0
+    unforeseen: int = 0
     since_ns: int = 0
     last: tuple[tuple[int, Array], ...] = ()
 
@@ -37,14 +37,14 @@ class Contradiction(NamedTuple):
         if not isinstance(z, Pose | Position):
             return self
         here = (t_ns, z.z_n)
-        if not self.count or not self._leads_to(t_ns, z):
+        if not self.unforeseen or not self._leads_to(t_ns, z):
             return Contradiction(1, t_ns, (here,))
-        return Contradiction(self.count + 1, self.since_ns, (*self.last[-1:], here))
+        return Contradiction(self.unforeseen + 1, self.since_ns, (*self.last[-1:], here))
 
     @property
     def is_shown(self) -> bool:
         """Whether it has lasted long enough."""
-        return self.count >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
+        return self.unforeseen >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
 
     def _leads_to(self, t_ns: int, z: Pose | Position) -> bool:
         """Whether a vehicle can fly from the last two positions to this one."""

@@ -178,10 +178,10 @@ class Tracker:
                 state = state._replace(fused_ns=aid.t_ns)
                 self._note_absolute(aid, z)
         else:
-            switches = self.hypotheses.switches
+            hypotheses, switches = self.hypotheses, self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
-            if self.hypotheses is None or self.hypotheses.switches != switches:
-                self.stretch = None  # another filter leads, with another past
+            if self.hypotheses is not hypotheses or hypotheses.switches != switches:
+                self.stretch = None  # another filter leads, with another past, or none
             elif self.stretch is not None and decision.reason is Reason.FUSED:
                 self._settle(self.stretch.also(aid, z, gyro_b), samples)
         self.sources[aid.topic] = state
@@ -273,7 +273,7 @@ class Tracker:
     def _is_proven(self) -> bool:
         """The newest position was foreseen, by a filter that has gone on for a while."""
         since_ns = self.stretch.t_ns if self.stretch is not None else _NEVER
-        return not self.contradiction.count and self.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
+        return not self.contradiction.unforeseen and self.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone."""

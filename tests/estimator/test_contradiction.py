@@ -45,7 +45,7 @@ def test_a_velocity_tells_no_place() -> None:
 
 def test_a_pose_tells_its_place() -> None:
     pose = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.eye(6) * SIGMA_M**2, np.arange(6))
-    assert NO_CONTRADICTION.also(0, pose).count == 1
+    assert NO_CONTRADICTION.also(0, pose).unforeseen == 1
 
 
 # --- flights -----------------------------------------------------------------------------------------------------------------
