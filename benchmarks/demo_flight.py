@@ -13,8 +13,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
 
-from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table, number
 from calib.files import load_rig
 from estimator import flight_pictures, map_store
@@ -55,12 +56,9 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--flights", type=int, default=5)
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--resume", action="store_true", help="keep the flights that were done before this run was ended")
     arguments = parser.parse_args()
     jobs = [(arguments.seed + k, gps) for k in range(arguments.flights) for gps in (True, False)]
-    kept = OUT / f"errors_{arguments.seed}.jsonl"
-    flown = run_jobs(jobs, fly, list[Errors], kept, processes=arguments.processes, resume=arguments.resume)
+    flown = [fly(*job) for job in track(jobs, "flights", console=Console(stderr=True))]
     rows = [
         row(gps, seen, [e for job, two in zip(jobs, flown, strict=True) for e in two if (job[1], e.landmarks) == (gps, seen)])
         for gps in (True, False)
@@ -72,9 +70,8 @@ def main() -> None:
     print(text)
 
 
-def fly(job: tuple[int, bool]) -> list[Errors]:
+def fly(seed: int, gps: bool) -> list[Errors]:
     """Simulate one flight and replay it with what the cameras see, and without."""
-    seed, gps = job
     folder = _folder(seed, gps=gps)
     folder.mkdir(parents=True, exist_ok=True)
     plan = loads(scenario_text())

@@ -4,7 +4,7 @@ python -m benchmarks.single_fix --seed 1 --views 2000
 python -m benchmarks.single_fix --seed 1 --views 2000 --resume      (goes on where it was ended)
 
 Every view has its own world, map errors, rig errors, pose, light and noise (benchmarks/single_fix_views.py); identities are
-given, and the fit starts from noisy centres and sizes of the regions, as the pipeline has them. Table and plot go to
+given, and the fit starts a few pixels off, from noisy centres and sizes of the roofs' regions. Table and plot go to
 out/single_fix/.
 """
 
@@ -19,11 +19,11 @@ from benchmarks.fix_outcome import Outcome, outcome_of
 from benchmarks.jobs import run_jobs
 from benchmarks.single_fix_bound import bound
 from benchmarks.single_fix_report import as_text, plot, table
+from benchmarks.single_fix_start import centroid_and_size, start_from_regions
 from benchmarks.single_fix_views import View, draw_view
 from models.messages import Array
 from vision.pose import NoPose, estimate_pose
 from vision.sensitivity import eyes
-from vision.start import centroid_and_size, start_from_regions
 from vision.synthetic.render import render_pair
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "single_fix"

@@ -71,7 +71,7 @@ def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None)
     found = sum(isinstance(m, Match) for m in matches)
     misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)
     if behind > max(found, int(misfit)):  # one region on a wrong row is found anywhere
-        return f"left and right are swapped: {behind} of {behind + found} regions lie behind the camera"
+        return f"left and right are swapped: {behind} of {behind + found} regions lie behind the camera (or both are upside down)"
     if residual is not None and misfit:
         return (
             f"rows do not fit by {residual.vertical_px:+.1f} +- {residual.sigma_px:.1f} px: "

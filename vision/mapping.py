@@ -27,7 +27,6 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.measure import Measured
 from vision.regions import Region
-from vision.start import centroid_and_size
 
 _BLIND_M = 1e3  # along a ray whose length nothing tells
 _SHALLOW = 0.25  # sine of a ray against the ground, below which a region is seen too flat
@@ -120,8 +119,9 @@ def _arm(
     region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
 ) -> tuple[Array, float, float]:
     """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where nothing tells it."""
-    middle, _ = centroid_and_size(np.ascontiguousarray(region.outline))
-    ray = rig.left.ray(middle[None])[0]
+    outline = np.ascontiguousarray(region.outline)
+    middle = polygon.describe(outline, np.array([0, len(outline)]))[:, [polygon.NORTH, polygon.EAST]]
+    ray = rig.left.ray(middle)[0]
     if measured is None or np.hypot(measured.disparity_sigma_px, measured.rig_sigma_px) > _VAGUE * measured.disparity_px:
         distance = down / float(down_c @ ray)
         return distance * ray, _BLIND_M / distance, 0.0

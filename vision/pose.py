@@ -170,7 +170,7 @@ def estimate_pose(
     """Pose of the body from landmarks identified in views (left, right; None = not there), or why there is none.
 
     start: p_n, R_nb near enough that every outline lies within the first window of its edges; shift_m: (L, M) what is known
-    so far of the map's errors (MapError), as start_from_regions gives it.
+    so far of the map's errors (MapError).
     """
     config = config or PoseConfig()
     scene = Scene(rig, views, landmarks)

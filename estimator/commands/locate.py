@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from vision.rectify import Image
 
 
+_WIDEST_M = 1e7  # a quarter of the way around the Earth
+
+
 class LocateError(ValueError):
     """No fix, or nothing to make one of; the text is one line for a person."""
 
@@ -144,8 +147,8 @@ def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) 
     lat, lon, alt, roll, pitch, yaw = believed
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
-    if not (sigma[0] > 0.0 and sigma[1] > 0.0):
-        raise typer.BadParameter("--prior-sigma must be positive")
+    if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):
+        raise typer.BadParameter(f"--prior-sigma must be positive, at most {_WIDEST_M:.0f} m and 180 degrees")
     variance = [sigma[0] ** 2] * 3 + [math.radians(sigma[1]) ** 2] * 3
     q = so3.from_euler(math.radians(roll), math.radians(pitch), math.radians(yaw))
     return Prior(np.array(landmarks.frame.to_ned(lat, lon, alt)), q, np.diag(variance))

@@ -92,6 +92,7 @@ def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> No
         (["--prior", "99,8,500,0,0,0"], "no place on Earth"),
         (["--prior-sigma", "0,1"], "must be positive"),
         (["--prior-sigma", "nan,1"], "must be 2 numbers"),
+        (["--prior-sigma", "1e200,1"], "at most 10000000 m and 180 degrees"),
     ],
 )
 def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> None:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks.single_fix_start import centroid_and_size, start_from_regions
 from models import so3
 from models.landmarks import Landmark
 from models.messages import Array
 from tests.vision.roofs import nadir_rig
 from vision.identify import Prior
 from vision.sensitivity import eyes
-from vision.start import centroid_and_size, start_from_regions
 
 RIG = nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
 EYE = eyes(RIG)[0]
