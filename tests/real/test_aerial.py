@@ -83,17 +83,25 @@ def test_helipads_of_the_video(landfix_pictures: Path) -> None:
     assert max(o.error_m for o in found) < 2.0
 
 
-def test_turned_footprints_are_not_found(landfix_pictures: Path) -> None:
+@pytest.mark.parametrize(("size", "least"), [(10, 7), (3, 1)])
+def test_footprints_are_found_together_and_turned_ones_are_not(landfix_pictures: Path, size: int, least: int) -> None:
+    """Hipped roofs under trees: hardly one of them gives a fit. Three outlines rarely have one place only."""
     of = spacenet.scene(landfix_pictures)
-    trials = []
-    for marks in spacenet.sets(of.landmarks, 10)[::6]:
-        rng = generator(0, marks[0].id, 0)
+    trials, decoys = [], []
+    for marks in spacenet.sets(of.landmarks, size)[::6]:
+        rng = generator(0, marks[0].id, size)
         apart_m = spacenet.misregistration(of, marks)
         assert np.linalg.norm(apart_m) < 1.2  # the file's footprints lie on their houses, whichever are left out
-        decoy = turned(marks, np.mean([m.centre_n for m in marks], axis=0), rng)
-        case = spacenet.case(of, marks[0].id, decoy, apart_m)
+        case = spacenet.case(of, marks[0].id, marks, apart_m)
         trials.append(Trial(case, 0, spacenet.prior(case, rng)))
-    assert not any(o.accepted for o in outcomes(trials))
+        turned_marks = turned(marks, np.mean([m.centre_n for m in marks], axis=0), rng)
+        decoy = spacenet.case(of, marks[0].id, turned_marks, apart_m)
+        decoys.append(Trial(decoy, 0, spacenet.prior(decoy, rng)))
+    assert len(trials) == 8
+    found = [o for o in outcomes(trials) if o.accepted]
+    assert len(found) >= least
+    assert max(o.error_m for o in found) < 2.0
+    assert not any(o.accepted for o in outcomes(decoys))
 
 
 def test_a_picture_that_is_shifted_shows_as_misregistration(landfix_pictures: Path) -> None:
