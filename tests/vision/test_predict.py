@@ -123,13 +123,17 @@ def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
     assert {r.landmark: r.state for r in result.regions}["2"] in {"not_found", "open"}
 
 
-def test_a_landmark_that_moved_is_left_out_or_nothing_is_said() -> None:
+def test_a_landmark_that_moved_is_left_out() -> None:
+    """One of three is near what may be missing in one picture: where the others' place waits, the next picture agrees."""
     view = whole()
-    moved = (house("0", (6.0, 3.5), 0.3), *MARKS[1:])
-    result = pipeline(moved).process(view.left, view.right, 0, drawn(view, 1))
-    if result.fix is not None:
-        assert_right(result, view)
-        assert "0" not in result.fix.landmarks
+    one = pipeline((house("0", (6.0, 3.5), 0.3), *MARKS[1:]))
+    result, later = (one.process(view.left, view.right, t_ns, drawn(view, 1)) for t_ns in (0, 10**8))
+    assert result.fix is not None or result.report.outcome == "waiting"
+    for told in (result, later):
+        if told.fix is not None:
+            assert_right(told, view)
+            assert "0" not in told.fix.landmarks
+    assert later.fix is not None
 
 
 @pytest.mark.parametrize("angle", [0.6, 1.57, 2.4])
@@ -137,8 +141,8 @@ def test_a_map_that_is_turned_is_refused(angle: float) -> None:
     view, turn = whole(), np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     turned = tuple(house(str(k), tuple((np.array(place) @ turn).tolist()), a + angle) for k, (place, a) in enumerate(PLACES))
     result = pipeline(turned).process(view.left, view.right, 0, drawn(view, 1))
-    assert (result.fix, result.report.outcome) == (None, "not_found")
-    assert "not where they should be" in result.report.detail or "were found, the others" in result.report.detail
+    assert result.fix is None
+    assert result.report.outcome in {"not_found", "no_pose"}  # by the votes, or by the fit of the best of many places
 
 
 def test_empty_ground_is_refused_and_every_outline_has_its_line() -> None:
