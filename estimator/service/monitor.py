@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import StringIO
 from pathlib import Path
@@ -80,7 +80,7 @@ class View:
         if o := self.odometry:
             n, e, d = o.p_n
             table.add_row("position", f"north {n:9.2f} m   east {e:9.2f} m   up {-d:8.2f} m")
-            roll, pitch, yaw = (math.degrees(a) for a in so3.to_euler(np.array(o.q_nb_wxyz)))
+            roll, pitch, yaw = (round(math.degrees(a), 1) + 0.0 for a in so3.to_euler(np.array(o.q_nb_wxyz)))  # no -0.0
             speed = math.hypot(*o.v_n)
             attitude = f"roll {roll:6.1f}°  pitch {pitch:6.1f}°  heading {yaw % 360:5.1f}°"
             table.add_row("attitude, speed", f"{attitude}   {speed:5.1f} m/s")
@@ -124,7 +124,11 @@ class View:
         steps = d.get("clock wall_steps", "0")
         clock = f"wall clock {float(d.get('clock wall_ahead_s', '0')):+.3f} s since the start, {steps} steps"
         table.add_row("clock", Text(clock, style="" if steps == "0" else "yellow"))
+        for name, text, well in _links(d):
+            table.add_row(name, Text(text, style="" if well else "yellow"))
         table.add_row("running", f"{float(d.get('uptime_s', '0')):.0f} s, {d.get('zenoh links', '0')} others on the bus")
+        if defect := d.get("internal_error"):
+            table.add_row("internal errors", Text(f"{d['internal_errors']}, the last: {defect}", style="red"))
         return Panel(table, title="daemon", title_align="left", width=_WIDTH)
 
     def _rate_hz(self) -> float:
@@ -208,6 +212,17 @@ def _fates(reasons: Iterable[str]) -> Text:
     """120 fused, 3 gated."""
     counted = Counter(reasons).most_common()
     return Text(", ").join(Text(f"{n} {reason}", style="green" if reason == "fused" else "yellow") for reason, n in counted)
+
+
+def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
+    """Name, state and whether it is well, of vision and of the autopilot's link where they are configured."""
+    if state := d.get("vision state"):
+        seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
+        yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
+    if state := d.get("mavlink state"):
+        heard_s, told = d["mavlink heard_s"], f"told {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
+        heard = "nobody heard yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
+        yield "mavlink", f"{state}   {heard}, {told}", state == "open" and heard_s != "never"
 
 
 def _age(given: str | None) -> Text:

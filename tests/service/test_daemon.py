@@ -161,16 +161,15 @@ def test_torn_and_random_bytes_get_a_reason_and_nothing_else(tmp_path: Path) -> 
     assert_replay_says_the_same(log, text)
 
 
-def test_a_defect_of_ours_costs_one_message(tmp_path: Path) -> None:
+def test_a_defect_of_ours_costs_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
     with in_thread(parse(toml(tmp_path, port)), tmp_path) as daemon, client(port) as session:
-        decode = daemon._decoder.decode
 
-        def fails_once(*given: Any) -> Any:
-            daemon._decoder.decode = decode  # type: ignore[method-assign]
-            raise KeyError(given[0])
+        def fails_once(topic: str, *_: object) -> None:
+            monkeypatch.undo()
+            raise KeyError(topic)
 
-        daemon._decoder.decode = fails_once  # type: ignore[method-assign]
+        monkeypatch.setattr(daemon._decoder, "decode", fails_once)
         vehicle = fly(session, 1.5)
         until(lambda: status(session).get("internal_errors") == "1", "the status tells of it")
     assert len(vehicle.latency_ns) > 50

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from estimator.config import parse
 from estimator.service.monitor import View
+from estimator.service.status import Status
 from logs import cdr_fast
 from logs.codec import encode
 from models.messages import AidStatus, Health, LastGnss, Mode, Reason
@@ -80,6 +81,22 @@ def test_a_source_is_shown_with_its_state_and_the_fate_of_its_measurements() -> 
         assert said in line
     for said in ("dead_reckoning", "12.3 s ago", "8.50 m", "2 resets"):
         assert said in text
+
+
+def test_links_and_defects_are_shown_where_there_are_any() -> None:
+    values = {
+        "vision": {"state": "does not answer", "fixes": 7, "pairs": 9, "latency_ms": 43.5, "restarts": 2},
+        "mavlink": {"state": "open", "autopilot": "px4", "heard_s": "0.2", "odometry": 30, "fixes": 4},
+    }
+    view, status = View(), Status(T0, {name: lambda part=part: part for name, part in values.items()})  # type: ignore[misc]
+    status.note_defect("KeyError: 7")
+    report = status.report(T0)
+    assert report is not None
+    view.hear(report.topic, report.data, 1.0)
+    text = _text(view, 1.5)
+    assert "does not answer   7 fixes of 9 pairs, 43.5 ms, 2 restarts" in text
+    assert "open   px4 heard 0.2 s ago, told 30 odometry, 4 fixes" in text
+    assert "1, the last: KeyError: 7" in text
 
 
 def test_it_watches_a_daemon_and_draws_it(tmp_path: Path) -> None:
