@@ -4,8 +4,10 @@
 
 q: shift, turn and scale of the outlines (motion.py); support: how well landmark l lies on edges (votes.py). The prior's
 ellipsoid is searched on a grid in a reduced picture. All landmarks vote together, each as far off as its map error s_l lets it
-be, so that a neighbour that looks alike does not catch one of them. The best places are looked at again in a picture twice as
-large: there every landmark finds its own place, and pose and map errors are solved for together,
+be, so that a neighbour that looks alike does not catch one of them. In the reduced picture the true place is seldom the very best
+one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are looked at again in a picture twice
+as large, and the best of these once more. There every landmark finds its own place, and pose and map errors are solved for
+together,
 
     y_l = D_l dx - D_l,p m_l + e,       dx ~ N(0, P),  m_l ~ N(0, s_l^2).
 """
@@ -42,6 +44,9 @@ _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are o
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
 _FLOOR = 0.5  # of the median gradient of the picture
 _NEVER = -1e6
+_SUMMITS = 6  # of each turn and scale that are kept
+_CLOSE = 6  # summits ranked for each that is to be apart from the others
+_LOW = 0.4  # of the best summit's score: what is lower is not looked at again
 _OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
 
 
@@ -57,7 +62,8 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 8_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    peaks: Annotated[int, Meta(ge=1, description="places looked at again")] = 4
+    summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 20
+    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 5
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
@@ -103,8 +109,10 @@ class Search:
             )
         ]
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
-        found = [self._climb(middle, self.motion.gain @ q, size // middle.level.size) for q in self._wide(wide)]
-        ranked = sorted((self._climb(fine, c.error, 2) for c in found), key=lambda c: -c.score)
+        steps = size // middle.level.size
+        found = _best([self._near(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
+        found = [self._climb(middle, c, steps) for c in found]
+        ranked = _best([self._climb(fine, self._near(fine, c.error, 2), 2) for c in found], self.config.peaks)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
     def _reduction(self) -> int:
@@ -119,28 +127,26 @@ class Search:
         return size
 
     def _wide(self, stage: "_Stage") -> list[Array]:
-        """The best q of the whole grid."""
+        """The best summits q of the whole grid, apart in shift, turn or scale."""
         grid = _grid(self.motion, self.config, stage.level.size, limit_px(self.eye.camera, self.config))
         if stage.voters is None:
             return []
         information = np.linalg.inv(self.motion.covariance).astype(np.float64)
-        best = np.full((len(grid.su), len(grid.sv)), _NEVER)
-        other = np.zeros(best.shape, dtype=np.int64)
-        for k, pair in enumerate(grid.others):
+        found: list[tuple[float, Array]] = []
+        for pair in grid.others:
             chi2 = _squared(information, grid, np.array(pair))
             inside = chi2 <= grid.chi2
             if inside.any():
                 votes, _ = stage.vote(self.motion.gain @ np.array([0.0, 0.0, *pair]), grid.su, grid.sv, inside)
-                score = _together(votes, inside, stage.free) - 0.5 * chi2
-                better = inside & (score > best)
-                best[better], other[better] = score[better], k
-        peaks = [np.array([grid.su[a], grid.sv[b], *grid.others[other[a, b]]]) for a, b in _peaks(best)[: 3 * self.config.peaks]]
-        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.peaks]
+                total = np.where(inside, _together(votes, inside, stage.free) - 0.5 * chi2, _NEVER)
+                found += [(float(total[a, b]), np.array([grid.su[a], grid.sv[b], *pair])) for a, b in _peaks(total)[:_SUMMITS]]
+        found.sort(key=lambda one: -one[0])
+        peaks = [q for score, q in found[: _CLOSE * self.config.summits] if score >= min(_LOW * found[0][0], found[0][0])]
+        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.summits]
 
-    def _climb(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
-        """The better of the place near an error and the place near that one: turn and scale follow only from the first look."""
-        first = self._near(stage, error, steps)
-        return max(first, self._near(stage, first.error, steps), key=lambda c: c.score)
+    def _climb(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
+        """The better of a place and the place near it: turn and scale follow only from the look before."""
+        return max(place, self._near(stage, place.error, steps), key=lambda c: c.score)
 
     def _near(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
         """Every landmark's own place near an error of the prior, and the pose and map errors that follow."""
@@ -221,6 +227,10 @@ class _Stage:
         return np.asarray(A.T @ A / max(len(A), 1))
 
 
+def _best(places: list[Candidate], most: int) -> list[Candidate]:
+    return sorted(places, key=lambda c: -c.score)[:most]
+
+
 T = TypeVar("T")
 
 
@@ -261,10 +271,10 @@ class _Grid:
 
 
 def _grid(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> _Grid:
-    """Steps of one pixel of the reduced picture, and turns and scales that move the outlines' ends by about as much."""
+    """Steps of one pixel of the reduced picture, and turns and scales that move the outlines' ends by a pixel at most."""
     reach = np.minimum(config.sigmas * np.sqrt(np.diag(motion.covariance)[:2]), limit_px)
     su, sv = (np.arange(-n, n + 1.0) * step for n in np.ceil(reach / step).astype(int) + 1)
-    width, others = 1.4 * step / motion.radius, []
+    width, others = 2.0 * step / motion.radius, []
     for half in (min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale):
         n = math.ceil(max(half / width - 0.5, 0.0))
         others.append(np.arange(-n, n + 1.0) * width)

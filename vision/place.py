@@ -64,7 +64,7 @@ class Fitter:
                 if sum(place.length[good]) < v.remain * sum(place.length[first]):
                     return f"{len(first) - len(good)} of {len(first)} landmarks are not where the others say"
                 chosen = good
-            elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0:
+            elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
                 return f"the fit left the place that was found by {far:.0f} px"
             else:
                 kept = float(place.length[chosen].sum() / place.length[first].sum())
@@ -116,6 +116,11 @@ def _moved_px(eye: Eye, marks: list[Landmark], place: Candidate, chosen: list[in
     before = _middles(eye, marks, place.pose, place.shift_m[chosen])
     after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
     return float(np.nanmedian(np.linalg.norm(after - before, axis=1)))
+
+
+def _whole(fit: PoseEstimate) -> bool:
+    """Whether the pictures leave no direction open: along one (a strip) the search finds no place that a fit could leave."""
+    return fit.directions is None
 
 
 def _middles(eye: Eye, marks: list[Landmark], pose: Pose, shift_m: Array) -> Array:

@@ -30,6 +30,7 @@ from vision.verify import Evidence, Fitted, VerifyConfig, Waiting
 
 Mask = NDArray[np.bool_]
 PATH = "predict"
+_BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
 _MOST_TRIED = 3  # places that are fitted if they are nearly as good as the best one
 
 
@@ -57,8 +58,8 @@ class PredictPath:
         move = motion(eye, marks, prior) if marks else None
         return None if move is None else (marks, move)
 
-    def narrow(self, pictures: Pictures, move: Motion, share: float = 1.0) -> bool:
-        """Whether a search of `share` of the limits covers what the prior leaves open."""
+    def narrow(self, pictures: Pictures, move: Motion, share: float = _BEYOND) -> bool:
+        """Whether 3 sigma of the shift lie within `share` of the search's limit, and those of the turn within its own."""
         c, sigmas = self._config.coarse, self._config.coarse.sigmas
         shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
         return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
