@@ -132,7 +132,8 @@ def draw(seed: int) -> Figure:
         draw_horizontal_error(axes, evidence, outages["all"])
         name = f"{'GPS all along' if gps else 'GPS cut off'}, {'landmarks' if seen else 'no landmarks'}"
         axes.set_title(f"{name}: {axes.get_title()}", fontsize=10)
-    figure.legend(*grid[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    shown = {label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
