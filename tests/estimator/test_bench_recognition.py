@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -18,6 +19,7 @@ from estimator.cli import app
 from models import colours, so3
 from models.messages import LandmarkFix
 from vision.identify import Prior
+from vision.pipeline import PipelineConfig
 from vision.synthetic.render import render_labels
 from vision.synthetic.truth import sights
 
@@ -197,6 +199,14 @@ def test_the_command(tmp_path: Path) -> None:
     drawn = cv2.imread(str(tmp_path / "plot.png"))
     assert drawn is not None
     assert drawn.shape[1] > 800
+
+
+@pytest.mark.parametrize(("summits", "verdict"), [(20, "recognised"), (1, "silent")])
+def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_picture(summits: int, verdict: str) -> None:
+    c = PipelineConfig()
+    coarse = msgspec.structs.replace(c.predict.coarse, summits=summits)
+    config = msgspec.structs.replace(c, predict=msgspec.structs.replace(c.predict, coarse=coarse))
+    assert recognisers.landfix(views.draw("partial", "pale", 7, 0), config, timed=False).verdict == verdict
 
 
 def test_names_that_are_not_known() -> None:

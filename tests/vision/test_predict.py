@@ -174,6 +174,16 @@ def test_a_prior_that_is_too_wide_goes_to_segmentation_and_says_so() -> None:
     assert "regions identified" in result.report.detail
 
 
+def test_a_prior_that_is_a_little_wider_than_the_search_is_searched_as_far_as_it_goes() -> None:
+    """3 sigma are 195 px, the search ends at 160: 2 sigma lie within."""
+    view = whole()
+    wide = drawn(view, 1, SIGMA * np.array([1.3, 1.3, 1.0, 1.0, 1.0, 1.0]))
+    auto = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig())
+    result = auto.process(view.left, view.right, 0, wide)
+    assert_right(result, view)
+    assert "predicted" in result.report.detail
+
+
 def test_auto_is_predict_where_the_prior_is_good() -> None:
     view = whole()
     auto = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig())
