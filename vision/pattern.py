@@ -39,7 +39,7 @@ _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: what the prior ex
 _PLACE_PX = 1.0  # how well the summit's place is known
 _POINTS = 400
 _FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
-_SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
+SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
 
@@ -49,11 +49,11 @@ def judged(
 ) -> Result:
     """What predict and verify says, beside the pattern of all outlines."""
     eye = eyes(rig)[int(pictures.only_right)]
-    best = _summit(eye, pictures, marks, move, config) if _only_shifts(eye, move, config) else None
+    best = best_shift(eye, pictures, marks, move, config) if _only_shifts(eye, move, config) else None
     if best is None:
         return result
     if result.pose is None:
-        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= _SURE else result
+        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
     if off_px > _APART_PX:
@@ -69,7 +69,7 @@ def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
 
 
-def _summit(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
+def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
     """The best of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
     picture = pictures.right if pictures.only_right else pictures.left
     assert picture is not None
