@@ -74,28 +74,27 @@ class PredictPath:
             self._waiting.clear()
             return self._no_fix(pictures, "not_found", "nothing of the outlines in view", t_ns, [])
         v, best = self._config.verify, candidates[0]
-        trusted = best.support > v.landmark_share * np.maximum(best.length, 1.0)
+        trusted = self._trusted(best)
         evidence = Evidence.of(candidates, trusted, eye.camera.width)
         said = _reports(eye, marks, best, trusted)
         if flaw := verify.flaw(evidence, v):
             self._waiting.clear()
             return self._no_fix(pictures, "not_found", flaw, t_ns, said)
         likely = [c for c in candidates[:_MOST_TRIED] if c is best or c.score > v.rival * best.score]
+        others = [c for c in candidates[:_MOST_TRIED] if all(c is not one for one in likely)]
         tried = [self._fitter.fit(pictures, marks, c, prior) for c in likely]
-        outcome, plain = verify.decided(tried, v), len(likely)
+        outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
-            tried += [
-                self._fitter.fit(pictures, marks, c, prior)
-                for c in candidates[:_MOST_TRIED]
-                if all(c is not one for one in likely)
-            ]
+            tried += [self._fitter.fit(pictures, marks, c, prior) for c in others]
             outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             self._waiting.clear()
             reason = "ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose"
             return self._no_fix(pictures, reason, outcome, t_ns, said)
+        place = next(c for c, one in zip([*likely, *others], tried, strict=False) if one is outcome)
+        said = _reports(eye, marks, place, self._trusted(place))
         level, reason = verify.grade(evidence, outcome, v)
-        if level == "sure" and all(outcome is not one for one in tried[:plain]):
+        if level == "sure" and all(place is not one for one in likely):
             level, reason = "weak", "another place has more votes"
         if level == "weak" and not self._waiting.agrees(outcome.pose, t_ns, prior):
             return self._no_fix(pictures, "waiting", f"{reason}: the next picture must agree", t_ns, said)
@@ -107,6 +106,10 @@ class PredictPath:
         detail = f"{outcome.remark}predicted: {len(names)} of {len(said)} landmarks used, next place {evidence.rival:.0%} as good"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", pictures.remark + detail, said, fit.residual_px), tuple(said), fit)
+
+    def _trusted(self, place: Candidate) -> Mask:
+        """Landmarks (L,) that count as seen."""
+        return np.asarray(place.support > self._config.verify.landmark_share * np.maximum(place.length, 1.0))
 
     def _eye(self, pictures: Pictures) -> Eye:
         return eyes(self._rig)[int(pictures.only_right)]
@@ -143,16 +146,16 @@ def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
     return msgspec.structs.replace(one, state="identified" if done else "open", reason="" if done else "seen, but not used")
 
 
-def _reports(eye: Eye, marks: list[Landmark], best: Candidate, trusted: Mask) -> list[RegionReport]:
+def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -> list[RegionReport]:
     """One line for each landmark that would be in view."""
-    p_nk, R_nk = eye.pose(*best.pose)
+    p_nk, R_nk = eye.pose(*place.pose)
     said = []
     for k, mark in enumerate(marks):
-        if best.length[k] <= 0.0:
+        if place.length[k] <= 0.0:
             continue
-        outline = mark.outline_n + best.shift_m[k, :2]
+        outline = mark.outline_n + place.shift_m[k, :2]
         px = eye.camera.project((np.column_stack((outline, np.full(len(outline), mark.roof_d))) - p_nk) @ R_nk)
-        share = float(best.support[k] / best.length[k])
+        share = float(place.support[k] / place.length[k])
         said.append(RegionReport(
             "open" if trusted[k] else "not_found", _box(eye, px), mark.id, min(share, 1.0), 0.0, int(trusted[k]),
             f"{share:.0%} of its outline lies on edges", PATH,
