@@ -162,7 +162,7 @@ def draw(moments: list[Moment]) -> Figure:
     above.yaxis.set_minor_formatter(NullFormatter())
     above.set_ylabel("reprojection residual [px]")
     above.grid(alpha=0.25, which="both")
-    above.legend(loc="upper left", fontsize=8, ncols=3)
+    above.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=8, ncols=3)  # where no residual is
     below.step(t, [m.in_view for m in moments], where="mid", color=BLACK, linewidth=0.8, label="in view")
     below.step(t, [m.seen for m in moments], where="mid", color=GREEN, linewidth=1.5, label="measured and seen")
     below.set_ylabel("landmarks")

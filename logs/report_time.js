@@ -60,7 +60,7 @@ class OverTime {
     this.svg.setAttribute("viewBox", `0 0 ${this.width} ${this.height}`);
     this.svg.replaceChildren(clip, element("rect", { class: "grid", ...inner }), body);
     for (const t of niceSteps(view.begin, view.end, this.width / 110)) {
-      this.svg.append(label(this.x(t), this.height - 7, number(t, 6)));
+      if (this.x(t) < this.width - RIGHT - 25) this.svg.append(label(this.x(t), this.height - 7, number(t, 6))); // the unit stands there
       body.append(element("path", { class: "grid", d: `M${this.x(t)} ${TOP}V${this.height - BOTTOM}` }));
     }
     this.svg.append(label(this.width - RIGHT, this.height - 7, "s", "end"));
