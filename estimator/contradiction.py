@@ -17,7 +17,10 @@ import numpy as np
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
-SAYS = "the IMU contradicts fixes that agree with one another: check [imu] axes, mounting_rpy_deg and the units"
+SAYS = (
+    "the IMU contradicts fixes that agree with one another: check [imu] axes, mounting_rpy_deg and units, "
+    "and whether the fixes are as good as they claim ([pose_fix] noise_scale)"
+)
 _SHOWN_S, _SHOWN_FIXES = 3.0, 5
 _APART_S = 2.0  # fixes further apart tell nothing
 _AGILE_M_S2 = 40.0  # no vehicle accelerates more
