@@ -9,6 +9,9 @@ rotation). Rotations are corrected about the axes of the frame they lead to, R <
 
 H^-1 is honest while errors of corners are independent. A bent board or a moving one makes those of a view agree; then leaving
 views out (one Newton step each, Efron 1982) moves the solution further than C_s says, and C_s is widened by that ratio.
+
+A board that is bowed, z_o = b_1 x^2 + b_2 x y + b_3 y^2, is so in all views alike: leaving views out does not tell. So b is
+estimated in one more Newton step, and where it is seen, what it does to the solution, d = H^-1 H_sb b, is added: C_s + d d^T.
 """
 
 from collections.abc import Sequence
@@ -27,6 +30,7 @@ from models.messages import Array
 _STEPS: Final = 60
 _CONVERGED: Final = 1e-10  # relative decrease of the cost
 _POSE = 6
+_BOW_SEEN: Final = 21.1  # chi-square of 3, 1e-4
 _INDEPENDENT: Final = 1.2  # variance ratio up to which errors count as independent from corner to corner
 
 
@@ -96,7 +100,8 @@ class Problem:
 class Solution:
     """The adjusted problem; `residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
 
-    rms: of the lengths of the residuals; widened: factor on the covariance (variance) for errors that a view has in common.
+    rms: of the lengths of the residuals; widened: factor on the covariance (variance) for errors that a view has in common;
+    bow: by how much of its length the board is bowed, 0 where that is not seen.
     """
 
     problem: Problem
@@ -104,6 +109,7 @@ class Solution:
     covariance: Array
     sigma_px: float
     widened: float
+    bow: float
 
     @property
     def rms(self) -> float:
@@ -147,15 +153,16 @@ def adjust(problem: Problem) -> Solution:
 
 
 class _Terms(NamedTuple):
-    """Residual (M,) of a view, its derivatives by the free shared unknowns (M, m) and by the view's pose (M, 6)."""
+    """Residual (M,) of a view, its derivatives by the free shared unknowns (M, m), the view's pose (M, 6), the bow (M, 3)."""
 
     r: Array
     J_s: Array
     J_v: Array
+    J_b: Array
 
 
 def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
-    rs, Js, Jv = [], [], []
+    rs, Js, Jv, Jb = [], [], [], []
     begin = np.cumsum([0] + [4 + len(c.distortion) for c in problem.cameras])
     for k, (camera, place, seen) in enumerate(zip(problem.cameras, problem.places, problem.views[i], strict=True)):
         if seen is None:
@@ -171,9 +178,16 @@ def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
             at = begin[-1] + _POSE * (k - 1)
             J[:, :, at : at + _POSE] = np.concatenate((to_x, np.cross((x_1 @ place.R.T)[:, None], to_x)), axis=2)
         Jv.append(np.concatenate((to_x1, np.cross(turned[:, None], to_x1)), axis=2).reshape(-1, _POSE))
+        Jb.append(((to_x1 @ problem.poses[i].R[:, 2])[..., None] * _bow_modes(seen.x_o)[:, None]).reshape(-1, 3))
         Js.append(J.reshape(-1, len(mask))[:, mask])
         rs.append((seen.px - camera.project(x_k)).ravel())
-    return _Terms(np.concatenate(rs), np.vstack(Js), np.vstack(Jv))
+    return _Terms(np.concatenate(rs), np.vstack(Js), np.vstack(Jv), np.vstack(Jb))
+
+
+def _bow_modes(x_o: Array) -> Array:
+    """x^2, x y, y^2 (N, 3) [m^2]; about which point does not matter, the pose takes what is linear."""
+    x, y = x_o[:, :2].T
+    return np.column_stack((x * x, x * y, y * y))
 
 
 def _reduced(t: _Terms, damping: float) -> tuple[Array, Array, Array, Array]:
@@ -233,19 +247,31 @@ def with_parameters(camera: CameraModel, values: Array) -> CameraModel:
 def _solution(problem: Problem, terms: list[_Terms], mask: NDArray[np.bool_], cost: float) -> Solution:
     m, measured = int(mask.sum()), sum(len(t.r) for t in terms)
     sigma2 = cost / max(measured - m - _POSE * len(terms), 1)
-    covariance, widened = np.zeros((len(mask), len(mask))), 1.0
+    covariance, widened, bow = np.zeros((len(mask), len(mask))), 1.0, 0.0
     if m:
-        parts = [_reduced(t, 0.0)[:2] for t in terms]
-        H = np.sum([part[0] for part in parts], axis=0)
-        inverse = _inverse(H)
-        widened = _widened(H, [p[0] for p in parts], [p[1] for p in parts], sigma2)
-        covariance[np.ix_(mask, mask)] = widened * sigma2 * inverse
+        parts = [_reduced(t._replace(J_s=np.hstack((t.J_s, t.J_b))), 0.0)[:2] for t in terms]
+        H, g = sum((p[0] for p in parts), np.zeros((m + 3, m + 3))), sum((p[1] for p in parts), np.zeros(m + 3))
+        inverse = _inverse(H[:m, :m])
+        widened = _widened(H[:m, :m], [p[0][:m, :m] for p in parts], [p[1][:m] for p in parts], sigma2)
+        bow, moved = _bowed(H, g, inverse, widened * sigma2, max(float(np.ptp(s.x_o)) for v in problem.views for s in v if s))
+        covariance[np.ix_(mask, mask)] = widened * sigma2 * inverse + np.outer(moved, moved)
     residuals = []
     for view, t in zip(problem.views, terms, strict=True):
         counts = [0 if seen is None else 2 * len(seen.px) for seen in view]
         pieces = np.split(t.r, np.cumsum(counts)[:-1])
         residuals.append(tuple(None if s is None else p.reshape(-1, 2) for s, p in zip(view, pieces, strict=True)))
-    return Solution(problem, tuple(residuals), covariance, float(np.sqrt(sigma2)), widened)
+    return Solution(problem, tuple(residuals), covariance, float(np.sqrt(sigma2)), widened, bow)
+
+
+def _bowed(H: Array, g: Array, inverse: Array, sigma2: float, length_m: float) -> tuple[float, Array]:
+    """The board's bow, as a part of its length, and what it does to the shared unknowns; nothing where it is not seen."""
+    m = len(inverse)
+    K = inverse @ H[:m, m:]
+    information = H[m:, m:] - H[m:, :m] @ K
+    b = np.linalg.lstsq(information, g[m:] - K.T @ g[:m], rcond=None)[0]
+    if b @ information @ b < _BOW_SEEN * sigma2:
+        return 0.0, np.zeros(m)
+    return 0.25 * length_m * float(np.abs(b).max()), -K @ b  # a parabola over its chord: b (L / 2)^2
 
 
 def _widened(H: Array, H_i: list[Array], g_i: list[Array], sigma2: float) -> float:

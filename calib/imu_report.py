@@ -20,7 +20,8 @@ _LONGER: Final = "let the IMU lie still for longer: ten minutes for the noise, h
 _HUM: Final = "motors off, and nothing that hums near: the noise is not white"
 _MOVE: Final = "move more: turn briskly about all three axes and shake along all three, a minute, the whole board in view"
 _MODEL: Final = (
-    "innovations are larger than the noise says: give [imu] the noise of landfix calibrate imu, fix the board, check stamps"
+    "innovations are larger than the noise says: is --square-mm right, the board fixed, are [imu] axes and noise this IMU's, "
+    "do its stamps jump?"
 )
 _FEW: Final = "record for a minute, the whole board in the picture, in good light, so that more pictures count"
 
@@ -39,10 +40,10 @@ def of_camera_imu(result: CameraImu) -> Verdict:
     """The verdict on a camera's place on the IMU."""
     sigma = np.sqrt(np.diagonal(result.covariance))
     return Verdict((
+        Fact("mean square of the innovations", result.mean_square, "", 1.5, 9.0, _MODEL),
         Fact("sigma of the translation", 1e3 * float(sigma[:3].max()), "mm", 3.0, 10.0, _MOVE),
         Fact("sigma of the rotation", float(np.rad2deg(sigma[3:6].max())), "deg", 0.05, 0.2, _MOVE),
         Fact("sigma of the time offset", 1e3 * float(sigma[6]), "ms", 0.3, 1.0, _MOVE),
-        Fact("mean square of the innovations", result.mean_square, "", 1.5, 9.0, _MODEL),
         Fact("pictures short of 400", max(400.0 - len(result.innovations), 0.0), "", 0.0, 300.0, _FEW),
     ))  # fmt: skip
 

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.bundle import Solution
 from calib.mono import Mono
 from calib.selection import coverage
 from calib.stereo import Stereo
@@ -70,6 +71,7 @@ class Verdict(msgspec.Struct, frozen=True):
 _STILL: Final = "hold board and camera still, in good light, and see that the board is flat"
 _TILT: Final = "tilt the board 20-45 degrees, about both axes, and come near enough to fill a third of the picture"
 _SPREAD: Final = "move the board into the picture's corners and along its borders"
+_FLAT: Final = "the board is bowed: glue it to glass or aluminium, and do it again"
 _MORE: Final = "take more pictures (20 that differ)"
 _LENS: Final = "take a lens model of fewer coefficients (--lens), or move the board into the corners"
 
@@ -79,7 +81,8 @@ def of_mono(result: Mono) -> Verdict:
     return Verdict(
         (
             *_common(result.solution.rms, result.held_out_rms, len(result.views)),
-            *_camera(result.camera),
+            _flat(result.solution),
+            *_camera(result.camera, result.solution),
             _covered(coverage(result.views), 40.0, 70.0),
         )
     )
@@ -94,10 +97,11 @@ def of_stereo(result: Stereo) -> Verdict:
     covered = np.minimum(coverage([p.left for p in result.pairs]), coverage([p.right for p in result.pairs]))
     return Verdict((
         *_common(result.solution.rms, float("nan"), len(result.pairs))[::2],
+        _flat(result.solution),
         Figure("rectified row error", result.epipolar_after_px, "px", 0.35, 0.7, _STILL),
         Figure("the same, pairs left out", result.held_out_px, "px", 0.4, 0.8, _MORE),
-        *_camera(result.rig.left, "left: "), *_camera(result.rig.right, "right: "),
-        Figure("sigma of the baseline", 100.0 * baseline, "%", 0.3, 1.0, _TILT),
+        *_camera(result.rig.left, result.solution, "left: "), *_camera(result.rig.right, result.solution, "right: "),
+        Figure("sigma of the baseline", 100.0 * baseline, "%", 0.3, 1.0, _better(result.solution)),
         Figure("sigma of the rotation between the cameras", tilt, "deg", 0.15, 0.5, _SPREAD),
         _covered(covered, 60.0, 80.0),  # the other camera sees less of it
     ))  # fmt: skip
@@ -111,14 +115,24 @@ def _common(rms: float, held_out: float, views: int) -> tuple[Figure, Figure, Fi
     )
 
 
-def _camera(camera: CameraModel, side: str = "") -> tuple[Figure, ...]:
+def _flat(solution: Solution) -> Figure:
+    """Loose limits: what a bow does is in the sigmas, and these judge it."""
+    return Figure("bow of the board over its length", 100.0 * solution.bow, "%", 0.3, 1.0, _FLAT)
+
+
+def _better(solution: Solution) -> str:
+    """What makes sigmas smaller."""
+    return _FLAT if solution.bow > 0.0 else _TILT
+
+
+def _camera(camera: CameraModel, solution: Solution, side: str = "") -> tuple[Figure, ...]:
     assert camera.covariance is not None
     sigma = np.sqrt(np.diagonal(camera.covariance))
     focal = 100.0 * float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     return (
-        Figure(f"{side}sigma of the focal length", focal, "%", 0.3, 1.0, _TILT),
+        Figure(f"{side}sigma of the focal length", focal, "%", 0.3, 1.0, _better(solution)),
         Figure(f"{side}picture that the lens model cannot have made", uncovered(camera), "%", 0.0, 3.0, _LENS),
-        Figure(f"{side}sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _TILT),
+        Figure(f"{side}sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _better(solution)),
     )
 
 

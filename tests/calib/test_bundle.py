@@ -120,7 +120,7 @@ def test_what_a_pose_can_imitate_leaves_nothing_of_the_lens_and_never_less() -> 
     rng = np.random.default_rng(0)
     J_v, r = rng.normal(size=(108, 6)), rng.normal(size=108)
     J_s = 1e8 * J_v @ rng.normal(size=(6, 12))
-    H, g, B, b = bundle._reduced(bundle._Terms(r, J_s, J_v), 0.0)
+    H, g, B, b = bundle._reduced(bundle._Terms(r, J_s, J_v, np.empty((108, 0))), 0.0)
     assert np.all(np.diagonal(H) >= 0.0)
     assert np.abs(H).max() < 1e-25 * np.abs(J_s.T @ J_s).max()
     np.testing.assert_allclose(J_v @ B, J_s, rtol=1e-9, atol=1e-4)
@@ -130,7 +130,7 @@ def test_what_a_pose_can_imitate_leaves_nothing_of_the_lens_and_never_less() -> 
 
 def test_damping_is_that_of_the_normal_equations() -> None:
     rng = np.random.default_rng(1)
-    t = bundle._Terms(rng.normal(size=40), rng.normal(size=(40, 5)), rng.normal(size=(40, 6)))
+    t = bundle._Terms(rng.normal(size=40), rng.normal(size=(40, 5)), rng.normal(size=(40, 6)), np.empty((40, 0)))
     V = t.J_v.T @ t.J_v
     V[np.diag_indices(6)] *= 1.3
     W = t.J_s.T @ t.J_v

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib import camera_imu, grey_box, imu_report, synthetic_motion
 from calib.bundle import Pose
 from calib.camera_imu import CameraImu, Recording
-from calib.chessboard import View
+from calib.chessboard import Board, View
 from calib.errors import CalibrationError
 from calib.synthetic_motion import EUROC_NOISE, Truth, record
 from calib.verdict import Grade
@@ -64,6 +66,23 @@ def test_verdict_tables_and_picture(runs: list[tuple[Truth, CameraImu]]) -> None
     assert imu_report.of_camera_imu(found).grade is Grade.USABLE  # fifteen seconds are short
     assert any("time offset" in row[0] for row in imu_report.camera_imu_tables(found)[0][2])
     assert len(imu_report.camera_imu_figure(found).axes) == 4
+
+
+def test_a_board_that_looks_the_same_upside_down_may_be_read_from_either_end() -> None:
+    true, alike, rng = truth(0), Board(8, 6, 0.025), np.random.default_rng(0)
+    imu, stamps, views, _ = record(true, CAMERA, alike, EUROC_NOISE, rng)
+    either = [replace(v, px=v.px[::-1].copy()) if rng.random() < 0.5 else v for v in views]
+    found = camera_imu.calibrate(imu, stamps, either, alike, CAMERA, EUROC_NOISE)
+    assert found.dropped == 0
+    assert np.abs(error(true, found)[:3]).max() < 2e-3
+
+
+def test_squares_of_another_size_than_told_are_to_be_done_again() -> None:
+    true = truth(1)
+    imu, stamps, views, _ = record(true, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(1))
+    judged = imu_report.of_camera_imu(camera_imu.calibrate(imu, stamps, views, Board(9, 6, 0.027), CAMERA, EUROC_NOISE))
+    assert judged.grade is Grade.REDO
+    assert "is --square-mm right" in judged.advice[0]
 
 
 def test_the_time_offset_is_shutter_minus_stamp() -> None:

@@ -110,6 +110,25 @@ def test_errors_that_a_view_has_in_common_widen_sigma() -> None:
     assert np.abs(error[:4] / np.sqrt(np.diagonal(covariance(widened))[:4])).max() < 4.0
 
 
+def test_a_bowed_board_is_told_and_its_effect_is_in_sigma() -> None:
+    """0.8 mm over 200 mm, alike in all views: by the corners' noise alone the focal length is off by more than five sigma."""
+    rng, bow = np.random.default_rng(4), np.zeros((54, 3))
+    bow[:, 2] = 8e-4 * (2.0 * BOARD.points[:, 0] / 0.2 - 1.0) ** 2
+    views = []
+    for k, pose in enumerate(synthetic.poses([(CAMERA, IDENTITY)], BOARD, 20, rng)):
+        px = CAMERA.project(pose.of(BOARD.points + bow)) + rng.normal(0.0, 0.03, (54, 2))
+        views.append(View(str(k), 640, 480, np.arange(54), px, 2.0))
+    result = mono.calibrate(views, BOARD)
+    assert result.solution.bow == pytest.approx(8e-4 / 0.2, rel=0.2)
+    error = parameters(CAMERA) - parameters(result.camera)
+    z = np.abs(error[:4] / np.sqrt(np.diagonal(covariance(result))[:4]))
+    assert np.abs(error[:2]).min() > 0.5
+    assert z.max() < 3.0
+    assert any("board is bowed" in a for a in verdict.of_mono(result).advice)
+    flat = mono.calibrate(simulated_views(20), BOARD)
+    assert flat.solution.bow == 0.0
+
+
 def test_twenty_views_that_differ_are_chosen() -> None:
     views = simulated_views(20)
     alike = [View(f"again {k}", 640, 480, v.ids, v.px + 0.5, 2.0) for k, v in enumerate(views[:5])]
