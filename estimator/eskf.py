@@ -103,9 +103,9 @@ class Eskf:
         self.slow = self.slow.moved(by)
 
     def widen(self, factor: float) -> None:
-        """P <- D P D: the 15 states are `factor` times less certain than they claimed, slow errors are not."""
+        """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
         scale = np.ones(len(self.cov))
-        scale[: E.SIZE] = factor
+        scale[E.P], scale[E.V], scale[E.THETA] = factor, factor, factor
         self.cov = self.cov * np.outer(scale, scale)
 
     def forget(self, block: str) -> None:

@@ -152,7 +152,9 @@ def _nees(run: Run, flight: Simulation) -> float:
     return float(np.mean([d @ np.linalg.solve(c, d) for d, c in zip(errors, covs, strict=True)])) / 9.0
 
 
-def test_taking_them_for_whole_is_confident_and_wrong(flight: Simulation, messages: list[Input], punctual: Run) -> None:
+def test_taking_them_for_whole_is_too_sure_and_refuses_good_ones(
+    flight: Simulation, messages: list[Input], punctual: Run
+) -> None:
     """The control: the covariance without directions, as if the prior's part had been measured too. Half of them are gated."""
 
     def whole(m: LandmarkFix) -> LandmarkFix:
@@ -161,7 +163,7 @@ def test_taking_them_for_whole_is_confident_and_wrong(flight: Simulation, messag
         return msgspec.structs.replace(m, directions=None, covariance=m.covariance - 1e4 * across.T @ across)
 
     run = fly(flight, messages=[whole(m) if isinstance(m, LandmarkFix) else m for m in messages])
-    assert _nees(run, flight) > 2.0 * _nees(punctual, flight)
+    assert _nees(run, flight) > 1.5 * _nees(punctual, flight)
     assert run.reasons(TOPIC)[Reason.GATED] > 1.5 * punctual.reasons(TOPIC)[Reason.GATED]
 
 
