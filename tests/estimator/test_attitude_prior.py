@@ -96,8 +96,8 @@ def test_it_starts_with_its_covariance_about_the_bodys_axes() -> None:
     r_nb = so3.matrix(first.nav[X.Q])
     sigma = np.sqrt(np.diag(r_nb @ first.covariance[E.THETA, E.THETA] @ r_nb.T))
     drift = InitialiseConfig().gyro_bias_sigma * 1.0  # rad: of the first second, until it has proved itself
-    assert 0.5 * HEADING < sigma[2] < 1.1 * HEADING
-    assert (sigma[:2] < 1.1 * math.hypot(TILT, drift)).all()
+    assert 0.5 * HEADING < sigma[2] < 1.1 * math.hypot(HEADING, drift)
+    assert (sigma[:2] < 1.1 * TILT).all()
 
 
 @pytest.mark.parametrize(
