@@ -3,6 +3,7 @@
 import gc
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
@@ -105,7 +106,7 @@ def assembled(
         saved = state_file.load(state_path) if state_path else None
         clock = clock or state_file.clock_of(saved)
         if config.log.enabled and (recovery := recover_in_background(logs)):
-            stack.callback(recovery.poll)
+            threading.Thread(target=recovery.wait, name="recovery", daemon=True).start()  # it may take longer than we live
         log = _log(stack, config, clock, attachments, _metadata(config, folder, digest))
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
