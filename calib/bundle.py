@@ -5,13 +5,9 @@
 Shared unknowns s: each camera's (fx fy cx cy *distortion), then for each further camera (t_k, rotation). Own to a view: (t,
 rotation). Rotations are corrected about the axes of the frame they lead to, R <- exp(dtheta) R. The views are eliminated:
 
-    H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s,   C_s = sigma^2 H^-1,   sigma^2 = r^T r / redundancy
+    H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s
 
-H^-1 is honest while errors of corners are independent. A bent board or a moving one makes those of a view agree; then leaving
-views out (one Newton step each, Efron 1982) moves the solution further than C_s says, and C_s is widened by that ratio.
-
-A board that is bowed, z_o = b_1 x^2 + b_2 x y + b_3 y^2, is so in all views alike: leaving views out does not tell. So b is
-estimated in one more Newton step, and where it is seen, what it does to the solution, d = H^-1 H_sb b, is added: C_s + d d^T.
+Their covariance is sigma^2 H^-1, and more where corners err together: covariance.py.
 """
 
 from collections.abc import Sequence
@@ -22,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.covariance import bowed, marginal
 from calib.errors import CalibrationError
 from models import so3
 from models.camera import CameraModel
@@ -30,8 +27,6 @@ from models.messages import Array
 _STEPS: Final = 60
 _CONVERGED: Final = 1e-10  # relative decrease of the cost
 _POSE = 6
-_BOW_SEEN: Final = 21.1  # chi-square of 3, 1e-4
-_INDEPENDENT: Final = 1.2  # variance ratio up to which errors count as independent from corner to corner
 
 
 class Seen(NamedTuple):
@@ -100,7 +95,7 @@ class Problem:
 class Solution:
     """The adjusted problem; `residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
 
-    rms: of the lengths of the residuals; widened: factor on the covariance (variance) for errors that a view has in common;
+    rms: of the lengths of the residuals; widened: mean factor on the variances for errors that a view has in common;
     bow: by how much of its length the board is bowed, 0 where that is not seen.
     """
 
@@ -250,54 +245,18 @@ def _solution(problem: Problem, terms: list[_Terms], mask: NDArray[np.bool_], co
     covariance, widened, bow = np.zeros((len(mask), len(mask))), 1.0, 0.0
     if m:
         parts = [_reduced(t._replace(J_s=np.hstack((t.J_s, t.J_b))), 0.0)[:2] for t in terms]
-        H, g = sum((p[0] for p in parts), np.zeros((m + 3, m + 3))), sum((p[1] for p in parts), np.zeros(m + 3))
-        inverse = _inverse(H[:m, :m])
-        widened = _widened(H[:m, :m], [p[0][:m, :m] for p in parts], [p[1][:m] for p in parts], sigma2)
-        bow, moved = _bowed(H, g, inverse, widened * sigma2, max(float(np.ptp(s.x_o)) for v in problem.views for s in v if s))
-        covariance[np.ix_(mask, mask)] = widened * sigma2 * inverse + np.outer(moved, moved)
+        H_i, g_i = np.array([p[0] for p in parts]), np.array([p[1] for p in parts])
+        spread = marginal(H_i[:, :m, :m], g_i[:, :m], sigma2)
+        length_m = max(float(np.ptp(s.x_o)) for v in problem.views for s in v if s)
+        bow, moved = bowed(H_i.sum(axis=0), g_i.sum(axis=0), spread.f * sigma2, length_m)
+        covariance[np.ix_(mask, mask)] = spread.covariance + np.outer(moved, moved)
+        widened = spread.widened
     residuals = []
     for view, t in zip(problem.views, terms, strict=True):
         counts = [0 if seen is None else 2 * len(seen.px) for seen in view]
         pieces = np.split(t.r, np.cumsum(counts)[:-1])
         residuals.append(tuple(None if s is None else p.reshape(-1, 2) for s, p in zip(view, pieces, strict=True)))
     return Solution(problem, tuple(residuals), covariance, float(np.sqrt(sigma2)), widened, bow)
-
-
-def _bowed(H: Array, g: Array, inverse: Array, sigma2: float, length_m: float) -> tuple[float, Array]:
-    """The board's bow, as a part of its length, and what it does to the shared unknowns; nothing where it is not seen."""
-    m = len(inverse)
-    K = inverse @ H[:m, m:]
-    information = H[m:, m:] - H[m:, :m] @ K
-    b = np.linalg.lstsq(information, g[m:] - K.T @ g[:m], rcond=None)[0]
-    if b @ information @ b < _BOW_SEEN * sigma2:
-        return 0.0, np.zeros(m)
-    return 0.25 * length_m * float(np.abs(b).max()), -K @ b  # a parabola over its chord: b (L / 2)^2
-
-
-def _widened(H: Array, H_i: list[Array], g_i: list[Array], sigma2: float) -> float:
-    """What leaving out each view does, over what independent errors would make it do; 1 unless it is clearly more.
-
-    sum_i d_i^T H d_i / (sigma^2 sum_i tr((H - H_i)^-1 H_i)),   d_i = (H - H_i)^-1 g_i
-    """
-    scale = np.sqrt(np.diagonal(H))
-    over = np.outer(scale, scale)
-    moved, expected = 0.0, 0.0
-    for part, g in zip(H_i, g_i, strict=True):
-        rest = (H - part) / over
-        if np.linalg.cond(rest) > 1e13:
-            return 1.0  # without this view there is no solution: nothing to compare
-        d = np.linalg.solve(rest, g / scale)
-        moved += float(d @ (H / over) @ d)
-        expected += float(np.trace(np.linalg.solve(rest, part / over)))
-    ratio = moved / (sigma2 * expected)
-    return ratio if ratio > _INDEPENDENT else 1.0
-
-
-def _inverse(H: Array) -> Array:
-    """Inverse of a normal matrix whose unknowns have different units."""
-    scale = np.sqrt(np.clip(np.diagonal(H), 1e-300, None))
-    inverse: Array = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-14, hermitian=True) / np.outer(scale, scale)
-    return inverse
 
 
 def _rms(residuals: list[Array]) -> float:
