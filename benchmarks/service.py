@@ -126,12 +126,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--port", type=int, default=17447)
     parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
-    parser.add_argument("--realtime", action="store_true", help="SCHED_RR, vision below the rest, for a busy machine; needs root")
+    parser.add_argument("--realtime", action="store_true", help="SCHED_RR, but for vision, for a busy machine; needs root")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where pictures, log and replay are kept")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "turn.mcap").exists():
             service_pictures.write(folder)
         if given.realtime:

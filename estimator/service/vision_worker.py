@@ -34,19 +34,22 @@ _WAITING: Final = 8  # pictures
 
 
 def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None) -> None:
-    """The process: answers requests until the pipe is closed. First it sends the cameras' time offset [ns], or why it cannot.
+    """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
+    why it cannot see.
 
     A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
     _give_way()
-    from estimator.sight_files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
+    from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415  (OpenCV is loaded in this process only)
+    from estimator.sight_files import load_sight  # noqa: PLC0415
 
     try:
         sight = load_sight(rig_file, map_file, origin, picture)
     except ConfigError as error:
         pipe.send(str(error))
         return
+    warm_up()
     pipe.send((sight.time_offset_ns,))
     with suppress(EOFError, BrokenPipeError):
         while True:
@@ -59,11 +62,13 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
 
 
 def _give_way() -> None:
-    """Go behind the daemon, whose nice value and real-time priority this process was born with."""
+    """Go behind the daemon, whose nice value and real-time priority this process was born with.
+
+    Never real-time: vision can use a whole core for long, and what Linux takes from a real-time process that does (50 ms of each
+    second, `sched_rt_runtime_us`) it takes from every other one on that core, the daemon among them.
+    """
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_GIVES_WAY)
-    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    if priority > 1:
-        os.sched_setscheduler(0, policy, os.sched_param(priority - 1))
 
 
 class VisionWorker:
@@ -91,7 +96,6 @@ class VisionWorker:
         self._pipe: Connection | None = None
         self._offset_ns = self._run = 0
         self._backoff_s = _FIRST_BACKOFF_S
-        self._is_warm = self._has_drawn = False  # the first answer takes longer: kernels are compiled
         self._state = "starting"
         self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = self._drawn = 0
         self._latency_s = 0.0
@@ -166,14 +170,13 @@ class VisionWorker:
             return
         (message,) = encode(request)
         self._tell(message)
-        patience_s = self._config.timeout_s if self._is_warm else _START_S
-        answers: list[Encoded] | None = self._exchange((message.data, pair.left, pair.right), patience_s)
+        answers: list[Encoded] | None = self._exchange((message.data, pair.left, pair.right), self._patience_s())
         if answers is None:
             self._restart("does not answer")
             return
         for answer in answers:
             self._tell(answer)
-        self._state, self._backoff_s, self._is_warm = "seeing", _FIRST_BACKOFF_S, True
+        self._state, self._backoff_s = "seeing", _FIRST_BACKOFF_S
         self._answers += 1
         self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
@@ -182,9 +185,7 @@ class VisionWorker:
 
     def _draw(self, screen: Screen) -> None:
         """The picture just answered for, with the map drawn in; the answer is out already."""
-        patience_s = self._config.timeout_s if self._has_drawn else _START_S
-        drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, patience_s)
-        self._has_drawn = drawn is not None
+        drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, self._patience_s())
         if drawn is None:
             self._restart("does not draw")
             return
@@ -192,6 +193,10 @@ class VisionWorker:
         if picture is not None:
             self._drawn += 1
             screen.show(picture)
+
+    def _patience_s(self) -> float:
+        """timeout_s; twice as long after each restart in vain: what takes long once, like a compiler, comes to its end."""
+        return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
     def _exchange(self, question: Any, patience_s: float) -> Any:
         """What the process says to that; None where it is dead, or was killed because it took too long, even to listen."""
@@ -223,7 +228,6 @@ class VisionWorker:
             self._restart(ready)
             return False
         (self._offset_ns,), self._state = ready, "ready"
-        self._is_warm = self._has_drawn = False
         self._shots.clear()
         return True
 

@@ -122,7 +122,7 @@ def test_when_it_is_killed_another_takes_over_with_a_new_memory(files: Path) -> 
 
 
 def test_when_it_hangs_it_is_started_anew(files: Path) -> None:
-    with _worker(files, VisionConfig(timeout_s=0.5)) as (worker, heard, take):
+    with _worker(files, VisionConfig(timeout_s=3.0)) as (worker, heard, take):
         take()
         heard.wait("/landfix/vision", 1)
         os.kill(_process_id(worker), signal.SIGSTOP)
@@ -191,17 +191,17 @@ def test_it_can_be_closed_while_its_process_is_being_born(files: Path, monkeypat
     assert not [p for p in multiprocessing.active_children() if p.name == "landfix-vision"]
 
 
-def test_it_goes_behind_the_daemon_in_real_time_too() -> None:
+def test_it_goes_behind_the_daemon_and_never_is_real_time() -> None:
     code = (
         "import os; from estimator.service.vision_worker import _give_way\n"
         "try: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(5))\n"
         "except PermissionError: raise SystemExit('not allowed')\n"
-        "_give_way(); print(os.sched_getparam(0).sched_priority, os.nice(0))"
+        "_give_way(); print(os.sched_getscheduler(0) == os.SCHED_OTHER, os.nice(0))"
     )
     told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
     if told.stderr == "not allowed\n":
         pytest.skip("only root may ask for real time")
-    assert told.stdout.split() == ["4", str(os.nice(0) + 5)]
+    assert told.stdout.split() == ["True", str(os.nice(0) + 5)]
 
 
 def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:
