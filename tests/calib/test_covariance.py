@@ -56,8 +56,8 @@ def test_sigma_is_never_less_than_the_common_factor_says() -> None:
 
 def test_a_view_that_the_solution_hangs_on_leaves_nothing_to_compare() -> None:
     H_i = np.array([np.diag([1.0, 0.0]), np.diag([1.0, 0.0]), np.diag([1.0, 2.0])])
-    spread = marginal(H_i, np.ones((3, 2)), 4.0)
-    np.testing.assert_allclose(spread.covariance, np.diag([4.0 / 3.0, 2.0]))
+    spread = marginal(H_i, np.array([[9.0, 0.0], [-4.0, 0.0], [-5.0, 0.0]]), 100.0)
+    np.testing.assert_allclose(spread.covariance, np.diag([100.0 / 3.0, 50.0]))
     assert spread.f == 1.0
 
 
