@@ -63,8 +63,8 @@ def chessboards(folder: Path) -> list[Table]:
         turn = np.rad2deg(np.linalg.norm(so3.quat_log(so3.from_matrix(np.ascontiguousarray(rig.R_rc)))))
         rows.append((
             lens.value, f"{left.solution.rms:.3f}", f"{right.solution.rms:.3f}", f"{both.solution.rms:.3f}",
-            f"{left.held_out_rms:.3f}", f"{both.epipolar_before_px:.2f}",
-            f"{both.epipolar_after_px:.3f}", f"{both.held_out_px:.3f}",
+            f"{left.held_out.rms:.3f}", f"{both.epipolar_before_px:.2f}",
+            f"{both.epipolar_after_px:.3f}", f"{both.held_out.rms:.3f}",
             f"{left.camera.fx:.2f} +- {np.sqrt(left.camera.covariance[0, 0]):.2f}", f"{left.spread.max():.1f}",
             f"{1e3 * rig.baseline_m:.2f} +- {1e3 * sigma[0]:.2f}", f"{turn:.2f} +- {np.rad2deg(sigma[3:].max()):.2f}",
             f"{1e3 * both.square_m:.3f}",

@@ -7,7 +7,7 @@ A view that fits far worse than the others is dropped; views left out tell how w
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -52,16 +52,32 @@ class Dropped:
     reason: str
 
 
+class HeldOut(NamedTuple):
+    """Views that had no part in a calibration: rms [px] of those that it predicts (nan: none), and which part lies beyond it.
+
+    beyond: 0 to 1, of the views: the lens model folds before their corners, so that it cannot have made them.
+    """
+
+    rms: float
+    beyond: float
+
+    @classmethod
+    def of(cls, rms: Sequence[float]) -> "HeldOut":
+        """From the residual of each view, nan where the lens model cannot have made it."""
+        r = np.array(rms)
+        return cls(float(np.sqrt(np.nanmean(r * r))) if np.isfinite(r).any() else float("nan"), float(np.mean(np.isnan(r))))
+
+
 @dataclass(frozen=True)
 class Mono:
-    """A calibrated camera; views[i] belongs to solution.residuals[i]; held_out_rms: of views that had no part in it [px]."""
+    """A calibrated camera; views[i] belongs to solution.residuals[i]."""
 
     camera: CameraModel
     lens: Lens
     views: tuple[View, ...]
     solution: Solution
     dropped: tuple[Dropped, ...]
-    held_out_rms: float
+    held_out: HeldOut
     spread: Array  # (4,) change of fx fy cx cy between calibrations with a part of the views left out, worst, in sigmas
 
 
@@ -82,7 +98,7 @@ def calibrate(
     camera = with_covariance(solution.problem.cameras[0], solution.covariance[:n, :n])
     held_out, spread = cross_validate(solution)
     if len(rest) >= FEWEST:
-        held_out = float(np.sqrt(np.mean([predicted_rms(camera, v, board) ** 2 for v in rest])))
+        held_out = HeldOut.of([predicted_rms(camera, v, board) for v in rest])
     told(1.0)
     return Mono(camera, lens, used, solution, tuple(dropped), held_out, spread)
 
@@ -132,8 +148,8 @@ def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, 
         del kept[worst]
 
 
-def cross_validate(solution: Solution) -> tuple[float, Array]:
-    """RMS of views that had no part in the calibration, over folds, and how far fx fy cx cy move between folds [sigma].
+def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
+    """How views that had no part in the calibration fit, over folds, and how far fx fy cx cy move between folds [sigma].
 
     Leaving out 1/F of the views changes an estimate by sigma / sqrt(F - 1) when the reported sigma is right; the change is
     returned in units of that.
@@ -142,28 +158,30 @@ def cross_validate(solution: Solution) -> tuple[float, Array]:
     folds = min(_FOLDS, views)
     sigma = np.sqrt(np.diagonal(solution.covariance)[:4]) / np.sqrt(max(folds - 1, 1))
     full = _pinhole(problem.cameras[0])
-    squares, change = [], np.zeros(4)
+    rms, change = list[float](), np.zeros(4)
     for fold in range(folds):
         train = adjust(problem.only([i for i in range(views) if i % folds != fold])).problem
         change = np.maximum(change, np.abs(_pinhole(train.cameras[0]) - full) / sigma)
         for i in range(fold, views, folds):
             left_out = Problem(train.cameras, train.places, (problem.views[i],), (problem.poses[i],))
-            squares.append(_rms_or_inf(left_out) ** 2)
-    return float(np.sqrt(np.mean(squares))), change
+            rms.append(_rms_or_nan(left_out))
+    return HeldOut.of(rms), change
 
 
-def _rms_or_inf(problem: Problem) -> float:
-    """Residual; infinite where the lens model folds before the corners, so that it cannot predict them at all."""
+def _rms_or_nan(problem: Problem) -> float:
+    """Residual; nan where the lens model folds before the corners, so that it cannot predict them at all."""
     try:
         return adjust(problem).rms
     except CalibrationError:
-        return float("inf")
+        return float("nan")
 
 
 def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
-    """RMS of a view with only its pose adjusted [px], infinite where the lens model cannot have made it."""
+    """RMS of a view with only its pose adjusted [px], nan where the lens model cannot have made it."""
     seen = Seen(board.points[view.ids], view.px)
-    return _rms_or_inf(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))
+    if np.isnan(camera.undistort(view.px)).any():
+        return float("nan")
+    return _rms_or_nan(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))
 
 
 def board_pose(camera: CameraModel, seen: Seen) -> Pose:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from calib import verdict
 from calib.bundle import rotation_vector
 from calib.errors import CalibrationError
-from calib.mono import Dropped, Mono
+from calib.mono import Dropped, HeldOut, Mono
 from calib.stereo import Stereo
 from calib.verdict import Grade, Verdict
 from models import web_page
@@ -54,7 +54,7 @@ def mono_tables(result: Mono) -> list[Table]:
     change = " ".join(f"{x:.1f}" for x in result.spread)
     facts = [
         ("picture", f"{result.camera.width} x {result.camera.height}"), ("lens model", result.lens.value),
-        ("residual RMS", f"{result.solution.rms:.3f} px"), ("of views left out", f"{result.held_out_rms:.3f} px"),
+        ("residual RMS", f"{result.solution.rms:.3f} px"), ("of views left out", _left_out(result.held_out)),
         ("largest change of fx fy cx cy, a quarter of the views left out", f"{change} x what sigma says"),
         ("sigma widened, for errors that views have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
     ]  # fmt: skip
@@ -85,7 +85,7 @@ def stereo_tables(result: Stereo) -> list[Table]:
         ),
         ("epipolar distance, pictures as they are", f"{result.epipolar_before_px:.3f} px"),
         ("row error, rectified", f"{result.epipolar_after_px:.3f} px"),
-        ("of pairs left out", f"{result.held_out_px:.3f} px"),
+        ("of pairs left out", _left_out(result.held_out)),
         ("a square of the board, triangulated", f"{1e3 * result.square_m:.3f} mm"),
         ("sigma widened, for errors that pairs have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
     ]
@@ -100,6 +100,12 @@ def stereo_tables(result: Stereo) -> list[Table]:
         camera_table("Left camera", rig.left), camera_table("Right camera", rig.right),
         ("Essential and fundamental matrix", (), matrices), ("Pairs", ("pair", "RMS [px]"), views), dropped(result.dropped),
     ]  # fmt: skip
+
+
+def _left_out(held_out: HeldOut) -> str:
+    """Residual of views left out, and of how many there is none."""
+    rms = "not known" if np.isnan(held_out.rms) else f"{held_out.rms:.3f} px"
+    return rms + (f"; {100.0 * held_out.beyond:.0f} % lie beyond the lens model of the others" if held_out.beyond > 0.0 else "")
 
 
 def dropped(pictures: Sequence[Dropped]) -> Table:

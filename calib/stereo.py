@@ -16,7 +16,7 @@ from calib import mono
 from calib.bundle import IDENTITY, Pose, Problem, Solution, adjust
 from calib.chessboard import Board, View
 from calib.errors import CalibrationError
-from calib.mono import Dropped, Lens
+from calib.mono import Dropped, HeldOut, Lens
 from calib.rig_yaml import FORWARD, UNKNOWN_POSE
 from calib.selection import FEWEST, check_sizes, choose
 from models import so3
@@ -38,7 +38,7 @@ class Pair(NamedTuple):
 class Stereo:
     """A calibrated rig. Distances [px] of corners from the epipolar line of their partner: raw pictures, then rectified rows.
 
-    held_out_px: rectified, of pairs that had no part in the calibration; square_m: mean triangulated side of the board's squares.
+    held_out: rectified, of pairs that had no part in the calibration; square_m: mean triangulated side of the board's squares.
     """
 
     rig: StereoRig
@@ -50,7 +50,7 @@ class Stereo:
     F: Array
     epipolar_before_px: float
     epipolar_after_px: float
-    held_out_px: float
+    held_out: HeldOut
     square_m: float
 
 
@@ -177,17 +177,16 @@ def _check_sides(rig: StereoRig) -> None:
         )
 
 
-def _held_out(solution: Solution, pairs: Sequence[Pair]) -> float:
-    """RMS row error [px] of pairs left out of the calibration, over folds."""
+def _held_out(solution: Solution, pairs: Sequence[Pair]) -> HeldOut:
+    """Row errors of pairs left out of the calibration, over folds."""
     folds = min(_FOLDS, len(pairs))
     if len(pairs) - len(pairs) // folds < FEWEST - 1:
-        return float("nan")
-    errors = []
+        return HeldOut(float("nan"), 0.0)
+    rms = []
     for fold in range(folds):
         train = adjust(solution.problem.only([i for i in range(len(pairs)) if i % folds != fold]))
-        errors += row_errors(_rig(train), pairs[fold::folds])
-    rms = _rms(np.concatenate(errors))
-    return rms if np.isfinite(rms) else float("inf")  # a lens model that folds before the corners
+        rms += [_rms(rows) for rows in row_errors(_rig(train), pairs[fold::folds])]
+    return HeldOut.of(rms)
 
 
 def _rays(plane: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.bundle import Solution
-from calib.mono import Mono
+from calib.mono import HeldOut, Mono
 from calib.selection import coverage
 from calib.stereo import Stereo
 from models.camera import CameraModel
@@ -80,7 +80,9 @@ def of_mono(result: Mono) -> Verdict:
     """The verdict on one camera."""
     return Verdict(
         (
-            *_common(result.solution.rms, result.held_out_rms, len(result.views)),
+            *_common(result.solution.rms, len(result.views)),
+            Figure("residual of views left out", result.held_out.rms, "px", 0.6, 1.2, _MORE),
+            _beyond(result.held_out),
             _flat(result.solution),
             *_camera(result.camera, result.solution),
             _covered(coverage(result.views), 40.0, 70.0),
@@ -96,10 +98,11 @@ def of_stereo(result: Stereo) -> Verdict:
     tilt = float(np.rad2deg(np.sqrt(np.diagonal(C)[3:].max())))
     covered = np.minimum(coverage([p.left for p in result.pairs]), coverage([p.right for p in result.pairs]))
     return Verdict((
-        *_common(result.solution.rms, float("nan"), len(result.pairs))[::2],
+        *_common(result.solution.rms, len(result.pairs)),
         _flat(result.solution),
         Figure("rectified row error", result.epipolar_after_px, "px", 0.35, 0.7, _STILL),
-        Figure("the same, pairs left out", result.held_out_px, "px", 0.4, 0.8, _MORE),
+        Figure("the same, pairs left out", result.held_out.rms, "px", 0.4, 0.8, _MORE),
+        _beyond(result.held_out),
         *_camera(result.rig.left, result.solution, "left: "), *_camera(result.rig.right, result.solution, "right: "),
         Figure("sigma of the baseline", 100.0 * baseline, "%", 0.3, 1.0, _better(result.solution)),
         Figure("sigma of the rotation between the cameras", tilt, "deg", 0.15, 0.5, _SPREAD),
@@ -107,12 +110,15 @@ def of_stereo(result: Stereo) -> Verdict:
     ))  # fmt: skip
 
 
-def _common(rms: float, held_out: float, views: int) -> tuple[Figure, Figure, Figure]:
+def _common(rms: float, views: int) -> tuple[Figure, Figure]:
     return (
         Figure("residual", rms, "px", 0.5, 1.0, _STILL),
-        Figure("residual of views left out", held_out, "px", 0.6, 1.2, _MORE),
         Figure("views short of 20", max(20.0 - views, 0.0), "", 10.0, 15.0, _MORE),
     )
+
+
+def _beyond(held_out: HeldOut) -> Figure:
+    return Figure("of those, beyond the lens model of the others", 100.0 * held_out.beyond, "%", 0.0, 25.0, _LENS)
 
 
 def _flat(solution: Solution) -> Figure:

@@ -52,7 +52,10 @@ def mono_command(
     judged, tables = verdict.of_mono(result), [*report.mono_tables(result), report.dropped(unused)]
     written = files.save_camera(out, result.camera)
     written += report.write(report_file or out, f"Camera {out.name}", judged, tables, pictures.mono_figure(result))
-    facts = {"rms_px": result.solution.rms, "held_out_rms_px": result.held_out_rms, "camera": _camera(result.camera)}
+    facts = {
+        "rms_px": result.solution.rms, "held_out_rms_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
+        "camera": _camera(result.camera),
+    }  # fmt: skip
     options.tell(judged, tables[:2], [*result.dropped, *unused], written, facts if json else None)
 
 
@@ -103,7 +106,8 @@ def stereo_command(
         "rms_px": result.solution.rms, "left_rms_px": result.solution.camera_rms(0),
         "right_rms_px": result.solution.camera_rms(1),
         "epipolar_before_px": result.epipolar_before_px, "row_error_px": result.epipolar_after_px,
-        "held_out_row_error_px": result.held_out_px, "square_mm": 1e3 * result.square_m, "baseline_m": rig.baseline_m,
+        "held_out_row_error_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
+        "square_mm": 1e3 * result.square_m, "baseline_m": rig.baseline_m,
         "left": _camera(rig.left), "right": _camera(rig.right), "R_rc": rig.R_rc.tolist(), "t_rc_m": rig.t_rc.tolist(),
         "covariance_rc": None if rig.covariance_rc is None else rig.covariance_rc.tolist(),
         "E": result.E.tolist(), "F": result.F.tolist(),

@@ -34,7 +34,7 @@ def test_the_camera_comes_back_within_its_sigma(result: mono.Mono) -> None:
     error = parameters(CAMERA) - parameters(result.camera)
     assert 0.5 < error @ np.linalg.solve(covariance(result), error) < 25.0  # chi-square of 9: 0.02 % beyond each
     assert 0.24 < result.solution.rms < 0.31  # 0.2 px each way
-    assert result.held_out_rms == pytest.approx(result.solution.rms, rel=0.15)
+    assert result.held_out.rms == pytest.approx(result.solution.rms, rel=0.15)
     assert not result.dropped
     assert verdict.of_mono(result).grade <= verdict.Grade.USABLE
 
@@ -174,7 +174,7 @@ def test_real_pictures_are_at_or_below_the_reference(chessboards: Path) -> None:
         assert all(isinstance(v, View) for v in views)
         result = mono.calibrate([v for v in views if isinstance(v, View)], BOARD)
         assert 0.1 < result.solution.rms <= reference
-        assert 0.1 < result.held_out_rms < 1.2 * reference
+        assert 0.1 < result.held_out.rms < 1.2 * reference
         assert result.camera.fx == pytest.approx(f, abs=2.0 * np.sqrt(covariance(result)[0, 0]))
         assert result.spread.max() < 3.0
         assert verdict.of_mono(result).grade is verdict.Grade.GOOD

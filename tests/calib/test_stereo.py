@@ -47,7 +47,7 @@ def test_the_rig_comes_back_within_its_sigma(result: stereo.Stereo) -> None:
     assert np.abs(error[:3]).max() < 1e-3
     assert result.square_m == pytest.approx(0.025, rel=2e-3)
     assert 0.05 < result.epipolar_after_px < 0.3 < result.epipolar_before_px  # 0.2 px in each row, less what the fit takes
-    assert result.held_out_px < 0.35
+    assert result.held_out.rms < 0.35
     assert verdict.of_stereo(result).grade <= verdict.Grade.USABLE
 
 
@@ -145,7 +145,7 @@ def test_real_pairs_are_at_or_below_the_reference(chessboards: Path) -> None:
     assert result.solution.camera_rms(0) <= 0.195
     assert result.solution.camera_rms(1) <= 0.207
     assert 0.05 < result.epipolar_after_px <= 0.171
-    assert result.held_out_px <= 0.173
+    assert result.held_out.rms <= 0.173
     assert result.square_m == pytest.approx(0.025, abs=2e-5)
     assert result.rig.covariance_rc is not None
     sigma = np.sqrt(np.diagonal(result.rig.covariance_rc))

@@ -30,11 +30,21 @@ def test_a_lens_model_that_folds_inside_the_picture_is_noticed() -> None:
     assert 5.0 < verdict.uncovered(folding) < 90.0
 
 
-def test_a_view_beyond_the_fold_has_an_infinite_residual() -> None:
+def test_a_view_beyond_the_fold_has_no_residual_and_is_told() -> None:
     problem = mono.start(simulated_views(6), BOARD, mono.Lens.TWO)
     folding = CameraModel(640, 480, 533.0, 534.0, 342.0, 234.0, (-9.0, 0.0, 0.0, 0.0))
-    assert mono._rms_or_inf(problem.only([0])) < 1.0
-    assert mono._rms_or_inf(replace(problem.only([0]), cameras=(folding,))) == math.inf
+    assert mono._rms_or_nan(problem.only([0])) < 1.0
+    assert math.isnan(mono._rms_or_nan(replace(problem.only([0]), cameras=(folding,))))
+    assert math.isnan(mono.predicted_rms(folding, simulated_views(6)[0], BOARD))
+    left_out = mono.HeldOut.of([0.3, math.nan, 0.4, math.nan])
+    assert left_out.rms == pytest.approx(math.sqrt(0.125))
+    assert left_out.beyond == 0.5
+    assert math.isnan(mono.HeldOut.of([math.nan]).rms)
+    result = replace(mono.calibrate(simulated_views(8), BOARD), held_out=left_out)
+    judged = verdict.of_mono(result)
+    assert judged.grade is Grade.REDO
+    assert "fewer coefficients" in judged.advice[0]
+    assert any("0.354 px; 50 % lie beyond the lens model" in row[1] for row in report.mono_tables(result)[0][2])
 
 
 def test_the_report_stands_alone_and_escapes_names(tmp_path: Path) -> None:
@@ -49,4 +59,4 @@ def test_the_report_stands_alone_and_escapes_names(tmp_path: Path) -> None:
     assert verdict.of_mono(result).grade.word in text
     with pytest.raises(CalibrationError, match="cannot be written"):
         report.write(tmp_path / "no" / "x.yaml", "", verdict.of_mono(result), [], Plot())
-    assert np.isfinite(result.held_out_rms)
+    assert np.isfinite(result.held_out.rms)
