@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.tables import Table, number
 from benchmarks.tasks import data_folder
 from calib import imu, mono, stereo
-from calib.bundle import Seen, adjust
+from calib.bundle import Seen, Solution, adjust
 from calib.chessboard import Board, View, find
 from calib.errors import CalibrationError
 from calib.files import load_rig
@@ -85,6 +85,35 @@ def chessboards(folder: Path) -> list[Table]:
     return [Table("OpenCV's 13 chessboard pairs", columns, rows), Table("Cost", ("what", "time"), speed)]
 
 
+def stability(folder: Path) -> Table:
+    """Is sigma what leaving views out says? Scatter of calibrations without one view, difference of two without common views."""
+    board, rows = Board(), []
+    for side in ("left", "right"):
+        whole = mono.calibrate(views_of(folder, f"{side}*.jpg", board), board).solution
+        problem, n = whole.problem, len(whole.problem.views)
+        without = np.array([pinhole(adjust(problem.only([i for i in range(n) if i != k]))) for k in range(n)])
+        jackknife = np.sqrt((n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+        odd, even = (adjust(problem.only(range(first, n, 2))) for first in (0, 1))
+        apart = np.abs(pinhole(odd) - pinhole(even)) / np.hypot(pinhole_sigma(odd), pinhole_sigma(even))
+        for name, x, sigma, moved, z in zip(
+            ("fx", "fy", "cx", "cy"), pinhole(whole), pinhole_sigma(whole), jackknife, apart, strict=True
+        ):
+            rows.append((f"{side} {name}", f"{x:.2f}", f"{sigma:.2f}", f"{moved:.2f}", f"{z:.1f}"))
+    columns = ("parameter px", "all views", "sigma", "jackknife over views", "odd - even views / sigma")
+    return Table("Is sigma honest on the published pictures?", columns, rows)
+
+
+def pinhole(solution: Solution) -> Array:
+    """fx fy cx cy of the first camera [px]."""
+    camera = solution.problem.cameras[0]
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+
+def pinhole_sigma(solution: Solution) -> Array:
+    """Their standard deviations [px]."""
+    return np.asarray(np.sqrt(np.diagonal(solution.covariance)[:4]))
+
+
 def published(folder: Path) -> Table:
     """Where OpenCV's published left camera comes from: windows of 11 px, which in left02 hold several squares."""
     board, names = Board(), sorted(folder.glob("left*.jpg"))
@@ -102,8 +131,7 @@ def published(folder: Path) -> Table:
     ]
     rows: list[tuple[str, ...]] = [("published", "0.393", "535.92", "342.28", "235.57", "1.18")]
     for what, s in calibrated:
-        camera, sigma = s.problem.cameras[0], np.sqrt(np.diagonal(s.covariance))
-        numbers = [f"{x:.2f} +- {d:.2f}" for x, d in zip((camera.fx, camera.cx, camera.cy), sigma[[0, 2, 3]], strict=True)]
+        numbers = [f"{x:.2f} +- {d:.2f}" for x, d in zip(pinhole(s)[[0, 2, 3]], pinhole_sigma(s)[[0, 2, 3]], strict=True)]
         rows.append((what, f"{s.rms:.3f}", *numbers, f"{max(s.view_rms()):.2f}"))
     return Table("OpenCV's published left camera", ("corners", "residual px", "fx", "cx", "cy", "worst view px"), rows)
 
@@ -188,6 +216,7 @@ def main() -> None:
     images, flights = data / "images", data / "flights"
     tables = [
         *chessboards(images / "opencv_chessboard_stereo"),
+        stability(images / "opencv_chessboard_stereo"),
         published(images / "opencv_chessboard_stereo"),
         euroc(images / "euroc_v101_static_stereo_imu", flights / "euroc" / "calib.json"),
         at_rest(flights),
