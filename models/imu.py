@@ -267,16 +267,23 @@ def _add_noise(cov: Array, h: float, gyro: float, accel: float, gyro_walk: float
 
 
 @njit(cache=True)
-def _gauss_markov(cov: Array, h: float, tau: Array, sigma2: Array) -> None:
-    """The considered states: c1 = phi c + n, phi = exp(-h/tau), Q = sigma^2 (1 - phi^2)."""
-    n = cov.shape[0]
+def _gauss_markov(cov: Array, h: float, tau: Array, sigma2: Array, phi: Array) -> None:
+    """The considered states: c1 = phi c + n, phi = exp(-h/tau), Q = sigma^2 (1 - phi^2). Scratch: phi (n,), 1 for the others.
+
+    Whole rows, though the others stay as they are: this form becomes vector instructions.
+    """
+    n, last, stays = cov.shape[0], 0.0, 1.0
+    for k in range(tau.shape[0]):
+        if tau[k] != last:  # most are the same error of many landmarks
+            last, stays = tau[k], math.exp(-h / tau[k])
+        phi[_N + k] = stays
+    for i in range(n):
+        row = phi[i]
+        for j in range(n):
+            cov[i, j] *= row * phi[j]
     for k in range(tau.shape[0]):
         i = _N + k
-        phi = math.exp(-h / tau[k])
-        for j in range(n):
-            cov[i, j] *= phi
-            cov[j, i] = cov[i, j]
-        cov[i, i] = phi * cov[i, i] + sigma2[k] * (1.0 - phi * phi)
+        cov[i, i] += sigma2[k] * (1.0 - phi[i] * phi[i])
 
 
 @njit(cache=True)
@@ -342,7 +349,7 @@ def propagate(
     """
     n = cov.shape[0]
     work, ends = np.empty((_WORK, 3, 3)), np.zeros((4, 3))
-    rows, turned, block = np.empty((_G, n)), np.empty((_N, _G)), np.empty((_G, _G))
+    rows, turned, block, phi = np.empty((_G, n)), np.empty((_N, _G)), np.empty((_G, _G)), np.ones(n)
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
         h = (end - from_ns) * _NS
@@ -353,7 +360,7 @@ def propagate(
         else:
             _add_noise(cov, h, c[_C_GYRO_PSD], c[_C_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         if n > _N:
-            _gauss_markov(cov, h, tau, sigma2)
+            _gauss_markov(cov, h, tau, sigma2, phi)
         from_ns = end
         if i < count and end == t_ns[i]:
             i += 1
