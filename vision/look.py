@@ -104,13 +104,13 @@ class Scene:
         shift_m (L, M), rig: errors of map and rig as now believed.
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
-        edges = visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
+        prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == Kind.ROOF if search_px else None
         spacing = config.spacing_px * (1.0 if farthest_px == config.farthest_px[-1] else _COARSE)
         samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
         count, lines, opened, H, N, points = len(edges.kind), [], [], [], [], 0.0
         for eye, image in shown:
-            seen = view(edges, samples, eye, p_n, R_nb, self.prisms)
+            seen = view(edges, samples, eye, p_n, R_nb, prisms)
             if search_px:
                 offsets, usable, variance = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:

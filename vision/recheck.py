@@ -53,13 +53,13 @@ def recheck(
     scene = Scene(rig, views, landmarks)
     pose = fit.joint_p_n, fit.joint_R_nb
     shown = [(eye, image) for eye, image in zip(eyes(rig), scene.images, strict=True) if image is not None]
-    edges = visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
+    prisms, edges = scene.prisms.moved(fit.shift_m), visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
     samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == Kind.ROOF)
     mark, count = edges.landmark[samples.edge], len(landmarks)
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     near, usable, offsets, normals = [], [], [], []
     for eye, image in shown:
-        seen = view(edges, samples, eye, *pose, scene.prisms)
+        seen = view(edges, samples, eye, *pose, prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
         slack = _OF_MAP * outline_sigma[mark] * eye.camera.fx / np.maximum(seen.x_c[:, 2], 1e-3)
         near.append(good & (np.abs(offset) < np.minimum(np.hypot(_NEAR_PX, slack), _FARTHEST_PX)))

@@ -69,6 +69,11 @@ class Prisms:
             np.array([mark.height_m for mark in landmarks], dtype=np.float64),
         )
 
+    def moved(self, shift_m: Array) -> "Prisms":
+        """As they stand if they are off the map by shift_m (L, M): what hides is as much elsewhere as what is hidden."""
+        vertices = _moved(self.vertices, self.offsets, shift_m)
+        return Prisms(vertices, self.offsets, self.base_d, self.height_m + shift_m[:, _RISE] * (self.height_m > 0.0))
+
 
 @dataclass(frozen=True, slots=True)
 class ModelEdges:
@@ -138,6 +143,15 @@ def _visible_edges(
                 landmark[n], kind[n] = m, _UPRIGHT
                 n += 1
     return ends[0, :n].copy(), ends[1, :n].copy(), landmark[:n], kind[:n], partner[:n], by_map[0, :n].copy(), by_map[1, :n].copy()
+
+
+@njit(cache=True)
+def _moved(vertices: Array, offsets: Indices, shift: Array) -> Array:
+    """Corners (V, 2) where they truly are."""
+    corners = np.empty_like(vertices)
+    for m in range(len(offsets) - 1):
+        corners[offsets[m] : offsets[m + 1]] = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])[0]
+    return corners
 
 
 @njit(cache=True)

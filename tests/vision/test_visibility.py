@@ -36,6 +36,17 @@ def test_sides_that_face_the_camera_show_their_feet_and_corners(p: list[float], 
         assert np.sign(towards) @ np.sign(0.5 * (edges.start_n[base] + edges.end_n[base])[:2]) > 0
 
 
+def test_a_roof_lower_than_mapped_does_not_hide_its_own_edges() -> None:
+    """What hides moves along: else the mapped roof, half a metre above the true one, hides the far sides."""
+    marks, p, shift = Prisms.of([box(), box(ELL + 40.0)]), np.array([30.0, 30.0, -60.0]), np.zeros((2, len(MapError)))
+    shift[:, [MapError.NORTH, MapError.RISE, MapError.GROWTH]] = [[0.3, -0.5, -0.2], [-0.4, -0.2, 0.3]]
+    edges = visible_edges(marks, p, shift)
+    roof = edges.kind == Kind.ROOF
+    points = np.concatenate([edges.start_n[roof] + t * (edges.end_n - edges.start_n)[roof] for t in (0.1, 0.5, 0.9)])
+    assert hidden(points, p, marks).any()
+    assert not hidden(points, p, marks.moved(shift)).any()
+
+
 def test_painted_on_the_ground_or_above_the_camera() -> None:
     assert kinds(box(height=0.0), [30.0, 30.0, -60.0]) == [4, 0, 0]
     assert kinds(box(height=70.0), [30.0, 30.0, -60.0]) == [0, 0, 0]
