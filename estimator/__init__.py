@@ -5,3 +5,9 @@
 Below `fusion` there is no I/O, no clock and no thread. `replay`, `service`, `config` and `cli` are the shell around it.
 May import logs, calib, vision and models.
 """
+
+import os
+
+# Before numpy is loaded. Matrices here are small: a second thread gains nothing, costs milliseconds wherever it has to wait for a
+# busy core, and would let the number of cores decide how sums are rounded. Whoever sets the variable has his way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
