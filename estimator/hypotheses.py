@@ -249,6 +249,7 @@ class Hypotheses:
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
     """The measurement seen from one filter, with its slow errors."""
     carried = [(slow.block, slow.jacobian(eskf.x) if slow.jacobian else None) for slow in aid.slow_errors]
+    eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
     for slow, block in zip(aid.slow_errors, carried, strict=True):
         known = eskf.slow.columns.get(slow.block)
         if known and known.stop - known.start != len(slow.covariance):  # told otherwise than before: another error
@@ -259,5 +260,4 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
             eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
             if slow.walk is not None:
                 eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
-        eskf.slow = eskf.slow.used(slow.block)
     return eskf.innovation(z, gyro_b, carried)

@@ -1,5 +1,6 @@
 """Errors that repeat from fix to fix, states behind the 15 of the filter: named blocks of first-order Gauss-Markov processes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,12 +46,13 @@ class SlowErrors:
         kept = (np.delete(values, rows) for values in (self.tau_s, self.sigma2, self.mean, self.estimated))
         return SlowErrors(columns, *kept)
 
-    def used(self, block: str) -> "SlowErrors":
-        """With the block as the one that was used last."""
-        if next(reversed(self.columns)) == block:
+    def used(self, blocks: Sequence[str]) -> "SlowErrors":
+        """With those of these blocks that it has as the ones that were used last."""
+        now = [block for block in blocks if block in self.columns]
+        if now == list(self.columns)[len(self.columns) - len(now) :]:
             return self
-        others = {name: c for name, c in self.columns.items() if name != block}
-        return replace(self, columns=others | {block: self.columns[block]})
+        others = {name: c for name, c in self.columns.items() if name not in now}
+        return replace(self, columns=others | {block: self.columns[block] for block in now})
 
     def oldest(self, kind: str, most: int) -> str | None:
         """Of the blocks called kind/..., the one that was not used for longest, where there are `most` or more of them."""

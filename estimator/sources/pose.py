@@ -172,7 +172,9 @@ def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:
 
 def _turn(R: Array) -> Array:
     """Position and rotation turned, (6, 6)."""
-    return np.asarray(np.kron(np.eye(2), R), dtype=np.float64)
+    turned = np.zeros((6, 6))
+    turned[:3, :3], turned[3:, 3:] = R, R
+    return turned
 
 
 def _root(covariance: Array) -> Array:

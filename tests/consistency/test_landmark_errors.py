@@ -94,3 +94,17 @@ def test_a_fix_on_as_many_landmarks_as_are_kept_beside_others_and_a_rig_is_fused
         eskf.update(innovation(eskf, aid, z, np.zeros(3)))
         assert len(eskf.slow.columns) <= MOST_OF_A_KIND + 1
     assert "/landfix/fix.rig" in eskf.slow.columns
+
+
+def test_a_new_landmark_of_a_fix_does_not_make_room_at_the_cost_of_a_known_one_of_it() -> None:
+    _, eskf = _fly([(f"{k}",) for k in range(MOST_OF_A_KIND)], 0)
+    rng, none = np.random.default_rng(0), np.zeros(3)
+    aid = pose_aid(_fix(("new", "0"), {"new": none, "0": none}, rng, 99), LandmarkFixConfig(lasting_share=0.0))
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    innovation(eskf, aid, z, none)
+    columns = eskf.slow.columns
+    assert "/landfix/fix/1" not in columns
+    assert np.abs(eskf.cov[E.P, columns["/landfix/fix/0"]]).max() > 0.01  # what is known of it is kept
+    assert not eskf.cov[E.P, columns["/landfix/fix/new"]].any()
