@@ -62,10 +62,10 @@ class Constellation:
         return [r for r in remembered if not any(self._same(r, s) for s in seen)]
 
     def hold(self, seen: list[Sighting], remembered: list[Sighting], t_ns: int, prior: Prior) -> None:
-        """Keep what was just seen, and of what `recall` gave as much as there is room for."""
+        """Keep what was just seen whole, and of what `recall` gave as much as there is room for."""
         kept = [h for h in self._held if any(r.size_m2 == h.sighting.size_m2 for r in remembered)]
         variance = np.diag(prior.covariance)[:3].copy()
-        new = [_Held(t_ns, np.asarray(prior.p_n, np.float64).copy(), s, variance) for s in seen]
+        new = [_Held(t_ns, np.asarray(prior.p_n, np.float64).copy(), s, variance) for s in seen if s.partial is None]
         self._held = (new + kept)[: self._config.most]
 
     def _now(self, held: _Held, prior: Prior, variance: Array) -> Sighting:
@@ -78,4 +78,5 @@ class Constellation:
         spread = a.covariance_n + b.covariance_n
         spread += a.depth_sigma**2 * np.outer(a.arm_n, a.arm_n) + b.depth_sigma**2 * np.outer(b.arm_n, b.arm_n)
         near = float(np.linalg.norm(apart)) < self._config.same_m + 3.0 * float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-        return near and abs(np.log(a.size_m2 / b.size_m2)) < 2.0 * self._config.same_size
+        cut = a.partial is not None or b.partial is not None  # how large it is, is not known
+        return near and (cut or abs(np.log(a.size_m2 / b.size_m2)) < 2.0 * self._config.same_size)

@@ -96,7 +96,7 @@ def identify(
     if not metric and several:
         covariance = covariance + _from_height(prior, float(np.mean([s.arm_n[2] for s in several])))
         scale = _roof_scale(several, landmarks, prior)
-    like = similarities(several, landmarks, _fitted(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE]))))
+    like = _likeness(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE])))
     candidate = like >= config.min_similarity
     choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.beliefs)
     found = search(choice, _expected(several, landmarks, prior, rig, config.beliefs), covariance, config.breadth)
@@ -130,6 +130,15 @@ def _from_height(prior: Prior, down: float) -> Array:
     return covariance
 
 
+def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
+    """Similarity of regions and landmarks (M, J) at the scale that suits each pair; of one cut off, that of the sides seen."""
+    like = similarities(sightings, landmarks, _fitted(sightings, landmarks, scale, sigma))
+    for i, sighting in enumerate(sightings):
+        if sighting.partial is not None:
+            like[i] = sighting.partial.similarity(scale[i], sigma)
+    return like
+
+
 def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
     """Scale within 3 sigma at which the size agrees best (M, J): a short baseline hardly knows it, one camera not at all."""
     size = np.array([s.size_m2 for s in sightings]).reshape(-1, 1) * scale**2
@@ -153,12 +162,12 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
         radius_m=landmarks.radius_m,
         log_missed=np.full(len(v), np.log1p(-there)),
         log_gone=float(np.log(b.gone_fraction)),
-        view=_view(rig),
+        view=view_of(rig),
         place_c=place,
     )
 
 
-def _view(rig: StereoRig) -> Array:
+def view_of(rig: StereoRig) -> Array:
     """Limits left, right, top, bottom of x/z and y/z in the left camera's picture (its inscribed rectangle)."""
     c = rig.left
     u, v = np.linspace(0.0, c.width - 1.0, 9), np.linspace(0.0, c.height - 1.0, 9)

@@ -7,12 +7,15 @@ A landmark j shown by region i, both described by (place, log width, log length,
 r_i: arm from body to region in n at the prior, s: the log scale of depth that all regions share. Each landmark stands there
 twice, measured well and, rarely, measured badly (a shadow or a neighbour grown into the region): same equations, wide noise.
 
+Of a region that the border cuts off its corners take the place of the centre (partial.py).
+
 A region that is no landmark of the map is an object like those of the map (unmapped objects look like mapped ones, and stand
 in the same streets) or anything. Its density is estimated from the map around: assuming it uniform would make every look-alike
 a sure landmark.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import msgspec
@@ -24,6 +27,7 @@ from models import so3
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.assignment import COLUMNS, GROWTH, PLACE, SCALE, STATES, Options
+from vision.partial import Partial
 from vision.similarity import normalised, similarity
 
 _ROWS = 7  # log width, log length, fill ratio, orientation, place (3)
@@ -59,7 +63,8 @@ class Sighting:
     arm_n (3,) from body to region, moved_n (3,) from the body now to the body then; depth_sigma: relative error of its depth,
     its own (place and sizes share it; what all regions share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2)
     of (log width, log length): the other errors; orientation_rad of the length, from north to east; now: in the present
-    picture, not remembered.
+    picture, not remembered. partial: of a region that the border cuts off; then the arm ends where the centre would be, were it
+    like the landmarks that it may be, the covariance of log sizes is of two sides, and the sizes are lower bounds.
     """
 
     arm_n: Array
@@ -76,6 +81,7 @@ class Sighting:
     colour_bgr: tuple[float, float, float] | None = None
     moved_n: Array = field(default_factory=lambda: np.zeros(3))
     now: bool = True
+    partial: Partial | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +90,7 @@ class Catalogue:
 
     place_n (J, 3) of the roof's centre, variance_n (J, 3) of it; features (J, 4): log width, log length, fill ratio, orientation;
     description and weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2: of objects around an object.
+    vertices (V, 2), offsets (J + 1,): the outlines one after the other.
     """
 
     ids: tuple[str, ...]
@@ -95,6 +102,8 @@ class Catalogue:
     weights: Array
     chroma: Array
     density_per_m2: float
+    vertices: Array
+    offsets: NDArray[np.int64]
 
     @property
     def radius_m(self) -> Array:
@@ -118,6 +127,8 @@ def catalogue(landmarks: list[Landmark]) -> Catalogue:
         weights=normalised(np.array([k.weights for k in m]).reshape(-1, 4)),
         chroma=chroma(np.array(colour).reshape(-1, 3)),
         density_per_m2=_density(place),
+        vertices=np.concatenate([np.empty((0, 2)), *(k.outline_n for k in m)]),
+        offsets=np.cumsum([0, *(len(k.outline_n) for k in m)]),
     )
 
 
@@ -150,9 +161,10 @@ def options(
     features = np.array([_features(r) for r in sightings]).reshape(-1, 4)
     noise = np.array([_feature_noise(r, b) for r in sightings]).reshape(-1, 4, 4)
     wide = np.array([_bad_noise(r, b) for r in sightings]).reshape(-1, _ROWS)
-    region, landmark, bad, y, A, log_density = _pairs(
-        p_n, arm, moved, depth, own + b.centre_sigma_m**2 * np.eye(3), features, noise, wide, landmarks.place_n,
-        landmarks.variance_n, landmarks.features, landmarks.outline_sigma_m, covariance, candidate, scale,
+    pairs = [pair for i, r in enumerate(sightings) for pair in _pairs_of(i, r, landmarks, candidate[i], scale[i])]
+    region, landmark, bad, y, A, log_density = _whitened(
+        p_n, moved, depth, own + b.centre_sigma_m**2 * np.eye(3), noise, wide, landmarks.outline_sigma_m, covariance,
+        *_columns(pairs),
     )  # fmt: skip
     colours = np.array([r.colour_bgr or (math.nan,) * 3 for r in sightings]).reshape(-1, 3)
     colour, ground_colour = _colour(chroma(colours), landmarks.chroma, b)
@@ -163,7 +175,12 @@ def options(
     count = len(sightings)
     own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
     clutter_y, clutter_a, clutter_log = _clutter_row(p_n + moved, arm, own, landmarks, b)
-    clutter_log += ground_colour + np.log(_clutter_attributes(features, noise, depth, landmarks, covariance, b))
+    attributes = _clutter_attributes(features, noise, depth, landmarks, covariance, b)
+    for i, r in enumerate(sightings):
+        if r.partial is not None:
+            attributes[i] = _clutter_sides(r.partial, noise[i], float(depth[i]), len(landmarks.ids), covariance, b)
+            own[i] += np.cov(landmarks.place_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
+    clutter_log += ground_colour + np.log(attributes)
     clutter_log += np.log(_clutter_intensity(moved + arm, own, landmarks, covariance, b))
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
@@ -174,6 +191,41 @@ def options(
         A=np.concatenate([clutter_a, A])[order],
         log_weight=np.concatenate([clutter_log, weight])[order],
     )
+
+
+_Pair = tuple[int, int, Array, Array, Array, Array, Array, NDArray[np.bool_]]
+
+
+def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.bool_], scale: Array) -> Iterator[_Pair]:
+    """Region i beside each landmark that it may be.
+
+    Indices; arm to what was measured, where the map has that, variance of the map there; features measured, features of the map,
+    which of them are known.
+    """
+    longer = np.array([1.0, 1.0, 0.0, 0.0])
+    if r.partial is None:
+        seen, known = np.array(_features(r)), np.ones(4, np.bool_)
+        for j in np.flatnonzero(candidate).tolist():
+            features = seen + longer * math.log(scale[j])
+            yield i, j, r.arm_n * scale[j], landmarks.place_n[j], landmarks.variance_n[j], features, landmarks.features[j], known
+        return
+    part = r.partial
+    for j, target, described in zip(part.landmark.tolist(), part.target_n, part.described, strict=True):
+        if candidate[j]:
+            variance = landmarks.variance_n[j] + np.array([1.0, 1.0, 0.0]) * landmarks.outline_sigma_m[j] ** 2
+            features = part.features + longer * math.log(scale[j])
+            yield i, j, part.middle_n * scale[j], target, variance, features, described, part.known
+
+
+def _columns(
+    pairs: list[_Pair],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array, Array, NDArray[np.bool_]]:
+    region, landmark, arm, target, variance, features, described, known = zip(*pairs, strict=True) if pairs else ((),) * 8
+    return (
+        np.array(region, np.int64), np.array(landmark, np.int64), np.array(arm).reshape(-1, 3), np.array(target).reshape(-1, 3),
+        np.array(variance).reshape(-1, 3), np.array(features).reshape(-1, 4), np.array(described).reshape(-1, 4),
+        np.array(known, np.bool_).reshape(-1, 4),
+    )  # fmt: skip
 
 
 def _features(r: Sighting) -> tuple[float, float, float, float]:
@@ -257,6 +309,19 @@ def _clutter_attributes(
     return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
 
 
+def _clutter_sides(part: Partial, noise: Array, depth: float, count: int, covariance: Array, b: Beliefs) -> float:
+    """As _clutter_attributes, of the sides that the border leaves: a kernel estimate over the `count` landmarks' runs."""
+    k = np.flatnonzero(part.known)
+    anything = 4.0 / (2.0 * math.pi) / math.log(100.0) ** int(part.known[:2].sum())  # a corner of four
+    kernel = (noise + np.diag([0.05**2, 0.05**2, 0.03**2, 0.1**2 + covariance[5, 5]]))[np.ix_(k, k)]
+    inverse, volume = np.linalg.inv(kernel), math.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    density = 0.0
+    for s in _offsets(math.hypot(math.sqrt(covariance[SCALE, SCALE]), depth), 0.06):
+        e = (part.described - part.features - np.array([s, s, 0.0, 0.0]))[:, k]
+        density = max(density, float(np.exp(-0.5 * np.einsum("na,ab,nb->n", e, inverse, e)).sum()) / count / volume)
+    return b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything
+
+
 def _offsets(sigma: float, step: float) -> Array:
     """Values within 2 sigma, a step or less apart, but no more than 9."""
     return np.asarray(sigma * np.linspace(-2.0, 2.0, min(max(3, 2 * math.ceil(2.0 * sigma / step) + 1), 9)))
@@ -314,41 +379,49 @@ def _pairs_apart(displacement: Array, turn: float, growth: float, place: Array, 
 
 
 @njit(cache=True)
-def _pairs(
-    p_n: Array, arm: Array, moved: Array, depth: Array, own: Array, features: Array, noise: Array, wide: Array, place: Array,
-    place_variance: Array, described: Array, outline_sigma: Array, prior: Array, candidate: NDArray[np.bool_], scale: Array,
+def _whitened(
+    p_n: Array, moved: Array, depth: Array, own: Array, noise: Array, wide: Array, outline_sigma: Array, prior: Array,
+    region: NDArray[np.int64], landmark: NDArray[np.int64], arm: Array, target: Array, variance: Array, features: Array,
+    described: Array, known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
     """Whitened rows and log density constant of every possible pair, well and badly measured."""
-    most = 2 * int(candidate.sum())
-    region, landmark, bad = np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_)
+    most = 2 * region.shape[0]
+    regions, landmarks, bad = np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_)
     y, A, log_density = np.empty((most, _ROWS)), np.empty((most, _ROWS, COLUMNS)), np.empty(most)
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
     n = 0
-    for i in range(arm.shape[0]):
-        for j in range(place.shape[0]):
-            if not candidate[i, j]:
-                continue
-            r = arm[i] * scale[i, j]
-            y[n], A[n] = _rows(
-                p_n + moved[i], r, features[i] + np.array([1.0, 1.0, 0.0, 0.0]) * math.log(scale[i, j]), place[j], described[j]
-            )
-            N = np.zeros((_ROWS, _ROWS))
-            N[PLACE:, PLACE:] = own[i] * scale[i, j] ** 2 + np.diag(place_variance[j])
-            # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
-            N[PLACE:, PLACE:] += turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (r @ r) * np.eye(3)
-            N[:PLACE, :PLACE] = noise[i]
-            grown = 2.0 * outline_sigma[j] * np.exp(-described[j, :2])
-            N[:2, :2] += np.outer(grown, grown)
-            by_scale = A[n, :, SCALE] + A[n, :, GROWTH]
-            N += depth[i] ** 2 * np.outer(by_scale, by_scale)
-            if _excluded(y[n, PLACE:], A[n, PLACE:], N[PLACE:, PLACE:] + np.diag(wide[i, PLACE:]), prior, r):
-                continue
-            y[n + 1], A[n + 1] = y[n], A[n]
-            for k in range(2):
-                region[n], landmark[n], bad[n] = i, j, k == 1
-                log_density[n] = _whiten(N + k * np.diag(wide[i]), y[n], A[n])
-                n += 1
-    return region[:n], landmark[:n], bad[:n], y[:n], A[:n], log_density[:n]
+    for pair in range(region.shape[0]):
+        i, j, r = region[pair], landmark[pair], arm[pair]
+        y[n], A[n] = _rows(p_n + moved[i], r, features[pair], target[pair], described[pair])
+        N = np.zeros((_ROWS, _ROWS))
+        N[PLACE:, PLACE:] = own[i] + np.diag(variance[pair])
+        # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
+        N[PLACE:, PLACE:] += turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (r @ r) * np.eye(3)
+        N[:PLACE, :PLACE] = noise[i]
+        grown = 2.0 * outline_sigma[j] * np.exp(-described[pair, :2])
+        N[:2, :2] += np.outer(grown, grown)
+        by_scale = A[n, :, SCALE] + A[n, :, GROWTH]
+        N += depth[i] ** 2 * np.outer(by_scale, by_scale)
+        if _excluded(y[n, PLACE:], A[n, PLACE:], N[PLACE:, PLACE:] + np.diag(wide[i, PLACE:]), prior, r):
+            continue
+        blurred = wide[i].copy()
+        for row in range(PLACE):
+            if not known[pair, row]:
+                _say_nothing(row, y[n], A[n], N, blurred)
+        y[n + 1], A[n + 1] = y[n], A[n]
+        for k in range(2):
+            regions[n], landmarks[n], bad[n] = i, j, k == 1
+            log_density[n] = _whiten(N + k * np.diag(blurred), y[n], A[n])
+            n += 1
+    return regions[:n], landmarks[:n], bad[:n], y[:n], A[:n], log_density[:n]
+
+
+@njit(cache=True)
+def _say_nothing(row: int, y: Array, A: Array, N: Array, wide: Array) -> None:
+    """A row that was not measured, in place: zeros, of density one."""
+    y[row], A[row], wide[row] = 0.0, 0.0, 0.0
+    N[row], N[:, row] = 0.0, 0.0
+    N[row, row] = 0.5 / math.pi
 
 
 @njit(cache=True)

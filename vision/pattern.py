@@ -57,9 +57,9 @@ def judged(
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
     if off_px > _APART_PX:
-        return _refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
+        return refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
     if best.ratio < _LIKELY:
-        return _refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
+        return refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
     return result
 
 
@@ -98,12 +98,13 @@ def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motio
         return result
     pose, t_ns = found.estimate, result.report.t_ns
     if flaw := pose_flaw(pose, move.prior):
-        return _refused(result, "no_pose", flaw)
+        return refused(result, "no_pose", flaw)
     detail = f"{result.report.detail}; all {len(marks)} outlines together have one place, {best.ratio:.2f} times the second"
     report = msgspec.structs.replace(result.report, outcome="fixed", detail=detail, residual_px=pose.residual_px)
     return Result(fix_of(pose, t_ns, (NAME,), min(best.score, 1.0)), report, result.regions, pose)
 
 
-def _refused(result: Result, outcome: str, detail: str) -> Result:
+def refused(result: Result, outcome: str, detail: str) -> Result:
+    """The result without its fix."""
     report = msgspec.structs.replace(result.report, outcome=outcome, detail=f"predicted: {detail}")
     return replace(result, fix=None, pose=None, report=report)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.camera import StereoRig
 from models.landmarks import Landmark
@@ -20,6 +21,7 @@ from vision.correspond import Match, Unmatched, correspond
 from vision.identify import NONE, Identification, IdentifyConfig, Prior, identify
 from vision.likelihood import Catalogue, Sighting, catalogue
 from vision.measure import Measured, measure
+from vision.partial import seen_corners
 from vision.pictures import Pictures
 from vision.rectify import Image, Mask, Rectification, rectify
 from vision.regions import Limits, Region
@@ -119,18 +121,18 @@ class SegmentPath:
 
     def _measure(self, pictures: Pictures, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
         """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
-        whole = [r for r in regions if not r.touches_border]
-        refused = [RegionReport("cut_off", r.bbox, reason="cut off by the picture's edge") for r in regions if r.touches_border]
+        told = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
+        refused = [_cut_off(r) for r in regions if all(r is not one for one in told)]
         if views.other is None:
-            return self._one_camera(pictures, whole, prior, known, refused, pictures.remark)
+            return self._one_camera(pictures, views, told, prior, known, refused, pictures.remark)
         rig = self._rectified.rig
-        matches = correspond(grey(views.work), grey(views.other), whole, rig)
+        matches = correspond(grey(views.work), grey(views.other), told, rig)
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
         if rows := self._rows_off(views, matches):
             problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
             return self._one_camera(
-                pictures, whole, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
+                pictures, views, told, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
             )
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -138,12 +140,14 @@ class SegmentPath:
             m = measure(match, rig, level=level) if isinstance(match, Match) else match
             if not isinstance(m, Measured):
                 refused.append(_not_measured(m.region, m.reason))
-            elif one := sight.from_stereo(m, prior, rig):
+                continue
+            one = self._sighting(views, m.region, sight.from_stereo(m, prior, rig), prior, rig, known)
+            if isinstance(one, RegionReport):
+                refused.append(one)
+            else:
                 kept.append(m.region)
                 seen.append(one)
                 measured.append(m)
-            else:
-                refused.append(_not_measured(m.region, _TOO_FLAT))
         return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), pictures.remark)
 
     def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
@@ -162,7 +166,8 @@ class SegmentPath:
     def _one_camera(
         self,
         pictures: Pictures,
-        whole: list[Region],
+        views: _Views,
+        told: list[Region],
         prior: Prior,
         known: Catalogue,
         refused: list[RegionReport],
@@ -171,14 +176,31 @@ class SegmentPath:
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         roof_d = float(np.mean(known.place_n[:, 2]))
         kept, seen = list[Region](), list[Sighting]()
-        for region in whole:
-            one = sight.from_one_camera(region, prior, rig, roof_d)
-            if one is None:
-                refused.append(_not_measured(region, _TOO_FLAT))
+        for region in told:
+            one = self._sighting(views, region, sight.from_one_camera(region, prior, rig, roof_d), prior, rig, known)
+            if isinstance(one, RegionReport):
+                refused.append(one)
             else:
                 kept.append(region)
                 seen.append(one)
         return _Seen(kept, seen, refused, False, sight.ONE_CAMERA_SCALE_SIGMA, remark)
+
+    def _sighting(
+        self, views: _Views, region: Region, one: Sighting | None, prior: Prior, rig: StereoRig, known: Catalogue
+    ) -> Sighting | RegionReport:  # fmt: skip
+        """What identification gets of a region that was measured, or why it gets nothing."""
+        if one is None:
+            return _not_measured(region, _TOO_FLAT)
+        if region.touches_border:
+            return sight.cut_off(one, region, self._corners(views, region), prior, rig, known) or _cut_off(region)
+        return one
+
+    def _corners(self, views: _Views, region: Region) -> NDArray[np.bool_]:
+        """Which points of a region's outline are corners that the border has not made."""
+        if region.corners is None:
+            return np.zeros(len(region.outline), np.bool_)
+        height, width = views.work.shape[:2]
+        return seen_corners(region.corners, width, height, views.valid)
 
     def _decide(self, pictures: Pictures, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
         """Identify; regions that stay open are kept for the next picture."""
@@ -202,6 +224,10 @@ def _rows_sigma(rig: StereoRig) -> float:
     """By how much rows may differ for all that the calibration knows [px]: f drx, and both principal points."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
     return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
+
+
+def _cut_off(region: Region) -> RegionReport:
+    return RegionReport("cut_off", region.bbox, reason="cut off by the picture's edge")
 
 
 def _not_measured(region: Region, reason: str) -> RegionReport:

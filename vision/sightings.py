@@ -6,14 +6,18 @@ r = lambda R_nb R_bc ray + R_nb p_bc,  lambda so that it ends on the plane of th
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models import outline as polygon
 from models.camera import StereoRig
-from vision.identify import Prior
-from vision.likelihood import Sighting
+from models.messages import Array
+from vision.identify import Prior, view_of
+from vision.likelihood import Catalogue, Sighting
 from vision.measure import Level, Measured
+from vision.partial import chain, partial_of
 from vision.regions import Region
 
 ROOF_SLOPE_RAD = math.radians(1.0)  # of a roof that the map calls flat
@@ -50,23 +54,54 @@ def from_one_camera(region: Region, prior: Prior, rig: StereoRig, roof_d: float)
     return _on_level(region, prior, rig, roof_d - float(rig.camera_pose(prior.p_n, prior.R_nb)[0][2]), 1e-3)
 
 
+def cut_off(
+    sighting: Sighting, region: Region, seen: NDArray[np.bool_], prior: Prior, rig: StereoRig, landmarks: Catalogue
+) -> Sighting | None:  # fmt: skip
+    """The sighting of a region whose corners are not all `seen`; None where they show too little of every landmark."""
+    p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
+    body = p_nc - prior.p_n
+    points, order = _laid(region.outline, R_nc, rig, float(sighting.arm_n[2] - body[2]))
+    arms = chain(points + body, seen[order])
+    if arms is None:
+        return None
+    pixel_m, slanted = _resolution(sighting.arm_n - body, prior, rig)
+    part = partial_of(
+        arms, landmarks.vertices, landmarks.offsets, landmarks.place_n[:, 2], R_nc.T, R_nc.T @ body, view_of(rig), pixel_m
+    )  # fmt: skip
+    if part is None:
+        return None
+    to_centre = np.mean(landmarks.place_n[part.landmark] - part.target_n, axis=0)
+    edges = math.sqrt(2.0) * _EDGE_PX * pixel_m / part.sides_m
+    return replace(
+        sighting,
+        arm_n=part.middle_n + to_centre,
+        log_size_covariance=np.diag(edges**2 + slanted**2),
+        orientation_sigma_rad=float(edges[0] + 0.5 * slanted),
+        partial=part,
+    )
+
+
+def _laid(outline: Array, R_nc: Array, rig: StereoRig, down_m: float) -> tuple[Array, slice]:
+    """An outline (K, 2) px on the level plane down_m below the camera: (K, 3) from there, anticlockwise from above; its order."""
+    rays = rig.left.ray(outline) @ R_nc.T
+    points = rays * (down_m / rays[:, 2])[:, None]
+    order = slice(None, None, 1 if polygon.area(np.ascontiguousarray(points[:, :2])) > 0.0 else -1)
+    return points[order], order
+
+
 def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth_sigma: float) -> Sighting | None:
     """The region on the level plane down_m below rig.left; None where its rays do not meet that plane well."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
-    rays = rig.left.ray(region.outline) @ R_nc.T
-    if not np.isfinite(rays).all() or rays[:, 2].min() < _SHALLOW or down_m < 1.0:
+    slant = (rig.left.ray(region.outline) @ R_nc.T)[:, 2]
+    if not np.isfinite(slant).all() or slant.min() < _SHALLOW or down_m < 1.0:
         return None
-    points = np.ascontiguousarray((rays * (down_m / rays[:, 2])[:, None])[:, :2])
-    if polygon.area(points) < 0.0:
-        points = np.ascontiguousarray(points[::-1])
+    points = np.ascontiguousarray(_laid(region.outline, R_nc, rig, down_m)[0][:, :2])
     d = polygon.describe(points, np.array([0, len(points)]))[0]
     if not d[polygon.SIZE] > 0.0:
         return None
     arm = np.array([d[polygon.NORTH], d[polygon.EAST], down_m])
-    distance = float(np.linalg.norm(arm))
-    pixel_m, sine = distance / rig.left.fx, down_m / distance
-    tilt = math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]) + ROOF_SLOPE_RAD**2)
-    slanted = 2.0 * tilt * math.sqrt(1.0 - sine**2) / sine  # relative error of a length towards the camera
+    pixel_m, slanted = _resolution(arm, prior, rig)
+    sine = down_m / float(np.linalg.norm(arm))
     edges = math.sqrt(2.0) * _EDGE_PX * pixel_m / np.array([d[polygon.WIDTH], d[polygon.LENGTH]])
     return Sighting(
         arm_n=arm + p_nc - prior.p_n,
@@ -82,6 +117,14 @@ def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth
         orientation_sigma_rad=float(edges[1] + 0.5 * slanted),
         colour_bgr=region.colour_bgr,
     )
+
+
+def _resolution(arm: Array, prior: Prior, rig: StereoRig) -> tuple[float, float]:
+    """Size of a pixel at the end of an arm from the camera [m], and the relative error of a length towards the camera."""
+    distance = float(np.linalg.norm(arm))
+    sine = float(arm[2]) / distance
+    tilt = math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]) + ROOF_SLOPE_RAD**2)
+    return distance / rig.left.fx, 2.0 * tilt * math.sqrt(1.0 - sine**2) / sine
 
 
 def one_eyed(rig: StereoRig, *, right: bool) -> StereoRig:

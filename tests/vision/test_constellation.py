@@ -8,6 +8,7 @@ from benchmarks.identification_worlds import RIG, SCALE_SIGMA, Conditions, draw_
 from vision.constellation import Constellation, MemoryConfig
 from vision.identify import Prior, identify
 from vision.likelihood import Sighting, catalogue
+from vision.partial import Partial
 
 SECOND = 1_000_000_000
 PRIOR = Prior(np.array([0.0, 0.0, -60.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.diag([25.0] * 3 + [1e-3] * 3))
@@ -57,6 +58,15 @@ def test_what_is_old_or_from_before_another_fix_is_forgotten() -> None:
     memory.hold([sighting(0.0, 0.0)], [], 0, PRIOR)
     memory.clear()
     assert not memory.recall([], SECOND, PRIOR)
+
+
+def test_what_the_border_cuts_off_is_not_remembered_but_stands_for_what_was() -> None:
+    part = Partial(np.zeros(3), np.zeros(4), np.ones(4, np.bool_), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
+    cut, memory = replace(sighting(4.5, -5.4, size=30.0), partial=part), Constellation()
+    memory.hold([sighting(10.0, -5.0)], [], 0, PRIOR)
+    assert not memory.recall([cut], SECOND, moved(PRIOR, 5.0))  # the same house, of which less is in view
+    memory.hold([cut], [], SECOND, PRIOR)
+    assert not memory.recall([], 2 * SECOND, PRIOR)
 
 
 def test_there_is_room_for_the_newest() -> None:
