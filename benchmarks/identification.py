@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
-from benchmarks.identification_worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
+from benchmarks.identification_worlds import RIG, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from benchmarks.tables import Table, number
 from vision.constellation import Constellation
 from vision.identify import Identification, IdentifyConfig, identify
@@ -72,7 +72,7 @@ def run(conditions: Conditions, frames: int, seed: int) -> list[Outcome]:
 
 def judge(frame: Frame, landmarks: Catalogue) -> Outcome:
     begin = perf_counter()
-    found = identify(frame.sightings, landmarks, frame.prior, RIG, SCALE_SIGMA, CONFIG)
+    found = identify(frame.sightings, landmarks, frame.prior, RIG, frame.scale_sigma, CONFIG)
     seconds = perf_counter() - begin
     fixed = found.place_posterior >= CONFIG.fix_posterior
     named = [landmarks.ids[k] if k >= 0 else None for k in found.landmark]
@@ -147,7 +147,7 @@ def sequences(
             near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0))
             t_ns = picture * 1_000_000_000
             remembered = memory.recall(frame.sightings, t_ns, frame.prior)
-            found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, SCALE_SIGMA, CONFIG)
+            found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, frame.scale_sigma, CONFIG)
             now = found.accepted[: len(frame.sightings)]
             if found.place_posterior >= CONFIG.fix_posterior and now.any():
                 named = [near.ids[j] if j >= 0 else None for j in found.landmark]

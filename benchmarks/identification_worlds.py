@@ -31,7 +31,8 @@ class Conditions(msgspec.Struct, frozen=True):
     """One kind of world.
 
     variation: of width and length, +-; unmapped, gone, found, bad: fractions as in vision's Beliefs; replaced: of the gone, an
-    unmapped object stands in the very place; claim: true errors over those that are told.
+    unmapped object stands in the very place; claim: true errors over those that are told; scale_sigma: relative, of all depths
+    alike; disparity_sigma_px: of each region.
     """
 
     layout: str = "random"  # or grid; both have one object in 25 x 25 m
@@ -43,6 +44,8 @@ class Conditions(msgspec.Struct, frozen=True):
     found: float = 0.85
     bad: float = 0.03
     claim: float = 1.0
+    scale_sigma: float = SCALE_SIGMA
+    disparity_sigma_px: float = DISPARITY_SIGMA_PX
     height_m: tuple[float, float] = (50.0, 100.0)
 
 
@@ -73,6 +76,7 @@ class Frame:
     prior: Prior
     sightings: list[Sighting]
     truth: list[str]
+    scale_sigma: float
 
 
 def draw_world(rng: np.random.Generator, c: Conditions) -> World:
@@ -113,7 +117,7 @@ def look(rng: np.random.Generator, world: World, p_n: Array, q_nb: Array, error:
     prior = Prior(p_n - error[:3], q_prior, np.diag(_sigmas(c.prior_sigma_m) ** 2))
     o, R_nc = world.objects, so3.matrix(q_nb) @ RIG.R_bc
     x_c = (o.place_n - p_n) @ R_nc
-    scale = rng.normal(0.0, c.claim * SCALE_SIGMA)
+    scale = rng.normal(0.0, c.claim * c.scale_sigma)
     radius = 0.5 * np.hypot(o.width_m, o.length_m)
     px = x_c[:, :2] / x_c[:, 2:] * FOCAL_PX + [319.5, 239.5]
     reach = (radius / x_c[:, 2] * FOCAL_PX)[:, None]
@@ -123,7 +127,7 @@ def look(rng: np.random.Generator, world: World, p_n: Array, q_nb: Array, error:
         turn = o.orientation[k] - error[5]
         seen.append(_measure(rng, x_c[k], o.width_m[k], o.length_m[k], turn, scale, prior.R_nb @ RIG.R_bc, c))
         truth.append(o.ids[k])
-    return Frame(p_n, prior, seen, truth)
+    return Frame(p_n, prior, seen, truth, c.scale_sigma)
 
 
 def _sigmas(prior_sigma_m: float) -> Array:
@@ -134,7 +138,7 @@ def _measure(
     rng: np.random.Generator, x_c: Array, width: float, length: float, turn: float, scale: float, R_nc: Array, c: Conditions
 ) -> Sighting:
     """A region as the stereo stage would measure it; told sigmas are those drawn from, times 1 / claim."""
-    depth_sigma = x_c[2] * DISPARITY_SIGMA_PX / (FOCAL_PX * BASELINE_M)
+    depth_sigma = x_c[2] * c.disparity_sigma_px / (FOCAL_PX * BASELINE_M)
     pixel_m = x_c[2] / FOCAL_PX
     size_sigma = EDGE_SIGMA_PX * pixel_m / np.array([width, length])
     bad = rng.random() < c.bad
