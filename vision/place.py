@@ -69,7 +69,7 @@ class Fitter:
             else:
                 kept = float(place.length[chosen].sum() / place.length[first].sum())
                 found = float(seen.share @ place.length[chosen])
-                middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), place.shift_m)
+                middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
                 return pose_flaw(fit, prior) or Fitted(fit, chosen, remark, kept, min(seen.pictures), found, middles)
         return f"{remark}the landmarks do not agree"
 

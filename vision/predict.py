@@ -8,6 +8,7 @@ left of them.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,7 +27,7 @@ from vision.place import Fitter
 from vision.pose import PoseConfig
 from vision.reports import RegionReport, Result, fix_of, report_of
 from vision.sensitivity import Eye, eyes
-from vision.verify import Evidence, Fitted, VerifyConfig, Waiting
+from vision.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
 
 Mask = NDArray[np.bool_]
 PATH = "predict"
@@ -41,6 +42,23 @@ class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     verify: VerifyConfig = VerifyConfig()
     most_voting: int = 12
     most_fitted: int = 6
+
+
+class _Refused(NamedTuple):
+    """Why there is no fix."""
+
+    outcome: str
+    detail: str
+
+
+class _Decided(NamedTuple):
+    """A place and its fit, how far it is believed, and why no further; rival: score of the next place over the best one's."""
+
+    place: Candidate
+    fitted: Fitted
+    grade: Grade
+    reason: str
+    rival: float
 
 
 class PredictPath:
@@ -66,46 +84,55 @@ class PredictPath:
 
     def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
         """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
-        eye = self._eye(pictures)
-        picture = pictures.right if pictures.only_right else pictures.left
+        eye, picture = self._eye(pictures), pictures.right if pictures.only_right else pictures.left
         assert picture is not None
         candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)
+        found = self._decide(pictures, marks, candidates, prior)
+        place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
+        said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
+        found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
+        if isinstance(found, _Refused):
+            if found.outcome != "waiting":
+                self._waiting.clear()
+            report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
+            return Result(None, report, tuple(said))
+        self._waiting.clear()
+        fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
+        said = [_settled(one, names) for one in said]
+        used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
+        detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
+        fix = fix_of(fit, t_ns, names, fit.found)
+        return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
+
+    def _decide(
+        self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior
+    ) -> _Decided | _Refused:
+        """The one place that is left of those that were searched out, best first: by its votes, and by its fit."""
         if not candidates:
-            self._waiting.clear()
-            return self._no_fix(pictures, "not_found", "nothing of the outlines in view", t_ns, [])
-        v, best = self._config.verify, candidates[0]
-        trusted = self._trusted(best)
-        evidence = Evidence.of(candidates, trusted, eye.camera.width)
-        said = _reports(eye, marks, best, trusted)
+            return _Refused("not_found", "nothing of the outlines in view")
+        v, places = self._config.verify, candidates[:_MOST_TRIED]
+        evidence = Evidence.of(candidates, self._trusted(places[0]), self._eye(pictures).camera.width)
         if flaw := verify.flaw(evidence, v):
-            self._waiting.clear()
-            return self._no_fix(pictures, "not_found", flaw, t_ns, said)
-        likely = [c for c in candidates[:_MOST_TRIED] if c is best or c.score > v.rival * best.score]
-        others = [c for c in candidates[:_MOST_TRIED] if all(c is not one for one in likely)]
-        tried = [self._fitter.fit(pictures, marks, c, prior) for c in likely]
+            return _Refused("not_found", flaw)
+        likely = 1 + sum(place.score > v.rival * places[0].score for place in places[1:])
+        tried = [self._fitter.fit(pictures, marks, place, prior) for place in places[:likely]]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
-            tried += [self._fitter.fit(pictures, marks, c, prior) for c in others]
+            tried += [self._fitter.fit(pictures, marks, place, prior) for place in places[likely:]]
             outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
-            self._waiting.clear()
-            reason = "ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose"
-            return self._no_fix(pictures, reason, outcome, t_ns, said)
-        place = next(c for c, one in zip([*likely, *others], tried, strict=False) if one is outcome)
-        said = _reports(eye, marks, place, self._trusted(place))
-        level, reason = verify.grade(evidence, outcome, v)
-        if level == "sure" and all(place is not one for one in likely):
-            level, reason = "weak", "another place has more votes"
-        if level == "weak" and not self._waiting.agrees(outcome.pose, t_ns, prior):
-            return self._no_fix(pictures, "waiting", f"{reason}: the next picture must agree", t_ns, said)
-        self._waiting.clear()
-        if level == "refused":
-            return self._no_fix(pictures, "no_pose", reason, t_ns, said)
-        fit, names = outcome.pose, tuple(marks[k].id for k in outcome.used)
-        said = [_decided(one, names) for one in said]
-        detail = f"{outcome.remark}predicted: {len(names)} of {len(said)} landmarks used, next place {evidence.rival:.0%} as good"
-        fix = fix_of(fit, t_ns, names, fit.found)
-        return Result(fix, report_of(t_ns, "fixed", pictures.remark + detail, said, fit.residual_px), tuple(said), fit)
+            return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
+        at = next(k for k, one in enumerate(tried) if one is outcome)
+        grade, reason = verify.grade(evidence, outcome, v)
+        if grade == "sure" and at >= likely:
+            grade, reason = "weak", "another place has more votes"
+        return _Decided(places[at], outcome, grade, reason, evidence.rival)
+
+    def _believed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
+        """What is weak waits until the next picture agrees."""
+        if found.grade == "weak" and not self._waiting.agrees(found.fitted.pose, t_ns, prior):
+            return _Refused("waiting", f"{found.reason}: the next picture must agree")
+        return _Refused("no_pose", found.reason) if found.grade == "refused" else found
 
     def _trusted(self, place: Candidate) -> Mask:
         """Landmarks (L,) that count as seen."""
@@ -116,9 +143,6 @@ class PredictPath:
 
     def _limit_px(self, eye: Eye) -> float:
         return limit_px(eye.camera, self._config.coarse)
-
-    def _no_fix(self, pictures: Pictures, outcome: str, detail: str, t_ns: int, said: list[RegionReport]) -> Result:
-        return Result(None, report_of(t_ns, outcome, f"{pictures.remark}predicted: {detail}", said), tuple(said))
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
@@ -138,7 +162,7 @@ def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, 
     return [as_seen(near[marks[k]], c.fx / depth[k]) for k in np.lexsort((marks, beside, -inside))[:most]]
 
 
-def _decided(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
+def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
     """Identified is what the fix rests on."""
     if one.state != "open":
         return one
