@@ -56,6 +56,11 @@ class CameraImu:
     residual_px: float
     dropped: int
 
+    @property
+    def pictures(self) -> int:
+        """How many were used: the first has no innovation."""
+        return len(self.innovations) + 1
+
 
 @dataclass(frozen=True)
 class Recording:

@@ -1,15 +1,6 @@
 """Corners of a chessboard or ChArUco board in a picture, to a part of a pixel (thesis 5.1.1, steps 2-6).
 
-grey -> median 5 -> contrast stretch -> find the board -> corners refined on the lightly smoothed grey picture.
-The window of the refinement follows the local size of the squares and ends at the picture's border. A corner that left its
-neighbours' pattern is put back and refined again: the median moves the first guess by pixels where squares are small. It stays
-there if the picture is more of a saddle there: of a wide lens the pattern itself may be wrong.
-
-The refinement takes edges for straight. An edge of curvature kappa, y = kappa x^2 / 2 along and across it, pulls the corner:
-
-    y_refined = -kappa <x^2> / 2,   <x^2> = w^2 (1/2 - L exp(-L^2) / (sqrt(pi) erf(L))),   weights exp(-x^2 / w^2), |x| < L w
-
-which is taken back: 0.02 px at the border of a usual lens, of one sign all round, and so a wrong focal length.
+grey -> median 5 -> contrast stretch -> find the board -> corners refined on the grey picture (corners.py).
 """
 
 from dataclasses import dataclass
@@ -20,21 +11,14 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
+from calib.corners import Grey, is_first_kind, levels_at, middles_of, refined, spacing
 from calib.errors import CalibrationError
 from models.messages import Array
 from vision.enhance import median, stretch
 from vision.rectify import Image
 
-Grey = NDArray[np.uint8]
-
-_FIRST_WINDOW, _WINDOW = 0.4, 0.3  # of the local square
-_WINDOW_PX = (4, 15)  # fewer pixels give a noisy corner, more nothing
-_LEAST_PX = 2  # at the border
-_SMOOTHING_PX = 0.8
 _SEARCH_PX = 1500  # larger pictures are searched at reduced size
-_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _BLURRED_PX: Final = 6.0  # an edge that takes more pixels from 10 to 90 % is blurred ...
 _BLURRED_SQUARE: Final = 0.25  # ... and so is one that takes this part of a square
 _UNKNOWN_PX: Final = 9999.0  # OpenCV's word for it
@@ -76,6 +60,11 @@ class Board:
         return np.column_stack((self.square_m * grid, np.zeros(len(grid))))
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Inner corners, columns and rows."""
+        return self.columns, self.rows
+
+    @property
     def ends_alike(self) -> bool:
         """Whether the board looks the same upside down, so that nobody can tell which end corner 0 is at."""
         return self.marker_m == 0.0 and (self.columns + self.rows) % 2 == 0
@@ -112,10 +101,10 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
     if board.marker_m > 0.0:
         found = _find_charuco(picture, board)
         return Why.NOT_FOUND if found is None else View(name, width, height, *found, 0.0)
-    corners = _find_chessboard(picture, (board.columns, board.rows))
+    corners = _find_chessboard(picture, board.size)
     if corners is None:
         return Why.NOT_FOUND
-    px = _refined(picture, corners, board)
+    px = refined(picture, corners, board.size)
     if _turned(picture, px, board):
         px = px[::-1].copy()
     edge = _edge_width(picture, px, board)
@@ -128,7 +117,7 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
     """Another number of inner corners that a picture shows a board of, the largest; BLURRED where its edges are; None: none."""
     picture = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-    sizes = sorted({*near, *_OTHER_SIZES} - {(board.columns, board.rows)}, key=lambda s: -s[0] * s[1])
+    sizes = sorted({*near, *_OTHER_SIZES} - {board.size}, key=lambda s: -s[0] * s[1])
     for size in sizes:
         if min(size) >= 3 and (px := _find_chessboard(picture, size)) is not None:
             other = Board(*size, board.square_m)
@@ -138,17 +127,17 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
     """The inner corners of the larger chessboard that a board found in a picture is a part of; None where there is none."""
-    picture, size = grey(image), (board.columns, board.rows)
+    picture, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:
         size = larger
         tries = [(size[0] + i, size[1] + j) for i, j in ((1, 1), (1, 0), (0, 1))]
         larger = next((s for s in tries if _find_chessboard(picture, s) is not None), None)
-    return size if size != (board.columns, board.rows) else None
+    return size if size != board.size else None
 
 
 def _is_blurred(edge_px: float, px: Array, board: Board) -> bool:
-    return edge_px > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(_spacing(px, board))))
+    return edge_px > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(spacing(px, board.size))))
 
 
 def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
@@ -180,89 +169,6 @@ def _find_charuco(picture: Grey, board: Board) -> tuple[NDArray[np.int64], Array
     return order, np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
-def _refined(picture: Grey, corners: Array, board: Board) -> Array:
-    """Corners to a part of a pixel; one off the pattern begins again from there, and stays if it is more of a corner there."""
-    smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTHING_PX), dtype=np.uint8)
-    windows = _windows(picture, corners, _FIRST_WINDOW * _spacing(corners, board))
-    px = _sub_pixel(smooth, corners, windows)
-    predicted, off = _pattern(px, board)
-    again = _sub_pixel(smooth, np.where(off[:, None], predicted, px), windows)
-    better = off & (_saddle(smooth, again) > _saddle(smooth, px))
-    px[better] = again[better]
-    windows = _windows(picture, px, _WINDOW * _spacing(px, board))
-    return _straightened(_sub_pixel(smooth, px, windows), windows, board)
-
-
-def _saddle(picture: Grey, px: Array) -> Array:
-    """How much of a chessboard's corner is at px (N, 2): I_xy^2 - I_xx I_yy, near 0 on edges and where nothing is."""
-    xx, yy, xy = (cv2.Sobel(picture, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
-    u, v = np.clip(np.rint(px), 0, np.array(picture.shape[::-1]) - 1).astype(np.int64).T
-    return np.asarray((xy * xy - xx * yy)[v, u])
-
-
-def _windows(picture: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
-    """Half windows (N,) [px] as near to half_px as serves a corner and as the picture holds."""
-    height, width = picture.shape
-    to_border = np.minimum(px, np.array([width - 1.0, height - 1.0]) - px).min(axis=1)
-    return np.asarray(np.maximum(np.minimum(np.clip(half_px, *_WINDOW_PX), to_border - 2.0), _LEAST_PX), dtype=np.int64)
-
-
-def _sub_pixel(picture: Grey, px: Array, windows: NDArray[np.int64]) -> Array:
-    """cornerSubPix with a window of its own for each corner."""
-    refined = px.copy()
-    for w in np.unique(windows):
-        some = windows == w
-        start = px[some].astype(np.float32).reshape(-1, 1, 2)
-        refined[some] = cv2.cornerSubPix(picture, start, (int(w), int(w)), (-1, -1), _STOP).reshape(-1, 2)
-    return refined
-
-
-def _straightened(px: Array, windows: NDArray[np.int64], board: Board) -> Array:
-    """Corners (N, 2) without the pull of their curved edges; curvature from the neighbours along both edges."""
-    grid = px.reshape(board.rows, board.columns, 2)
-    normals, pulls = [], []
-    for axis in (0, 1):
-        step = np.asarray(np.gradient(grid, axis=axis)).reshape(-1, 2)
-        second = np.diff(grid, 2, axis=axis)
-        bend = np.concatenate((second.take([0], axis), second, second.take([-1], axis)), axis).reshape(-1, 2)
-        length = np.linalg.norm(step, axis=1)
-        normal = step[:, ::-1] * (-1.0, 1.0) / length[:, None]
-        L = (1.0 + 0.5 / windows) / np.abs(normal).max(axis=1)  # the window is a square: an edge across it is longer
-        mean_square = windows**2 * (0.5 - L * np.exp(-L * L) / (np.sqrt(np.pi) * erf(L)))
-        normals.append(normal)
-        pulls.append(0.5 * mean_square * np.sum(bend * normal, axis=1) / length**2)
-    shift = np.linalg.solve(np.stack(normals, axis=1), np.stack(pulls, axis=1)[..., None])
-    return np.asarray(px + shift[..., 0])
-
-
-def _spacing(px: Array, board: Board) -> Array:
-    """Distance (N,) from each corner to its nearest neighbour on the board [px]."""
-    grid = px.reshape(board.rows, board.columns, 2)
-    nearest = np.full((4, board.rows, board.columns), np.inf)
-    along, across = np.linalg.norm(np.diff(grid, axis=1), axis=2), np.linalg.norm(np.diff(grid, axis=0), axis=2)
-    nearest[0, :, 1:] = nearest[1, :, :-1] = along
-    nearest[2, 1:] = nearest[3, :-1] = across
-    return np.asarray(nearest.min(axis=0).ravel())
-
-
-def _pattern(px: Array, board: Board) -> tuple[Array, NDArray[np.bool_]]:
-    """Where a homography and a cubic for the lens put the corners, fitted robustly, and which corners are off it."""
-    xy = board.points[:, :2]
-    H, _ = cv2.findHomography(xy, px, cv2.LMEDS)
-    if H is None:
-        return px, np.zeros(len(px), dtype=np.bool_)
-    flat = cv2.perspectiveTransform(xy.reshape(1, -1, 2), H)[0]
-    x, y = (2.0 * xy / xy.max(axis=0) - 1.0).T
-    A = np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
-    bend, weight = px - flat, np.ones((len(px), 1))
-    for _ in range(10):
-        coefficients = np.linalg.lstsq(A * weight, bend * weight, rcond=None)[0]
-        error = np.linalg.norm(bend - A @ coefficients, axis=1)
-        scale = max(1.4826 * float(np.median(error)), 0.05)
-        weight = 1.0 / np.sqrt(1.0 + (error / (2.0 * scale)) ** 2)[:, None]
-    return flat + A @ coefficients, error > max(5.0 * scale, 0.5)
-
-
 def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
 
@@ -271,15 +177,12 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """
     if board.ends_alike:
         return False
-    grid = px.reshape(board.rows, board.columns, 2)
-    middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
-    levels = cv2.remap(picture, middles[..., 0].astype(np.float32), middles[..., 1].astype(np.float32), cv2.INTER_LINEAR)
-    parity = np.add.outer(np.arange(board.rows - 1), np.arange(board.columns - 1)) % 2
-    return bool(levels[parity == 0].mean() > levels[parity == 1].mean())
+    levels, first = levels_at(picture, middles_of(px, board.size)), is_first_kind(board.size)
+    return bool(levels[first].mean() > levels[~first].mean())
 
 
 def _edge_width(picture: Grey, px: Array, board: Board) -> float:
     """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small to tell."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
-    width = float(np.ravel(cv2.estimateChessboardSharpness(picture, (board.columns, board.rows), corners)[0])[0])
+    width = float(np.ravel(cv2.estimateChessboardSharpness(picture, board.size, corners)[0])[0])
     return width if width < _UNKNOWN_PX else 0.0

@@ -102,14 +102,20 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
         )
     best = found[int(np.argmax(lengths))]
     rate = _rate(t_ns[best])
-    even = np.arange(t_ns[best][0], t_ns[best][-1], 1e9 / rate)
-    axes = [np.interp(even, t_ns[best].astype(np.float64), x[best, k]) for x in (gyro, accel) for k in range(3)]
-    g0, g1, g2, a0, a1, a2 = noises = [noise(x, rate) for x in axes]
+    even = _evenly(t_ns[best], rate)
+    g0, g1, g2, a0, a1, a2 = noises = [noise(x[best, k][even], rate) for x in (gyro, accel) for k in range(3)]
     if not all(_is_noise(n) for n in noises):
         raise CalibrationError("where the IMU moved least its signal is still motion, not noise: let it lie still")
     return Static(
         max(lengths), rate, (g0, g1, g2), (a0, a1, a2), gyro[best].mean(axis=0), accel[best].mean(axis=0)
     )  # fmt: skip
+
+
+def _evenly(t_ns: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
+    """Index of the sample nearest to each tick of an even clock; to interpolate would smooth the noise that is to be measured."""
+    since = 1e-9 * (t_ns - t_ns[0])  # small numbers: a float of the epoch's nanoseconds is good to 256 of them
+    ticks = np.arange(int(since[-1] * rate) + 1) / rate
+    return np.searchsorted(0.5 * (since[1:] + since[:-1]), ticks)
 
 
 def six_position(t_ns: NDArray[np.int64], gyro: Array, accel: Array, gravity: float = GRAVITY) -> SixPosition:

@@ -44,7 +44,7 @@ def of_camera_imu(result: CameraImu) -> Verdict:
         Fact("sigma of the translation", 1e3 * float(sigma[:3].max()), "mm", 3.0, 10.0, _MOVE),
         Fact("sigma of the rotation", float(np.rad2deg(sigma[3:6].max())), "deg", 0.05, 0.2, _MOVE),
         Fact("sigma of the time offset", 1e3 * float(sigma[6]), "ms", 0.3, 1.0, _MOVE),
-        Fact("pictures short of 400", max(400.0 - len(result.innovations), 0.0), "", 0.0, 300.0, _FEW),
+        Fact("pictures short of 400", max(400.0 - result.pictures, 0.0), "", 0.0, 300.0, _FEW),
     ))  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def camera_imu_tables(result: CameraImu) -> list[Table]:
     matrix = [("R_bc", " ".join(f"{x:+.6f}" for x in row)) for row in result.R_bc]
     facts = [
         ("R_bc as roll, pitch, yaw", f"{roll:.3f}, {pitch:.3f}, {yaw:.3f} deg"),
-        ("pictures used, left out", f"{len(result.innovations) + 1}, {result.dropped}"),
+        ("pictures used, left out", f"{result.pictures}, {result.dropped}"),
         ("residual of the corners", f"{result.residual_px:.3f} px"),
         ("first guess of the rotation, from rates alone, was off by", f"{result.rotation_only_deg:.3f} deg"),
         ("mean square of the normalised innovations (1 is right)", f"{result.mean_square:.2f}"),

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from calib.bundle import Pose
-from calib.chessboard import Board, Grey, View
+from calib.chessboard import Board, View
+from calib.corners import Grey
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array

@@ -181,5 +181,5 @@ def _camera_imu_facts(result: "CameraImu") -> dict[str, Any]:
     return {
         "R_bc": result.R_bc.tolist(), "p_bc_m": result.p_bc.tolist(), "time_offset_s": result.time_offset_s,
         "covariance": result.covariance.tolist(), "mean_square": result.mean_square, "residual_px": result.residual_px,
-        "pictures": len(result.innovations) + 1,
+        "pictures": result.pictures,
     }  # fmt: skip

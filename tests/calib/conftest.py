@@ -6,7 +6,8 @@ import pytest
 
 from calib import synthetic
 from calib.bundle import IDENTITY, Pose
-from calib.chessboard import Board, Grey, View
+from calib.chessboard import Board, View
+from calib.corners import Grey
 from calib.rig_yaml import FORWARD
 from models import so3
 from models.camera import CameraModel, StereoRig
