@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import so3
+from models import sampling, so3
 from models.imu import propagate
 from models.messages import Array
 from models.state import E, X
@@ -36,10 +36,10 @@ def innovations(
     none = np.empty(0)
     R_cb = np.ascontiguousarray(R_bc.T)
     H = np.zeros((6, _N))
-    identity = np.eye(_N)
+    identity, unknown = np.eye(_N), np.zeros((t_ns.shape[0], sampling.SIZE))
     for k in range(shutter_ns.shape[0]):
         i = int(np.searchsorted(t_ns, from_ns, side="right"))
-        if not propagate(x, P, t_ns, u, t_ns.shape[0], i, from_ns, shutter_ns[k], c, none, none):
+        if not propagate(x, P, t_ns, u, unknown, t_ns.shape[0], i, from_ns, shutter_ns[k], c, none, none):
             return out
         from_ns = shutter_ns[k]
         R_bn = np.ascontiguousarray(so3.matrix(x[_XQ:_XG]).T)

@@ -66,7 +66,8 @@ class Eskf:
         """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
         s = self.slow
         self.sound = imu.propagate(
-            self.x, self.cov, samples.t_ns, samples.u, samples.count, index, self.t_ns, to_ns, self.constants, s.tau_s, s.sigma2
+            self.x, self.cov, samples.t_ns, samples.u, samples.known, samples.count, index, self.t_ns, to_ns,
+            self.constants, s.tau_s, s.sigma2,
         )  # fmt: skip
         self.t_ns = to_ns
 

@@ -4,20 +4,25 @@ import struct
 
 import numpy as np
 
+from models import sampling
 from models.messages import ImuSample
 
 _ROW = struct.Struct("=6d")  # a row of u: packing it is four times faster than six assignments
 
 
 class ImuBuffer:
-    """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid."""
+    """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid.
 
-    __slots__ = ("_u_bytes", "count", "newest_ns", "previous_ns", "t_ns", "u")
+    known (capacity, sampling.SIZE): what each sample and those before it tell of the time between samples.
+    """
+
+    __slots__ = ("_u_bytes", "count", "known", "newest_ns", "previous_ns", "t_ns", "u")
 
     def __init__(self, capacity: int = 4096) -> None:
         self.t_ns = np.zeros(capacity, np.int64)
         self.u = np.zeros((capacity, 6))
         self._u_bytes = self.u.data.cast("B")
+        self.known = np.zeros((capacity, sampling.SIZE))
         self.count = 0
         self.newest_ns = self.previous_ns = -(2**62)
 
@@ -36,12 +41,14 @@ class ImuBuffer:
                 if row >= tuple(self.u[k].tolist()):
                     return False
                 self.u[k] = row
+                sampling.learn(self.t_ns, self.u, self.known, k, self.count)
                 return True
             self.t_ns[k + 1 : self.count + 1] = self.t_ns[k : self.count]
             self.u[k + 1 : self.count + 1] = self.u[k : self.count]
         self.t_ns[k] = s.t_ns
         _ROW.pack_into(self._u_bytes, k * _ROW.size, *s.gyro_b, *s.accel_b)
         self.count += 1
+        sampling.learn(self.t_ns, self.u, self.known, k, self.count)
         if k == self.count - 1:
             self.previous_ns, self.newest_ns = self.newest_ns, s.t_ns
         else:
@@ -60,9 +67,11 @@ class ImuBuffer:
         if 2 * k >= self.count:
             self.t_ns[: self.count - k] = self.t_ns[k : self.count]
             self.u[: self.count - k] = self.u[k : self.count]
+            self.known[: self.count - k] = self.known[k : self.count]
             self.count -= k
 
     def _grow(self) -> None:
         self.t_ns = np.concatenate([self.t_ns, np.zeros_like(self.t_ns)])
         self.u = np.concatenate([self.u, np.zeros_like(self.u)])
+        self.known = np.concatenate([self.known, np.zeros_like(self.known)])
         self._u_bytes = self.u.data.cast("B")

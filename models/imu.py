@@ -2,8 +2,8 @@
 
     p' = v,   v' = R (f - b_a - n_a) + g(p) - 2 w_ie x v,   R' = R [w - b_g - n_g - R^T w_ie]x,   b' = n_b
                                                                         (Groves 2013, sec. 5.3; Sola 2017, eq. 235)
-Rates and specific forces are taken as linear in time between two samples. Over one step of length h, with R0, Rm, R1 at its
-beginning, middle and end, and a = R f in n:
+Rates and specific forces are taken as linear in time between two samples; what that leaves out is noise (models.sampling). Over
+one step of length h, with R0, Rm, R1 at its beginning, middle and end, and a = R f in n:
 
     alpha = h (w0 + w1)/2 + h^2/12 w0 x w1                               (exact to h^3 for linear w; Groves 2013, eq. 5.80)
     s_v = h/6 (R0 f0 + 4 Rm fm + R1 f1),   s_p = h^2/6 (R0 f0 + 2 Rm fm)                              (Simpson's rule)
@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import so3
+from models import sampling, so3
 from models.frames import GRAVITY, Origin
 from models.messages import Array
 from models.state import E, X, sound
@@ -337,13 +337,14 @@ def _step(
 
 @njit(cache=True)
 def propagate(
-    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int,
+    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int, to_ns: int,
     c: Array, tau: Array, sigma2: Array,
 ) -> bool:  # fmt: skip
     """Take state and covariance from `from_ns` to `to_ns`, in place; False where the result is not sound (state.sound).
 
     x: (16,) nominal; cov: (n, n), n = 15 + considered states; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
-    accel; i: first sample with t_ns[i] > from_ns; c: constants(); tau, sigma2: (n - 15,) of the considered states.
+    accel; known (>= count, sampling.SIZE): what they tell of the time between them (sampling.learn), zero: nothing; i: first
+    sample with t_ns[i] > from_ns; c: constants(); tau, sigma2: (n - 15,) of the considered states.
     Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
     A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
     """
@@ -358,7 +359,10 @@ def propagate(
         if coasting:
             _add_noise(cov, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         else:
-            _add_noise(cov, h, c[_C_GYRO_PSD], c[_C_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+            span = (t_ns[i] - t_ns[i - 1]) * _NS
+            gyro = c[_C_GYRO_PSD] + sampling.density(known[i], 0, span, c[_C_GYRO_PSD])
+            accel = c[_C_ACCEL_PSD] + sampling.density(known[i], 1, span, c[_C_ACCEL_PSD])
+            _add_noise(cov, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         if n > _N:
             _gauss_markov(cov, h, tau, sigma2, phi)
         from_ns = end

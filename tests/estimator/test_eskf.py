@@ -271,6 +271,9 @@ def test_an_estimated_error_walks() -> None:
     assert eskf.cov[E.SIZE + 1, E.SIZE + 1] == pytest.approx(0.04**2, rel=1e-6)
 
 
+_SMOOTH = ImuNoise(gyro_noise=1e-3, gyro_walk=1e-9)
+
+
 # --- propagation, copies ---------------------------------------------------------------------------------------------------
 
 
@@ -279,6 +282,34 @@ def _at_rest(count: int) -> ImuBuffer:
     for k in range(count):
         buffer.insert(ImuSample(k * 5_000_000, k * 5_000_000, (0.0, 0.0, 0.1), (0.1, 0.0, -9.8)))
     return buffer
+
+
+def _drifted(shaken: float, *, gap: bool) -> float:
+    """Variance per second that attitude gains at 50 Hz, in units of the gyroscope's, from 10 s to 20 s.
+
+    shaken: standard deviation of samples that were not averaged, rad/s; gap: one sample in ten is missing, so a fifth of the time
+    is bridged.
+    """
+    rng, samples = np.random.default_rng(4), ImuBuffer()
+    for k in range(1001):
+        if not (gap and k % 10 == 5):
+            gyro, t_ns = rng.normal(0.0, shaken, 3), k * 20_000_000
+            samples.insert(ImuSample(t_ns, t_ns, tuple(gyro.tolist()), (0.0, 0.0, -9.8)))
+    x = np.zeros(X.SIZE)
+    x[X.Q] = 1.0, 0.0, 0.0, 0.0
+    eskf = Eskf(0, x, 1e-12 * np.eye(E.SIZE), constants(_SMOOTH, Coast(), None))
+    variances = []
+    for t_ns in (10**10, 2 * 10**10):
+        eskf.propagate(samples, samples.first_after(eskf.t_ns), t_ns)
+        variances.append(float(np.trace(eskf.cov[E.THETA, E.THETA])) / 3.0)
+    return (variances[1] - variances[0]) / 10.0 / _SMOOTH.gyro_noise**2
+
+
+def test_shaking_that_the_rate_does_not_resolve_is_noise_of_the_turn() -> None:
+    assert _drifted(0.0, gap=False) == pytest.approx(1.0, rel=1e-3)
+    assert _drifted(0.5 * _SMOOTH.gyro_noise * 50**0.5, gap=False) == pytest.approx(1.0, rel=1e-3)
+    assert _drifted(4.0 * _SMOOTH.gyro_noise * 50**0.5, gap=False) == pytest.approx(16.0, rel=0.2)
+    assert _drifted(0.9 * _SMOOTH.gyro_noise * 50**0.5, gap=True) == pytest.approx(1.0 + 0.2 * 0.9**2, rel=0.06)
 
 
 def test_a_copy_goes_its_own_way() -> None:

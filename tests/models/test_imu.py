@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from models import imu, so3
+from models import imu, sampling, so3
 from models.frames import GRAVITY, Origin
 from models.imu import Coast, ImuNoise
 from models.messages import Array
@@ -66,7 +66,8 @@ def _propagate(
     x, cov, c = x.copy(), cov.copy(), imu.constants(NOISE, COAST, origin)
     for begin, end in pairwise(stops_ns):
         i = int(np.searchsorted(record.t_ns, begin, side="right"))
-        assert imu.propagate(x, cov, record.t_ns, record.u, len(record.t_ns), i, begin, end, c, *slow)
+        unknown = np.zeros((len(record.t_ns), sampling.SIZE))
+        assert imu.propagate(x, cov, record.t_ns, record.u, unknown, len(record.t_ns), i, begin, end, c, *slow)
     return x, cov
 
 
@@ -312,4 +313,5 @@ def test_a_state_that_is_not_finite_is_told(bad: float) -> None:
     x, cov, c = AGILE.state(), _covariance(), imu.constants(NOISE, COAST, ORIGIN)
     x[X.V][0] = bad
     begin, end = AGILE.t_ns[:2].tolist()
-    assert not imu.propagate(x, cov, AGILE.t_ns, AGILE.u, len(AGILE.t_ns), 1, begin, end, c, NOTHING, NOTHING)
+    unknown = np.zeros((len(AGILE.t_ns), sampling.SIZE))
+    assert not imu.propagate(x, cov, AGILE.t_ns, AGILE.u, unknown, len(AGILE.t_ns), 1, begin, end, c, NOTHING, NOTHING)

@@ -1,0 +1,89 @@
+"""What an IMU leaves out between two samples, learnt from the samples themselves.
+
+Between samples the motion model draws a straight line. One line over two steps h instead of two changes the integral by
+h (x_0 - 2 x_1 + x_2) / 2. With lags T_j = 2^j h and running means of squared second differences,
+
+    m_j = E |x(t - T_j) - 2 x(t) + x(t + T_j)|^2 / 6,    D_j = T_j m_j
+
+m_j is the variance of white samples that differ so, and D_j the density of what they add to the integral, in rad^2/s or
+m^2/s^3. A gap is bridged by a line over n steps; what it leaves out has been measured where nothing was missing:
+
+    E_j+1 = E_j + D_j                                    (E_j: of lines over T_j; between 2^j and 2^j+1 steps linear in n)
+
+What lines over single steps leave out, E_0, is what the rate does not resolve. The second difference of a motion that it
+resolves goes with T^2, so m_j = m + c T_j^4 and the rest, m, is in the samples as noise (Richardson's extrapolation, T -> 0):
+
+    m = m_0 - (m_1 - m_0) / 15,    E_0 = (h m - q) s^2,    s = 2 m_1 / m_0 - 1, within 0 and 1
+
+q, the density of the sensor's own white noise, is process noise already. Where m_1 < m_0 it is no white noise: a vibration near
+half the rate, which a sensor that averages keeps out of the integral. At m_1 = m_0 / 2 the spectrum just ends there, and nothing
+is left. (That m goes down as s^2 in between was chosen by recordings of sensors that average.)
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+LEVELS = 6  # lags of 1, 2, 4 .. 32 steps: bridges 64, a gap of 0.1 s at 640 Hz
+SIZE = 1 + 2 * LEVELS  # of what is known of a stream: h, then m_j of the gyroscope and of the accelerometer
+
+_NS = 1e-9  # s per ns
+_MEMORY_S = 5.0  # of the running means: vibration changes with the throttle
+_LONGEST_S = 0.2  # lag; no gap as long is bridged
+_OFF_MIDDLE = 0.125  # of the distance of its neighbours: a sample further from their middle is beside a gap
+_GAP = 1.5  # steps
+
+
+@njit(cache=True)
+def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int) -> None:
+    """Fill known[begin:end] (capacity, SIZE): row i is what samples 0..i tell; t_ns (capacity,), u (capacity, 6).
+
+    A row follows from the one before it and from samples no further back than twice the longest lag.
+    """
+    for i in range(begin, end):
+        if i == 0:
+            known[i] = 0.0
+            continue
+        row = known[i]
+        row[:] = known[i - 1]
+        step = (t_ns[i] - t_ns[i - 1]) * _NS
+        gain = step / (_MEMORY_S + step)
+        for j in range(LEVELS):
+            middle, first = i - (1 << j), i - (2 << j)
+            if first < 0:
+                break
+            span = (t_ns[i] - t_ns[first]) * _NS
+            if span > 2.0 * _LONGEST_S:
+                break
+            s = (t_ns[middle] - t_ns[first]) * _NS / span
+            if abs(s - 0.5) > _OFF_MIDDLE:
+                continue
+            if j == 0:
+                row[0] += (0.5 * span - row[0]) * (gain if row[0] > 0.0 else 1.0)
+            for sensor in range(2):
+                square = 0.0
+                for k in range(3 * sensor, 3 * sensor + 3):
+                    off = u[middle, k] - u[first, k] - s * (u[i, k] - u[first, k])
+                    square += off * off
+                at = 1 + LEVELS * sensor + j
+                row[at] += gain * (square * 4.0 / 18.0 - row[at])  # (2 off)^2 / 6, mean of three axes
+
+
+@njit(cache=True)
+def density(known: Array, sensor: int, span_s: float, psd: float) -> float:
+    """Density of what a line over span_s leaves out; known: (SIZE,), sensor: 0 gyroscope, 1 accelerometer, psd: its q."""
+    h, m = known[0], known[1 + LEVELS * sensor : 1 + LEVELS * (sensor + 1)]
+    error = 0.0
+    if h * m[0] > psd:
+        rest = m[0] - max(0.0, m[1] - m[0]) / 15.0
+        s = min(1.0, max(0.0, 2.0 * m[1] / m[0] - 1.0))
+        error = max(0.0, h * rest - psd) * s * s
+    if span_s > _GAP * h > 0.0:
+        steps, lag = span_s / h, 1.0
+        for j in range(LEVELS):
+            if steps > lag:
+                error += lag * h * m[j] * min(steps / lag - 1.0, 1.0)
+            lag *= 2.0
+    return error
