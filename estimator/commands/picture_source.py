@@ -82,10 +82,11 @@ def _still(path: Path, k: int) -> Iterator[Picture]:
     import cv2
     import numpy as np
 
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it would tell of a torn file, too
-    image = cv2.imdecode(
-        np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-    )
+    from logs.importers.quiet import silence
+
+    data = np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8)
+    with silence():  # libpng and OpenCV would tell of a torn file, too
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     numbers = re.findall(r"\d+", path.stem)
     key = int(numbers[-1]) if numbers else -1 - k
     if image is None:

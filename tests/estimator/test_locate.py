@@ -101,6 +101,13 @@ def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> 
     assert said in " ".join(result.stderr.replace("│", " ").split())
 
 
+def test_of_a_torn_picture_nobody_else_speaks(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """libpng writes to the process' stderr, where no logger reaches it."""
+    (tmp_path / "torn.png").write_bytes((folder / "left.png").read_bytes()[:20_000])
+    run(tmp_path / "torn.png", folder / "right.png", *options(folder))
+    assert "libpng" not in capfd.readouterr().err
+
+
 def test_a_missing_or_bad_file_is_one_line(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.geojson").write_text("{}")
     (tmp_path / "bad.png").write_bytes(b"nothing")
