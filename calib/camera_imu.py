@@ -187,32 +187,36 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
         ends = [np.column_stack([np.interp(t + shift, imu.t_ns, a) for a in angle.T]) for t in (begin, end)]
         return np.asarray((ends[1] - ends[0]) / dt[near][:, None])
 
-    spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(mean_rate(0.0).T)))[::-1])
-    if spread[0] < _STILL_RAD_S:
-        raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
-    if spread[1] < _OTHER_AXIS_RAD_S:
-        raise CalibrationError("the camera turned about one axis only: turn it about all three, the translation needs it")
-
-    def fit(offset_s: float) -> tuple[float, Array]:
-        """Scatter of gyro - R_bc rate (Kabsch 1976, with the bias as the mean)."""
-        a, b = mean_rate(offset_s), rate_c
-        a, b = a - np.median(a, axis=0), b - np.median(b, axis=0)
-        U, _, Vt = np.linalg.svd(a.T @ b)
-        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        return float(np.median(np.sum((a - b @ R.T) ** 2, axis=1))), R
-
+    _check_turned(mean_rate(0.0))
     step, best = 0.02, 0.0
     offsets = np.arange(-_LONGEST_OFFSET_S, _LONGEST_OFFSET_S + step / 2, step)
     while step > 5e-4:
-        best = float(min(offsets, key=lambda o: fit(o)[0]))
+        best = float(min(offsets, key=lambda o: _turn_between(mean_rate(o), rate_c)[0]))
         step /= 5.0
         offsets = best + step * np.arange(-6, 7)
-    scatter, R_bc = fit(best)
+    scatter, R_bc = _turn_between(mean_rate(best), rate_c)
     if scatter > 0.3 * float(np.median(np.sum((rate_c - np.median(rate_c, axis=0)) ** 2, axis=1))):
         raise CalibrationError(
             "gyroscope and camera do not turn alike at any offset up to 0.5 s: the right topics, gyroscope in rad/s?"
         )
     return R_bc, best
+
+
+def _check_turned(rate_b: Array) -> None:
+    """Refuse a camera whose rates (N, 3) tell no rotation, or only a part of it."""
+    spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(rate_b.T)))[::-1])
+    if spread[0] < _STILL_RAD_S:
+        raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
+    if spread[1] < _OTHER_AXIS_RAD_S:
+        raise CalibrationError("the camera turned about one axis only: turn it about all three, the translation needs it")
+
+
+def _turn_between(a: Array, b: Array) -> tuple[float, Array]:
+    """Median square of a - R b and R, for vectors (N, 3) with biases of their own (Kabsch 1976)."""
+    a, b = a - np.median(a, axis=0), b - np.median(b, axis=0)
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return float(np.median(np.sum((a - b @ R.T) ** 2, axis=1))), R
 
 
 def _minimise(problem: _Problem, progress: Callable[[float], None], start: Array | None = None) -> tuple[Array, Array, Array]:

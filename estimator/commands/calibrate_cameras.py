@@ -11,6 +11,7 @@ from estimator.commands import calibrate_options as options
 from estimator.commands.console import Json, print_json, print_table, progress
 
 if TYPE_CHECKING:
+    from calib.stereo import Stereo
     from models.camera import StereoRig
     from models.messages import Array
 
@@ -102,17 +103,8 @@ def stereo_command(
     rig = placed(result.rig)
     written = files.save_rig(out, rig)
     written += report.write(report_file or out, f"Stereo rig {out.name}", judged, tables, pictures.stereo_figure(result))
-    facts = {
-        "rms_px": result.solution.rms, "left_rms_px": result.solution.camera_rms(0),
-        "right_rms_px": result.solution.camera_rms(1),
-        "epipolar_before_px": result.epipolar_before_px, "row_error_px": result.epipolar_after_px,
-        "held_out_row_error_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
-        "square_mm": 1e3 * result.square_m, "baseline_m": rig.baseline_m,
-        "left": _camera(rig.left), "right": _camera(rig.right), "R_rc": rig.R_rc.tolist(), "t_rc_m": rig.t_rc.tolist(),
-        "covariance_rc": None if rig.covariance_rc is None else rig.covariance_rc.tolist(),
-        "E": result.E.tolist(), "F": result.F.tolist(),
-    }  # fmt: skip
-    options.tell(judged, tables[:2], [*result.dropped, *unused], written, facts if json else None)
+    facts = _stereo_facts(result, rig) if json else None
+    options.tell(judged, tables[:2], [*result.dropped, *unused], written, facts)
 
 
 def convert_command(
@@ -235,3 +227,17 @@ def _camera(camera: Any) -> dict[str, Any]:
     sigma = np.sqrt(np.diagonal(camera.covariance)).tolist()
     numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
     return {**numbers, "sigma": sigma}
+
+
+def _stereo_facts(result: "Stereo", rig: "StereoRig") -> dict[str, Any]:
+    """A rig for JSON; rig: with its place on the body."""
+    return {
+        "rms_px": result.solution.rms, "left_rms_px": result.solution.camera_rms(0),
+        "right_rms_px": result.solution.camera_rms(1),
+        "epipolar_before_px": result.epipolar_before_px, "row_error_px": result.epipolar_after_px,
+        "held_out_row_error_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
+        "square_mm": 1e3 * result.square_m, "baseline_m": rig.baseline_m,
+        "left": _camera(rig.left), "right": _camera(rig.right), "R_rc": rig.R_rc.tolist(), "t_rc_m": rig.t_rc.tolist(),
+        "covariance_rc": None if rig.covariance_rc is None else rig.covariance_rc.tolist(),
+        "E": result.E.tolist(), "F": result.F.tolist(),
+    }  # fmt: skip
