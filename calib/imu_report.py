@@ -52,7 +52,7 @@ def static_tables(result: Static) -> list[Table]:
     """Noise of each axis, and what the configuration takes."""
     rows = [
         (
-            f"{name} {axis}", f"{n.density:.3g} +- {100.0 * n.density_sigma / n.density:.0f} %", _seconds(n.white_from_s),
+            f"{name} {axis}", f"{n.density:.3g} +- {_percent(n.density_sigma / n.density)}", _seconds(n.white_from_s),
             _or_less(n.instability, n.instability_sigma), _or_less(n.walk, n.walk_sigma),
         )
         for name, noises in (("gyro", result.gyro), ("accel", result.accel))
@@ -74,7 +74,11 @@ def _or_less(value: float, sigma: float) -> str:
     """The value where it was seen, else what it is below."""
     if not np.isfinite(sigma):
         return "not seen"
-    return f"{value:.2g} +- {100.0 * sigma / value:.0f} %" if value > 2.0 * sigma else f"< {value + 2.0 * sigma:.2g}"
+    return f"{value:.2g} +- {_percent(sigma / value)}" if value > 2.0 * sigma else f"< {value + 2.0 * sigma:.2g}"
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.0f} %" if part >= 0.01 else f"{100.0 * part:.1f} %"
 
 
 def _seconds(t: float) -> str:
