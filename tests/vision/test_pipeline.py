@@ -222,6 +222,32 @@ def test_the_wrong_street_is_not_taken_for_the_right_one() -> None:
         assert result.fix is None or np.linalg.norm(v.p_n - np.array(result.fix.p_n)) < 3.0, result.report
 
 
+def drawn(rng: np.random.Generator, world: Scene, sigma: Array) -> View:
+    """A pair from anywhere near the middle, nearly level, and a prior as wrong as it says."""
+    p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(50.0, 90.0)])
+    roll, pitch = rng.normal(0.0, np.radians(4.0), 2)
+    q = so3.from_euler(roll, pitch, rng.uniform(-np.pi, np.pi))
+    left, right = render_pair(world.world, world.rig, p_n, so3.matrix(q), Conditions(), rng)
+    error = rng.normal(0.0, sigma)
+    return View(left, right, p_n, q, Prior(p_n - error[:3], so3.multiply(so3.quat_exp(-error[3:]), q), np.diag(sigma**2)))
+
+
+@pytest.mark.parametrize(("seeds", "frame", "sigma_m"), [((601, 10, 10, 0), 0, 10.0), ((601, 10, 5, 4), 8, 5.0)])
+def test_the_next_house_is_not_taken_for_the_right_one(seeds: tuple[int, ...], frame: int, sigma_m: float) -> None:
+    """Three and one roofs of the map lie on roofs 25 m aside, of which no map knows, as predict and verify sees them."""
+    rng, sigma = np.random.default_rng(seeds), np.array([sigma_m] * 3 + np.radians([1.0, 1.0, 2.0]).tolist())
+    spec = WorldSpec(
+        "lookalikes", 280.0, painted=1.0, unmapped=0.3, gone=0.1, sigma_m=0.3, height_sigma_m=0.2, outline_sigma_m=0.08
+    )
+    world = make_world(int(rng.integers(1 << 31)), spec)
+    v = [drawn(rng, world, sigma) for _ in range(frame + 1)][-1]
+    result = pipeline(world.map, world.rig_believed).process(v.left, v.right, 0, v.prior)
+    assert_not_confidently_wrong(result, v)
+    only = LandmarkPipeline(world.rig_believed, world.map, PipelineConfig(path="predict"))
+    told = only.process(v.left, v.right, 0, v.prior)
+    assert (told.fix, told.report.outcome) == (None, "ambiguous")
+
+
 def test_a_place_that_the_picture_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where identified regions say: at the true place there is a fix, 13 m aside, between look-alikes, there is none."""
     v, sigma = view(), np.diag(np.array([0.5, 0.5, 0.5, *np.radians([0.3, 0.3, 0.5])]) ** 2)
