@@ -248,7 +248,7 @@ class Hypotheses:
 
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
     """The measurement seen from one filter, with its slow errors."""
-    carried = [(slow.block, slow.jacobian(eskf.x) if slow.jacobian else None) for slow in aid.slow_errors]
+    carried = [(slow.block, slow.moves(eskf.x)) for slow in aid.slow_errors]
     eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
     for slow, block in zip(aid.slow_errors, carried, strict=True):
         known = eskf.slow.columns.get(slow.block)

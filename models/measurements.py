@@ -23,10 +23,7 @@ _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
 _XA = X.BA.start
 
 _XYZ, _FIRST = np.arange(3), np.arange(1)
-_MOVED, _TURNED = slice(0, 3), slice(3, 6)  # of a pose's error
-_CROSS = np.array(
-    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
-)
+_MOVED = slice(0, 3)  # of a pose's error
 DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D / this has orthonormal rows
 
 
@@ -161,16 +158,27 @@ class Height:
         return np.array([self.z_m + x[X.P][2]]), h
 
 
+@njit(cache=True)
 def _cross_moment(mean: Array, cov: Array) -> Array:
-    """E[(theta x d) (theta x d)^T], (3, 3), of a Gaussian (d, theta) with mean (6,) and cov (6, 6), by Isserlis' theorem."""
+    """E[c c^T], (3, 3), of c = t x d, (d, t) Gaussian with mean (6,), cov (6, 6): c_k = t_a d_b - t_b d_a, (k, a, b) cyclic."""
     second = cov + np.outer(mean, mean)
-    dd, td, tt = second[_MOVED, _MOVED], second[_TURNED, _MOVED], second[_TURNED, _TURNED]
-    d, t = mean[_MOVED], mean[_TURNED]
-    fourth = (
-        np.einsum("ab,ce->abce", td, td) + np.einsum("ac,be->abce", tt, dd) + np.einsum("ae,cb->abce", td, td)
-        - 2.0 * np.einsum("a,b,c,e->abce", t, d, t, d)
-    )  # fmt: skip
-    return np.asarray(np.einsum("kab,lce,abce->kl", _CROSS, _CROSS, fourth), dtype=np.float64)
+    moment = np.empty((3, 3))
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        for m in range(3):
+            c, e = (m + 1) % 3, (m + 2) % 3
+            moment[k, m] = (
+                _fourth(mean, second, a, b, c, e) - _fourth(mean, second, a, b, e, c)
+                - _fourth(mean, second, b, a, c, e) + _fourth(mean, second, b, a, e, c)
+            )  # fmt: skip
+    return moment
+
+
+@njit(cache=True, inline="always")
+def _fourth(m: Array, s: Array, a: int, b: int, c: int, e: int) -> float:
+    """E[t_a d_b t_c d_e] from the means and second moments of (d, t), by Isserlis' theorem."""
+    paired: float = s[3 + a, b] * s[3 + c, e] + s[3 + a, 3 + c] * s[b, e] + s[3 + a, e] * s[3 + c, b]
+    return paired - 2.0 * m[3 + a] * m[b] * m[3 + c] * m[e]
 
 
 @njit(cache=True)

@@ -3,7 +3,6 @@
 nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +92,6 @@ def _fixes_place(directions: Array) -> bool:
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:
     """An error of the pose as the reading has it."""
-    moved: Callable[[Array], Array] | None = slow.jacobian
+    moved = slow.jacobian
     assert moved is not None
-    return replace(slow, jacobian=lambda x: directions @ moved(x))
+    return replace(slow, jacobian=(lambda x: directions @ moved(x)) if callable(moved) else directions @ moved)

@@ -154,13 +154,13 @@ def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
 
 def _steady(block: str, moved: Array) -> SlowError:
     """k errors of variance 1 that move the pose by `moved` (6, k)."""
-    return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, lambda _: moved)
+    return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, moved)
 
 
 def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
     """Six errors that the next fix still has: light and texture of the same edges; covariance (6, 6): the fix's own."""
     root = _root(covariance * config.lasting_share)
-    return SlowError(f"{topic}.look", np.eye(6), config.lasting_s, lambda _: root)
+    return SlowError(f"{topic}.look", np.eye(6), config.lasting_s, root)
 
 
 def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:

@@ -87,15 +87,20 @@ class Aid:
 class SlowError:
     """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s [s].
 
-    jacobian(x): d z / d s, (m, k), of all components of the measurement; None: s shifts the leading components one by one.
+    jacobian: d z / d s, (m, k), of all components of the measurement, or that of the state; None: s shifts the leading components
+    one by one.
     walk: (k,) variance per second: s is estimated as a random walk, s_0 from the first reading on; None: it is considered.
     """
 
     block: str
     covariance: Array
     tau_s: float
-    jacobian: Callable[[Array], Array] | None = None
+    jacobian: Array | Callable[[Array], Array] | None = None
     walk: Array | None = None
+
+    def moves(self, x: Array) -> Array | None:
+        """The jacobian at the state x."""
+        return self.jacobian(x) if callable(self.jacobian) else self.jacobian
 
 
 class Refusal(NamedTuple):

@@ -144,8 +144,8 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
 def test_a_frame_that_does_not_say_how_level_it_is_leans_about_both_horizontal_axes() -> None:
     (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5)).slow_errors
     assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix tells: it has other states
-    assert slow.jacobian is not None
-    moved = slow.jacobian(LEVEL)
+    moved = slow.moves(LEVEL)
+    assert moved is not None
     lean = math.radians(0.5) ** 2
     np.testing.assert_allclose(moved @ slow.covariance @ moved.T, np.diag([0.0, 0.0, 0.0, lean, lean, 0.0]), atol=1e-15)
     assert _aid(_fix(), PoseConfig(tilt_deg=0.0)).slow_errors == ()
@@ -159,8 +159,8 @@ def test_a_common_part_of_what_is_not_given_is_left_out() -> None:
 
 def _told(slow: SlowError, x: Array | None = None) -> Array:
     """The covariance of the pose that a slow error makes at state x."""
-    assert slow.jacobian is not None
-    moved = slow.jacobian(LEVEL if x is None else x)
+    moved = slow.moves(LEVEL if x is None else x)
+    assert moved is not None
     return moved @ slow.covariance @ moved.T
 
 
