@@ -178,7 +178,8 @@ def _cross_moment(mean: Array, cov: Array) -> Array:
 def _fourth(m: Array, s: Array, a: int, b: int, c: int, e: int) -> float:
     """E[t_a d_b t_c d_e] from the means and second moments of (d, t), by Isserlis' theorem."""
     paired: float = s[3 + a, b] * s[3 + c, e] + s[3 + a, 3 + c] * s[b, e] + s[3 + a, e] * s[3 + c, b]
-    return paired - 2.0 * m[3 + a] * m[b] * m[3 + c] * m[e]
+    four: float = m[3 + a] * m[b] * m[3 + c] * m[e]
+    return paired - 2.0 * four
 
 
 @njit(cache=True)
