@@ -70,9 +70,11 @@ def may_be_a_step_off(
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
     places = np.array([(*mark.centre_n, mark.roof_d) for mark in near])
     own = np.array([(*mark.centre_n, mark.roof_d) for mark in used]).reshape(-1, 3)
-    alike = np.array([[one.id != mark.id and _as_turned(one, mark) for one in near] for mark in used])
+    alike = np.array([[_as_turned(one, mark) for one in near] for mark in used])
     alike &= similarity(_described(used)[:, None], several[None], weights[None]) >= _ALIKE
-    step = (places[None] - own[:, None])[alike]
+    steps = places[None] - own[:, None]
+    alike &= np.linalg.norm(steps[..., :2], axis=2) > 0.5 * np.array([mark.width_m for mark in used])[:, None]  # not in one place
+    step = steps[alike]
     inverse, apart = np.linalg.inv(prior_covariance[:3, :3]), p_n - prior_p_n
     limit = float(apart @ inverse @ apart) + 2.0 * math.log(odds)
     allowed = step[np.einsum("sa,ab,sb->s", apart + step, inverse, apart + step) < limit]

@@ -107,13 +107,15 @@ class LandmarkPipeline:
         if not only and not self._predict.narrow(pictures, move):
             return None
         located = self._predict.locate(pictures, marks, move, t_ns, prior)
+        doubtful = _may_be_the_next_house(located, self._config.predict.most_fitted, near, prior)
+        if doubtful:
+            located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
         result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
-        if _may_be_the_next_house(result, self._config.predict.most_fitted, near, prior):
-            return refused(result, "ambiguous", "another landmark that looks alike is as likely") if only else None
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed
-        return result if only or settled or self._predict.narrow(pictures, move, _WIDE) else None
+        narrow = not doubtful and self._predict.narrow(pictures, move, _WIDE)
+        return result if only or settled or narrow else None
 
     def _near(self, prior: Prior) -> list[Landmark]:
         """Landmarks that may be in view: 4 sigma around what the left camera overlooks, nearest first."""
@@ -145,7 +147,7 @@ def _may_be_the_next_house(result: Result, most: int, near: list[Landmark], prio
     if used >= _ENOUGH and used > _MAJORITY * shown:
         return False
     marks = [mark for mark in near if mark.id in result.fix.landmarks]
-    return may_be_a_step_off(result.pose.joint_p_n, marks, near, prior.p_n, prior.covariance, _ODDS)
+    return bool(marks) and may_be_a_step_off(result.pose.joint_p_n, marks, near, prior.p_n, prior.covariance, _ODDS)
 
 
 def _prior_flaw(prior: Prior) -> str | None:

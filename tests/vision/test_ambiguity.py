@@ -45,6 +45,10 @@ def test_only_landmarks_that_look_alike_are_taken_for_each_other() -> None:
     assert doubted(20.0, near=(HERE, house("square", 0.0, 25.0, 11.0, 12.0)))
 
 
+def test_a_circle_painted_in_a_square_is_no_other_place() -> None:
+    assert not doubted(20.0, near=(HERE, house("rim", 0.5, 0.0, 15.0, 10.0)))
+
+
 def test_a_step_counts_where_the_map_repeats_itself() -> None:
     """Three in a row: with two of them the street goes on, with three seen at their places one step would need unmapped ones."""
     row = tuple(house(str(k), 0.0, 25.0 * k) for k in range(4))
