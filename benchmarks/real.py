@@ -4,6 +4,7 @@ python -m benchmarks.real                              everything (make bench-re
 python -m benchmarks.real --quick                      one seed, every third flight
 python -m benchmarks.real --scenarios AX --sets euroc --naive
 python -m benchmarks.real --gnss                       only the flights with GNSS
+python -m benchmarks.real --scenarios AB --sets euroc --imu-every 4        with a quarter of the IMU samples
 """
 
 import argparse
@@ -32,7 +33,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
     sigma = (args.vision_sigma[0], args.vision_sigma[1])
-    jobs = [Job(task, estimators, sigma) for task in tasks(args.sets, scenarios, seeds, every)]
+    jobs = [Job(task, estimators, sigma, (args.imu_every, args.imu_gap)) for task in tasks(args.sets, scenarios, seeds, every)]
     runs = run_all(jobs, args.out, args.jobs) if jobs else []
     report = [table.markdown() for table in report_tables(runs)]
     if runs:
@@ -55,6 +56,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--naive-only", action="store_true", help="the plain filter alone")
     parser.add_argument("--vision", action="store_true", help="only real vision estimates as fixes (and --scenarios)")
     parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
+    parser.add_argument("--imu-every", type=int, default=1, metavar="N", help="every n-th IMU sample alone, not averaged")
+    parser.add_argument("--imu-gap", type=float, default=0.0, metavar="S", help="no IMU samples for so long in each second")
     parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")
     parser.add_argument("--quick", action="store_true", help="one seed, every third flight")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_real")

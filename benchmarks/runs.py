@@ -12,7 +12,7 @@ import msgspec
 
 from benchmarks import naive_filter
 from benchmarks.naive_filter import NaiveFilter
-from benchmarks.tasks import Task, make, score
+from benchmarks.tasks import Task, make, score, thinned
 from estimator.config import load
 from estimator.replay import replay
 from logs.codec import Decoder, ImuMounting, Topics, encode
@@ -25,17 +25,25 @@ OURS, NAIVE = "landfix", "naive"
 
 
 class Job(msgspec.Struct, frozen=True):
-    """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes."""
+    """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes.
+
+    imu: every n-th sample is left, and those of the last so many seconds of each second are not.
+    """
 
     task: Task
     estimators: tuple[str, ...] = (OURS,)
     vision_sigma: tuple[float, float] = (0.1, 1.5)
+    imu: tuple[int, float] = (1, 0.0)
 
 
 def run(job: Job, folder: Path) -> list[dict[str, Any]]:
     """Make the task, run each estimator over it, score it; nothing if the flight is too short for the scenario."""
     task_file = make(job.task, folder / "tasks", job.vision_sigma)
-    return [] if task_file is None else [_scored(job.task, name, task_file, folder) for name in job.estimators]
+    if task_file is None:
+        return []
+    if job.imu != (1, 0.0):
+        task_file = thinned(task_file, *job.imu)
+    return [_scored(job.task, name, task_file, folder) for name in job.estimators]
 
 
 def _scored(task: Task, estimator: str, task_file: Path, folder: Path) -> dict[str, Any]:
