@@ -189,7 +189,7 @@ def roof_offsets(
     """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
     usable = _alone(edges, samples, seen, eye, pose, _SEARCH_BESIDE_PX)
     values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 1, usable)
-    distance, _ = outline.off_roof(values, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
+    distance = outline.off_roof(values, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
     return outline.search(distance, samples.edge, len(edges.kind), 1.0, usable), usable, np.zeros(len(edges.kind))
 
 
@@ -211,8 +211,7 @@ def _fit(
     near = np.abs(gap) < half + _BESIDE_PX  # base edges there are fitted along with the roof edge
     usable &= ~((edges.kind == Kind.BASE) & near)[samples.edge]
     values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3, usable)
-    _, alien = outline.off_roof(values, samples.edge, edges.landmark, roof, usable)
-    usable &= ~alien[samples.edge]
+    usable &= ~outline.alien(values, samples.edge, edges.landmark, roof, usable)[samples.edge]
     grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
     narrow = roof & (gap > 0.0) & near
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)

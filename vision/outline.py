@@ -108,47 +108,70 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
 
 
 @njit(cache=True)
-def off_roof(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> tuple[Array, Mask]:
-    """How far colours are from the roof's, and which edges have something else than the roof on their inner side.
+def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
+    """Colour (L, C) of each landmark's roof: the median of the inner ends of its edges' profiles; NaN where none is usable.
 
-    values (N, S, C): profiles that run outwards; landmark, roof: (E,) of the edges. The roof's colour is the median of the inner
-    ends of its edges' profiles. Returns distances (N, S) along the profiles, 0 for edges that are not of a roof, and (E,) alien.
+    values (N, S, C): profiles that run outwards; landmark, roof: (E,) of the edges.
     """
     n, size, channels = values.shape
-    inner, edges = size // 4, len(landmark)
-    marks = 1 + (landmark.max() if edges else 0)
-    colour = np.full((marks, channels), np.nan)
-    rim = np.empty(n)
+    inner, marks = size // 4, 1 + (landmark.max() if len(landmark) else 0)
+    colour, rim, found = np.full((marks, channels), np.nan), np.empty((marks, channels, n)), np.zeros(marks, np.int64)
+    for i in range(n):
+        if usable[i] and roof[edge[i]]:
+            m = landmark[edge[i]]
+            for c in range(channels):
+                total = 0.0
+                for j in range(inner):
+                    total += values[i, j, c]
+                rim[m, c, found[m]] = total / inner
+            found[m] += 1
     for m in range(marks):
         for c in range(channels):
-            found = 0
-            for i in range(n):
-                if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
-                    rim[found] = np.mean(values[i, :inner, c])
-                    found += 1
-            if found > 0:
-                colour[m, c] = np.median(rim[:found])
+            if found[m] > 0:
+                colour[m, c] = np.median(rim[m, c, : found[m]])
+    return colour
+
+
+@njit(cache=True)
+def off_roof(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
+    """How far colours are from the roof's along profiles (N, S) that run outwards; 0 for edges that are not of a roof."""
+    n, size, channels = values.shape
+    colour = roof_colours(values, edge, landmark, roof, usable)
     distance = np.zeros((n, size))
+    for i in range(n):
+        if usable[i] and roof[edge[i]]:
+            for j in range(size):
+                total = 0.0
+                for c in range(channels):
+                    total += (values[i, j, c] - colour[landmark[edge[i]], c]) ** 2
+                distance[i, j] = math.sqrt(total)
+    return distance
+
+
+@njit(cache=True)
+def alien(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Mask:
+    """Which roof edges (E,) have something else than the roof on their inner side."""
+    n, size, channels = values.shape
+    inner, edges = size // 4, len(landmark)
+    colour = roof_colours(values, edge, landmark, roof, usable)
     inside, outside, count = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros(edges)
     for i in range(n):
         e = edge[i]
         if usable[i] and roof[e]:
-            count[e] += 1.0
-            for c in range(channels):
-                inside[e, c] += np.mean(values[i, :inner, c])
-                outside[e, c] += np.mean(values[i, size - inner :, c])
-            for j in range(size):
-                total = 0.0
+            count[e] += inner
+            for j in range(inner):
                 for c in range(channels):
-                    total += (values[i, j, c] - colour[landmark[e], c]) ** 2
-                distance[i, j] = math.sqrt(total)
-    alien = np.zeros(edges, dtype=np.bool_)
+                    inside[e, c] += values[i, j, c]
+                    outside[e, c] += values[i, size - 1 - j, c]
+    found = np.zeros(edges, dtype=np.bool_)
     for e in range(edges):
         if count[e] > 0.0:
-            off = np.sqrt(np.sum((inside[e] / count[e] - colour[landmark[e]]) ** 2))
-            across = np.sqrt(np.sum(((outside[e] - inside[e]) / count[e]) ** 2))
-            alien[e] = off > _ALIEN * across + 4.0
-    return distance, alien
+            off = across = 0.0
+            for c in range(channels):
+                off += (inside[e, c] / count[e] - colour[landmark[e], c]) ** 2
+                across += ((outside[e, c] - inside[e, c]) / count[e]) ** 2
+            found[e] = math.sqrt(off) > _ALIEN * math.sqrt(across) + 4.0
+    return found
 
 
 @njit(cache=True)

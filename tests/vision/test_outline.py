@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.outline import along_contrast, crossed, off_roof, profiles, search
+from vision.outline import alien, along_contrast, crossed, off_roof, profiles, search
 
 POINTS, HALF = 12, 12
 ONE = np.zeros(POINTS, dtype=np.int64)
@@ -45,8 +45,8 @@ RED, DARK, GREEN = (40.0, 40.0, 190.0), (25.0, 35.0, 30.0), (70.0, 120.0, 110.0)
 def test_the_roof_ends_where_its_colour_ends_not_where_the_shadow_does(shift: int) -> None:
     """The shadow's rim has the larger contrast in green; the roof ends before it."""
     values = bars((12 + shift, RED), (4, DARK), (9 - shift, GREEN))
-    distance, alien = off_roof(values, ONE, LANDMARK, ROOF, everything())
-    assert not alien.any()
+    distance = off_roof(values, ONE, LANDMARK, ROOF, everything())
+    assert not alien(values, ONE, LANDMARK, ROOF, everything()).any()
     offsets = search(distance, ONE, 1, 1.0, everything())
     np.testing.assert_allclose(offsets, shift - 0.5, atol=0.6)
 
@@ -58,12 +58,12 @@ def test_an_edge_inside_the_ground_is_alien() -> None:
     values[POINTS // 2 :] = bars((13, GREEN), (12, (90.0, 150.0, 140.0)))[: POINTS // 2]
     values = np.concatenate((values[: POINTS // 2], values))  # the roof's colour is the majority's
     edge = np.concatenate((np.zeros(POINTS // 2, dtype=np.int64), edge))
-    _, alien = off_roof(values, edge, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_), np.ones(len(edge), dtype=np.bool_))
-    assert alien.tolist() == [False, True]
+    found = alien(values, edge, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_), np.ones(len(edge), dtype=np.bool_))
+    assert found.tolist() == [False, True]
 
 
 def test_no_step_no_offset() -> None:
-    distance, _ = off_roof(bars((25, GREEN)), ONE, LANDMARK, ROOF, everything())
+    distance = off_roof(bars((25, GREEN)), ONE, LANDMARK, ROOF, everything())
     assert np.isnan(search(distance, ONE, 1, 1.0, everything())).all()
 
 
