@@ -5,7 +5,8 @@ import numpy as np
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import OutputConfig, Publisher
 from logs.codec import Decoder, encode_input
-from models.messages import GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
+from models.measurements import DIRECTION_SCALE
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input, LandmarkFix, PoseFix, Tick
 
 _STEP_NS = 5_000_000
 _PLACE = (47.0, 8.0, 400.0)
@@ -13,7 +14,7 @@ _LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 def warm_up() -> None:
-    """A flight of two seconds, with a late fix and a gap, through decoder, estimator and encoders."""
+    """A flight of two seconds, with late fixes, whole and in part, and a gap, through decoder, estimator and encoders."""
     decoder, fusion, publisher = Decoder(), Fusion(FusionConfig(origin=_PLACE)), Publisher(OutputConfig())
     for message in _flight():
         topic, schema, data = encode_input(message)
@@ -30,7 +31,18 @@ def _flight() -> list[Input]:
         if k % 20 == 0:
             validity_ns = max(_STEP_NS, t_ns - 10 * _STEP_NS)
             messages.append(PoseFix(validity_ns, t_ns, (0.0, 0.0, 0.0), _LEVEL, np.eye(6) * 1e-2))
+            messages.append(_landmark_fix(validity_ns, t_ns, in_part=k % 40 == 0))
             messages.append(GnssFix(t_ns, t_ns, *_PLACE, np.eye(3)))
             messages.append(GnssVelocity(t_ns, t_ns, (0.0, 0.0, 0.0), np.eye(3)))
     end_ns = messages[-1].t_ns + 300_000_000
     return [*messages, Tick(end_ns, end_ns)]
+
+
+def _landmark_fix(validity_ns: int, arrived_ns: int, *, in_part: bool) -> LandmarkFix:
+    """On one roof, whose place the map has wrong and which the rig sees wrong."""
+    cov, moved = np.eye(6) * 1e-2, np.eye(6)[:, :3] * 0.1
+    directions = np.eye(6)[:5] * DIRECTION_SCALE if in_part else None
+    return LandmarkFix(
+        validity_ns, arrived_ns, (0.0, 0.0, 0.0), _LEVEL, cov, moved @ moved.T + cov, ("roof",), 0.9, 0.5, moved[None], cov,
+        directions, None if directions is None else np.zeros(5),
+    )  # fmt: skip
