@@ -4,7 +4,7 @@ Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), house
 (grid); 30 % of them are not in the map, 10 % of the map is gone; cars, trees and patches of colour beside them. Map errors 0.3 m,
 rig errors as the rig's own covariance says. Wrong fix: with the prior more than 3 m off and outside its own 99.99 % ellipsoid.
 Wrong identity: a landmark of the fix that truly is not where its region is, or that no longer stands. Several seeds are pooled,
-with --resume from what each of them left. Writes identification_pictures.md and .png to --out.
+with --resume those that were done before too. Writes identification_pictures.md and .png to --out.
 """
 
 import argparse
@@ -209,19 +209,20 @@ def main() -> None:
         "--frames", type=int, default=60, help=f"pairs per layout, prior and seed, {FRAMES_PER_WORLD} of each world"
     )
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--resume", action="store_true", help="keep the worlds that were done before this run was ended")
+    parser.add_argument("--resume", action="store_true", help="keep the worlds that were done before, of any seed")
     parser.add_argument("--one-camera", action="store_true", help="the left pictures alone")
     parser.add_argument("--out", type=Path, default=Path("out/identification"))
     args = parser.parse_args()
     names, worlds = list(itertools.product(LAYOUTS, PRIORS_M)), math.ceil(args.frames / FRAMES_PER_WORLD)
     cells: Cells = {name: [] for name in names}
+    jobs: list[Job] = [
+        (*name, args.one_camera, seed, k, world) for seed in args.seed for world in range(worlds) for k, name in enumerate(names)
+    ]
     which = "_left" if args.one_camera else ""
-    for seed in args.seed:
-        jobs: list[Job] = [(*name, args.one_camera, seed, k, w) for w in range(worlds) for k, name in enumerate(names)]
-        kept = args.out / f"outcomes_{seed}{which}.jsonl"
-        done = run_jobs(jobs, run_world, list[Outcome], kept, processes=args.processes, resume=args.resume)
-        for (layout, prior_m, *_), outcomes in zip(jobs, done, strict=True):
-            cells[layout, prior_m] += outcomes
+    kept = args.out / f"outcomes{which}.jsonl"
+    done = run_jobs(jobs, run_world, list[Outcome], kept, processes=args.processes, resume=args.resume)
+    for (layout, prior_m, *_), outcomes in zip(jobs, done, strict=True):
+        cells[layout, prior_m] += outcomes
     text = report(cells, "left pictures alone" if args.one_camera else "stereo pairs")
     print(text)
     (args.out / f"identification_pictures{which}.md").write_text(text)
