@@ -27,7 +27,7 @@ OURS, NAIVE = "landfix", "naive"
 class Job(msgspec.Struct, frozen=True):
     """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes.
 
-    imu: every n-th sample is left, and those of the last so many seconds of each second are not.
+    imu: every n-th sample is left, and those of so many seconds in each second are not.
     """
 
     task: Task

@@ -117,7 +117,7 @@ def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5
 
 
 def thinned(task_file: Path, every: int, gap_s: float) -> Path:
-    """The task with every n-th IMU sample, not averaged, and without those of the last gap_s of each second."""
+    """The task with every n-th IMU sample, not averaged, and without those of gap_s in the middle of each second."""
     path = task_file.with_stem(f"{task_file.stem}-every-{every}-gap-{gap_s:g}")
     if path.with_suffix(".toml").exists():  # written last
         return path
@@ -129,7 +129,7 @@ def thinned(task_file: Path, every: int, gap_s: float) -> Path:
         for schema, channel, m in make_reader(source).iter_messages(log_time_order=False):
             if channel.topic == "/imu":
                 count += 1
-                if (count - 1) % every or (m.log_time - tool().EPOCH_NS) * 1e-9 % 1.0 > 1.0 - gap_s:
+                if (count - 1) % every or 0.5 < (m.log_time - tool().EPOCH_NS) * 1e-9 % 1.0 < 0.5 + gap_s:
                     continue
             if schema is not None and channel.id not in channels:
                 kind = writer.register_schema(schema.name, schema.encoding, schema.data)
