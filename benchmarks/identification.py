@@ -52,6 +52,8 @@ class Outcome(msgspec.Struct, frozen=True):
     alone_wrong_fix: bool
     posterior: tuple[float, ...]  # of the most probable landmark of each region
     right: tuple[bool, ...]
+    absent: tuple[float, ...]  # of the regions that are most probably not in the map
+    absent_right: tuple[bool, ...]
     seconds: float
 
 
@@ -92,6 +94,8 @@ def judge(frame: Frame, landmarks: Catalogue) -> Outcome:
         alone_wrong_fix=alone_off > OFF_M,
         posterior=tuple(float(p) for p, k in zip(found.posterior, is_landmark, strict=True) if k),
         right=tuple(r for r, k in zip(right, is_landmark, strict=True) if k),
+        absent=tuple(float(p) for p, k in zip(found.posterior, is_landmark, strict=True) if not k),
+        absent_right=tuple(t not in landmarks.ids for t, k in zip(frame.truth, is_landmark, strict=True) if not k),
         seconds=seconds,
     )
 
@@ -183,10 +187,9 @@ def acceptance_table(results: dict[str, list[Outcome]]) -> Table:
     return Table("Frames fixed, by number of regions", ("world", "3", "4", "5", "6-7", "8 or more"), rows)
 
 
-def calibration(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, int]]:
+def calibration(posterior: Sequence[float], right: Sequence[bool]) -> list[tuple[float, float, float, int]]:
     """Mean told probability of being wrong, measured frequency, its standard error and the count, per bin."""
-    p = 1.0 - np.concatenate([o.posterior for o in outcomes])
-    wrong = ~np.concatenate([np.array(o.right, np.bool_) for o in outcomes])
+    p, wrong = 1.0 - np.array(posterior), ~np.array(right, np.bool_)
     edges = [0.0, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0]
     table = []
     for low, high in itertools.pairwise(edges):
@@ -197,9 +200,19 @@ def calibration(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, 
     return table
 
 
-def calibration_table(outcomes: Sequence[Outcome]) -> Table:
-    rows = [(f"{told:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for told, measured, error, n in calibration(outcomes)]
-    return Table("Probability of a wrong identity (most probable landmark of a region)", ("told", "measured", "regions"), rows)
+def identities(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, int]]:
+    """Calibration of the most probable landmarks."""
+    return calibration([p for o in outcomes for p in o.posterior], [r for o in outcomes for r in o.right])
+
+
+def absences(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, int]]:
+    """Calibration of "not in the map"."""
+    return calibration([p for o in outcomes for p in o.absent], [r for o in outcomes for r in o.absent_right])
+
+
+def calibration_table(title: str, bins: Sequence[tuple[float, float, float, int]]) -> Table:
+    rows = [(f"{told:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for told, measured, error, n in bins]
+    return Table(title, ("told", "measured", "regions"), rows)
 
 
 def draw(results: dict[str, list[Outcome]], path: Path) -> None:
@@ -214,7 +227,7 @@ def draw(results: dict[str, list[Outcome]], path: Path) -> None:
     left.axhline(0.5, color="0.6", lw=0.8)
     left.set(xlabel="regions in view", ylabel="share of frames with a fix", ylim=(0.0, 1.02), title="Acceptance")
     left.legend(fontsize=8)
-    table = np.array(calibration([o for outcomes in results.values() for o in outcomes]))
+    table = np.array(identities([o for outcomes in results.values() for o in outcomes]))
     low = np.maximum(table[:, 1] - table[:, 2], 1e-7)
     seen = table[:, 1] > 0.0
     right.plot([1e-6, 1.0], [1e-6, 1.0], color="0.6", lw=0.8)
@@ -246,7 +259,9 @@ def main() -> None:
     everything = [o for outcomes in results.values() for o in outcomes]
     rows = [row(name, outcomes) for name, outcomes in results.items()]
     tables = [Table("Worlds of look-alikes", COLUMNS, [*rows, row("all", everything)]), acceptance_table(results)]
-    tables.append(calibration_table(everything))
+    title = "Probability of a wrong identity (most probable landmark of a region)"
+    tables.append(calibration_table(title, identities(everything)))
+    tables.append(calibration_table('Probability that "not in the map" is wrong', absences(everything)))
     rows = [sequences(name, c, args.frames // 2, args.seed * 100 + 30 + k) for k, (name, c) in enumerate(WORLDS.items())]
     columns = ("world", "flights", "after 1", "2", "3", "4 pictures", "wrong fixes", "identified", "wrong")
     tables.append(
