@@ -4,7 +4,8 @@
 
 Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
 10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
-the estimator between them. The pictures are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
+the estimator between them; beside it how late the machine wakes a process that only sleeps, at the same priority, and what a
+host takes from a virtual machine. The pictures are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
 """
 
 import argparse
@@ -66,10 +67,13 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path) -> di
         vehicle = _python("benchmarks.service_autopilot", "--to", f"127.0.0.1:{mavlink_port}", *words)
     else:
         vehicle = _python("benchmarks.service_vehicle", *words)
+    machine = _python("benchmarks.service_machine")
     vision = child(daemon.pid, "spawn_main")
     processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
     used = watch(processes, lambda: vehicle.poll() is not None)
     flown = json.loads(vehicle.communicate()[0])
+    machine.send_signal(signal.SIGTERM)
+    flown["machine"] = json.loads(machine.communicate()[0])
     time.sleep(1.5)  # the status is of the last full second
     subscriber.send_signal(signal.SIGTERM)
     heard = json.loads(subscriber.communicate()[0])

@@ -46,7 +46,8 @@ class Ear:
         self.not_finite += not np.isfinite([*told.p_n, *told.q_nb_wxyz, *told.pose_covariance.ravel()]).all()
 
 
-def _quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
+def quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
+    """The middle and the tail."""
     ms = sorted(ns * 1e-6 for ns in latency_ns) or [math.nan]
     return {name: round(ms[math.ceil(q * len(ms)) - 1], 3) for name, q in _SHARES.items()}
 
@@ -65,7 +66,7 @@ def main() -> None:
         status = json.loads(reply.ok.payload.to_bytes())["daemon"] if reply.ok else {}
     heard = {
         "estimates_heard": len(ear.latency_ns),
-        "latency_ms": _quantiles_ms(ear.latency_ns),
+        "latency_ms": quantiles_ms(ear.latency_ns),
         "not_finite": ear.not_finite,
         "out_of_order": ear.out_of_order,
         "daemon": status,

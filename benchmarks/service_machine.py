@@ -1,0 +1,47 @@
+"""What the machine itself does to a latency, beside benchmarks.service: how late it wakes a sleeper, what a host takes from it.
+
+    python -m benchmarks.service_machine [--hz 400]
+
+It sleeps from one tick to the next and does nothing else. Until SIGTERM; then one JSON object. A message from a vehicle to a
+subscriber has to wake four threads one after the other, so it cannot be quicker than that.
+"""
+
+import argparse
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+from benchmarks.service_subscriber import quantiles_ms
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hz", type=float, default=400.0)
+    period_ns = round(1e9 / parser.parse_args().hz)
+    told_to_stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: told_to_stop.set())
+    late_ns: list[int] = []
+    began_ns, stolen_s = time.monotonic_ns(), _stolen_s()
+    due_ns = began_ns
+    while not told_to_stop.is_set():
+        due_ns = max(due_ns + period_ns, time.monotonic_ns())  # what was slept through is one late waking
+        time.sleep(max(due_ns - time.monotonic_ns(), 0) * 1e-9)
+        late_ns.append(time.monotonic_ns() - due_ns)
+    seconds = (time.monotonic_ns() - began_ns) * 1e-9 * len(os.sched_getaffinity(0))
+    print(
+        json.dumps(
+            {"wakes_late_ms": quantiles_ms(late_ns), "stolen_percent": round(100.0 * (_stolen_s() - stolen_s) / seconds, 1)}
+        )
+    )
+
+
+def _stolen_s() -> float:
+    """Processor time that the host of a virtual machine has given to others, of all cores."""
+    return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    main()
