@@ -33,7 +33,7 @@ def test_any_order_of_arrival_gives_the_same_buffer(stamps: list[int]) -> None:
 @given(st.permutations([3.0, 1.0, 2.0, 1.0]))
 def test_of_two_samples_of_one_stamp_the_same_stays_whichever_came_first(values: list[float]) -> None:
     buffer, plain = ImuBuffer(), ImuBuffer()
-    for t, v in [(10, 0.0), *((20, v) for v in values), (30, 0.0), *((20, v) for v in values)]:
+    for t, v in [(10, 0.0), (20, values[0]), (30, 0.0), *((20, v) for v in values)]:
         buffer.insert(_sample(t, v))
     for t, v in [(10, 0.0), (20, 1.0), (30, 0.0)]:
         plain.insert(_sample(t, v))
