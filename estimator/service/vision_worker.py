@@ -149,9 +149,12 @@ class VisionWorker:
                 self._restart(f"{type(error).__name__}: {error}")
 
     def _turn(self, pairing: Pairing) -> None:
-        """Wait for pictures; ask about the newest pair."""
+        """Wait for pictures; ask about the newest pair. A process that has died meanwhile is not waited for until one comes."""
         self._wake.wait(_IDLE_S)
         self._wake.clear()
+        if self._process is not None and not self._process.is_alive():
+            self._restart("has died")
+            return
         pairs = pairing.overdue(self._clock.now_ns())
         while self._shots:
             shot = self._shots.popleft()
