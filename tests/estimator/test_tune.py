@@ -121,7 +121,10 @@ def test_progress_grows_to_the_end() -> None:
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
-    """Three flights of one vehicle, and a configuration whose accelerometer is far too good."""
+    """Three flights of one vehicle, and a configuration whose accelerometer is far too poor.
+
+    One that is far too good is made up for: what is on the samples beyond the configured noise is measured (models.sampling).
+    """
     folder = tmp_path_factory.mktemp("tuned")
     logs = []
     for seed in (1, 2, 3):
@@ -129,7 +132,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]
         logs.append(log)
     config = folder / "vehicle.toml"
     true = parse(simulation.config_toml).imu
-    text = simulation.config_toml.replace(f"accel_noise = {true.accel_noise!r}", f"accel_noise = {true.accel_noise / 20.0!r}")
+    text = simulation.config_toml.replace(f"accel_noise = {true.accel_noise!r}", f"accel_noise = {true.accel_noise * 20.0!r}")
     config.write_text(f"# ours\n{text}")
     return logs, config
 
@@ -145,13 +148,13 @@ def _tune(flights: tuple[list[Path], Path], out: Path, *more: str) -> dict[str, 
 def test_flights_tell_the_noise_and_others_are_predicted_better_for_it(flights: tuple[list[Path], Path], tmp_path: Path) -> None:
     said = _tune(flights, tmp_path / "tuned.toml", "--jobs", "2")
     tuned, before = load(tmp_path / "tuned.toml"), load(flights[1])
-    assert 8.0 < tuned.imu.accel_noise / before.imu.accel_noise < 40.0
+    assert 8.0 < before.imu.accel_noise / tuned.imu.accel_noise < 40.0
     assert tuned.imu.gyro_noise == before.imu.gyro_noise
     assert (tmp_path / "tuned.toml").read_text().startswith("# ours\n")
     assert said["held_out_gain"]["mean"] > 0.3
-    assert said["held_out_before"]["nis_per_dof"] > 1.3 > said["held_out_after"]["nis_per_dof"] > 0.6
+    assert said["held_out_before"]["nis_per_dof"] < 0.6 < said["held_out_after"]["nis_per_dof"] < 1.3
     (key,) = said["keys"]
-    assert max(key["half"]["mean"], key["double"]["mean"]) < 0.0
+    assert key["double"]["mean"] < -0.3 < -0.2 < key["half"]["mean"] < 0.2  # half of it is made up for
     again = _tune(flights, tmp_path / "again.toml", "--jobs", "1")
     assert again == said, "whoever does the work"
 
