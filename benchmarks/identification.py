@@ -18,9 +18,10 @@ import numpy as np
 
 from benchmarks.identification_worlds import RIG, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from benchmarks.tables import Table, number
+from vision.catalogue import Catalogue, catalogue
 from vision.constellation import Constellation
 from vision.identify import Identification, IdentifyConfig, identify
-from vision.likelihood import Catalogue, catalogue, similarities
+from vision.likelihood import similarities
 
 INSIDE_9999, GATE_9999 = 21.108, 21.108  # chi-square of 3
 OFF_M = 3.0

@@ -12,8 +12,8 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from vision.catalogue import Sighting
 from vision.identify import Prior
-from vision.likelihood import Sighting
 
 SIDE_M, SPACING_M = 400.0, 25.0
 WIDTH_M, LENGTH_M, HEIGHT_M = 8.0, 11.0, 3.0

@@ -22,8 +22,9 @@ from models.colours import Colour
 from models.landmarks import Landmark
 from models.messages import Array
 from vision import enhance, sightings
+from vision.catalogue import catalogue
 from vision.identify import Prior
-from vision.likelihood import catalogue, similarities
+from vision.likelihood import similarities
 from vision.rectify import Image, rectification, rectify
 from vision.regions import Limits, Region, find_regions
 from vision.segment import Labels, Space, Tolerance, classes, colour_table, segment_colours

@@ -21,6 +21,7 @@ from models.messages import Array
 
 SCALE, STATES = 6, 7
 GROWTH, COLUMNS = 7, 8  # the last column of A is of exp(s) - 1: distances grow so, logarithms of sizes by s
+ROWS = 7  # log width, log length, fill ratio, orientation, place (3)
 PLACE = 4  # first of the three rows that say where; sizes stand before them, so that s is known when they come
 
 _NOTHING: Final = -1e300

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from models.messages import Array
+from vision.catalogue import Sighting
 from vision.identify import Prior
-from vision.likelihood import Sighting
 
 _SURER = 0.8  # the prior's variance fell below this part: something was fused in between, its error is another one
 

@@ -16,7 +16,8 @@ from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision.assignment import SCALE, STATES, Expected, Hypotheses, search
-from vision.likelihood import Beliefs, Catalogue, Sighting, options, similarities
+from vision.catalogue import Beliefs, Catalogue, Sighting
+from vision.likelihood import options, similarities
 
 NONE = -1  # not a landmark of the map
 

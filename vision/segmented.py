@@ -16,10 +16,10 @@ from models.camera import StereoRig
 from models.landmarks import Landmark
 from vision import epipolar
 from vision import sightings as sight
+from vision.catalogue import Catalogue, Sighting, catalogue
 from vision.constellation import Constellation, MemoryConfig
 from vision.correspond import Match, Unmatched, correspond
 from vision.identify import NONE, Identification, IdentifyConfig, Prior, identify
-from vision.likelihood import Catalogue, Sighting, catalogue
 from vision.measure import Measured, measure
 from vision.partial import seen_corners
 from vision.pictures import Pictures

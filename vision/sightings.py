@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from models import outline as polygon
 from models.camera import StereoRig
 from models.messages import Array
+from vision.catalogue import Catalogue, Sighting
 from vision.identify import Prior, view_of
-from vision.likelihood import Catalogue, Sighting
 from vision.measure import Level, Measured
 from vision.partial import chain, partial_of
 from vision.regions import Region

@@ -17,9 +17,10 @@ from models import so3
 from models.landmarks import Landmark
 from models.messages import Array, LandmarkFix
 from vision import sightings as sight
+from vision.catalogue import Sighting, catalogue
 from vision.correspond import Match, correspond
 from vision.identify import Prior
-from vision.likelihood import Sighting, catalogue, similarities
+from vision.likelihood import similarities
 from vision.measure import Measured, measure
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.rectify import Image, rectification, rectify

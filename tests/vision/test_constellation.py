@@ -5,9 +5,9 @@ import pytest
 
 from benchmarks.identification import CONFIG
 from benchmarks.identification_worlds import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, look
+from vision.catalogue import Sighting, catalogue
 from vision.constellation import Constellation, MemoryConfig
 from vision.identify import Prior, identify
-from vision.likelihood import Sighting, catalogue
 from vision.partial import Partial
 
 SECOND = 1_000_000_000

@@ -19,8 +19,8 @@ from benchmarks.identification_worlds import (
     look,
 )
 from models import so3
+from vision.catalogue import Beliefs, Catalogue, Sighting, catalogue
 from vision.identify import NONE, Identification, Prior, identify
-from vision.likelihood import Beliefs, Catalogue, Sighting, catalogue
 
 CALM = Conditions(unmapped=0.0, gone=0.0, found=1.0, bad=0.0, height_m=(70.0, 90.0))
 
@@ -147,13 +147,13 @@ def test_unmapped_objects_on_the_grid_are_expected_there() -> None:
     rng = np.random.default_rng(0)
     world = draw_world(rng, Conditions("grid"))
     landmarks = catalogue(world.map.near(0.0, 0.0, 120.0))
-    from vision.likelihood import _clutter_intensity  # noqa: PLC0415  (the density itself)
+    from vision.clutter import intensity  # noqa: PLC0415  (the density itself)
 
     place = np.stack([landmarks.place_n[0], landmarks.place_n[1], landmarks.place_n[2]])
     off = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
     own, P = np.zeros((3, 3, 3)), np.zeros((7, 7))
-    on_grid = _clutter_intensity(place, own, landmarks, P, Beliefs())
-    beside = _clutter_intensity(off, own, landmarks, P, Beliefs())
+    on_grid = intensity(place, own, landmarks, P, Beliefs())
+    beside = intensity(off, own, landmarks, P, Beliefs())
     assert on_grid[2] > 10.0 * beside[2]
     assert beside[2] == pytest.approx(0.3 / 0.7 * landmarks.density_per_m2 + 1e-4, rel=0.2)
 

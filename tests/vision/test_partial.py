@@ -10,8 +10,9 @@ from models import so3
 from models.landmarks import Landmark
 from models.messages import Array
 from vision import sightings
+from vision.catalogue import Catalogue, Sighting, catalogue
 from vision.identify import NONE, Prior, identify
-from vision.likelihood import Catalogue, Sighting, _say_nothing, _whiten, catalogue
+from vision.likelihood import _say_nothing, _whiten
 from vision.partial import Partial, chain, seen_corners
 from vision.regions import Region
 from vision.synthetic.rigs import make_rig

@@ -10,8 +10,8 @@ from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision import sightings
+from vision.catalogue import Sighting
 from vision.identify import Prior
-from vision.likelihood import Sighting
 from vision.measure import Measured
 from vision.regions import Region
 from vision.synthetic.rigs import make_rig
