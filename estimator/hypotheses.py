@@ -25,6 +25,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from estimator.eskf import Eskf, Innovation
 from estimator.gating import gate
@@ -33,6 +34,7 @@ from models.measurements import Measurement
 from models.messages import Array
 from models.state import E, local
 
+_N = E.SIZE  # compiled code reads plain integers
 MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
@@ -131,11 +133,10 @@ class Hypotheses:
         lead = self.lead
         if len(self.members) == 1:
             return lead.cov.copy() if len(lead.cov) == E.SIZE else lead.cov[: E.SIZE, : E.SIZE].copy()
-        weights = np.exp([m.weight + m.benefit for m in self.members])
-        total = np.zeros((E.SIZE, E.SIZE))
-        for weight, member in zip(weights / weights.sum(), self.members, strict=True):
-            off = local(lead.x, member.filter.x)
-            total += weight * (member.filter.cov[: E.SIZE, : E.SIZE] + np.outer(off, off))
+        weights = [math.exp(m.weight + m.benefit) for m in self.members]
+        total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
+        for weight, member in zip(weights, self.members, strict=True):
+            _mix(total, weight / whole, member.filter.cov, local(lead.x, member.filter.x))
         return total
 
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
@@ -244,6 +245,14 @@ class Hypotheses:
         top = lead.weight
         for member in self.members:
             member.weight -= top
+
+
+@njit(cache=True)
+def _mix(total: Array, weight: float, cov: Array, off: Array) -> None:
+    """Add weight (P + d d^T) of the 15 error states to total (15, 15), in place; cov: (n, n), off: d (15,)."""
+    for i in range(_N):
+        for j in range(_N):
+            total[i, j] += weight * (cov[i, j] + off[i] * off[j])
 
 
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
