@@ -3,17 +3,17 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from logs.codec import encode_input
-from logs.recorder import Recorder
+from estimator.simulate import write
 from models.measurements import DIRECTION_SCALE
 from models.messages import PoseFix
 from tests.estimator.partial import in_part
-from tests.estimator.scenes import by_arrival, simulated
+from tests.estimator.scenes import simulated
 from tests.service.flying import environment
 
 _KERNELS = """
@@ -95,13 +95,12 @@ def _told(code: str, *words: str) -> dict[str, Any]:
 
 
 def test_no_kernel_is_compiled_in_flight(tmp_path: Path) -> None:
+    simulation = simulated(_SCENARIO)
     messages = [
         in_part(m, np.eye(6)[:4] * DIRECTION_SCALE, np.zeros(2)) if isinstance(m, PoseFix) and k % 2 else m
-        for k, m in enumerate(simulated(_SCENARIO).messages)
+        for k, m in enumerate(simulation.messages)
     ]
-    with Recorder(tmp_path / "flight.mcap") as recorder:
-        for message in by_arrival(messages):
-            recorder.write(*encode_input(message), message.arrived_ns)
+    write(replace(simulation, messages=messages), tmp_path / "flight.mcap")
     said = _told(_FLIGHT, str(tmp_path / "flight.mcap"))
     assert said["warm"] > 15
     assert said["new"] == []
