@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.motion import Motion, moved, similarity
+from vision.motion import Motion, similarity
 from vision.pose import Pose
 from vision.rectify import Image
 from vision.reduced import Level, levels
 from vision.sensitivity import Eye
+from vision.settle import motions, settled
 from vision.visibility import MapError, Prisms
 from vision.voters import chromas, voters
 from vision.votes import vote
@@ -137,7 +138,8 @@ class Search:
             chi2 = _squared(information, grid, np.array(pair))
             inside = chi2 <= grid.chi2
             if inside.any():
-                votes, _ = stage.vote(self.motion.gain @ np.array([0.0, 0.0, *pair]), grid.su, grid.sv, inside)
+                aimed = stage.aimed(self.motion.pose(self.motion.gain @ np.array([0.0, 0.0, *pair])))
+                votes, _ = stage.vote(aimed, grid.su, grid.sv, inside)
                 total = np.where(inside, _together(votes, inside, stage.free) - 0.5 * chi2, _NEVER)
                 found += [(float(total[a, b]), np.array([grid.su[a], grid.sv[b], *pair])) for a, b in _peaks(total)[:_SUMMITS]]
         found.sort(key=lambda one: -one[0])
@@ -154,7 +156,9 @@ class Search:
         half = steps + int(free.max())
         s = np.arange(-half, half + 1.0) * level.size
         everywhere = np.ones((len(s), len(s)), dtype=np.bool_)
-        votes, length = stage.vote(error, s, s, everywhere)
+        pose, prior = self.motion.pose(error), np.asarray(self.motion.prior.covariance, dtype=float)
+        aimed = stage.aimed(pose)
+        votes, length = stage.vote(aimed, s, s, everywhere)
         inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
         common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
         places = _own_places(votes, common, free)
@@ -162,25 +166,13 @@ class Search:
         length = length[k, a, b]
         support = votes[k, a, b] + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        total, shift_m = self._settle(stage, error, (places - half) * level.size, trusted)
-        chi2 = float(total @ np.linalg.solve(self.motion.prior.covariance, total))
+        found_px, place_px = (places - half) * level.size, _PLACE_PX * level.size
+        total, off_m = settled(stage.motions(aimed, pose), found_px, trusted, self.map_sigma, place_px, error, prior)
+        shift_m = np.zeros((len(votes), len(MapError)))
+        shift_m[:, :2] = off_m
+        chi2 = float(total @ np.linalg.solve(prior, total))
         score = float(votes[k, a, b].sum()) * level.size - 0.5 * chi2
         return Candidate(*self.motion.pose(total), total, shift_m, support * level.size, length * level.size, score)
-
-    def _settle(self, stage: "_Stage", error: Array, shift_px: Array, trusted: Mask) -> tuple[Array, Array]:
-        """Error (6,) of the prior and map errors (L, M) from where the trusted landmarks were found beside an error."""
-        count, P, size = len(shift_px), np.asarray(self.motion.prior.covariance, dtype=float), stage.level.size
-        H = stage.moved(self.motion.pose(error)) * trusted[:, None, None]
-        y = (shift_px + H @ error) * trusted[:, None]
-        spread = self.map_sigma[:, None, None] * H[:, :, :2]
-        noise = (_PLACE_PX * size) ** 2 * np.eye(2) + spread @ spread.transpose(0, 2, 1)
-        weighted = np.linalg.solve(noise, H)
-        information = np.einsum("lia,lib->ab", H, weighted)
-        total = np.linalg.solve(np.eye(6) + P @ information, P @ np.einsum("lia,li->a", weighted, y))
-        left = np.linalg.solve(noise, (y - H @ total)[:, :, None])
-        shift_m = np.zeros((count, len(MapError)))
-        shift_m[:, :2] = -(self.map_sigma[:, None] ** 2) * (H[:, :, :2].transpose(0, 2, 1) @ left)[:, :, 0]
-        return total, shift_m
 
 
 class _Stage:
@@ -195,11 +187,15 @@ class _Stage:
         self.free = np.rint(2.0 * search.map_sigma * level.camera.fx / np.maximum(depth, 1.0))  # px that the map leaves open
         self.floor = _FLOOR * level.typical() + 0.5
 
-    def vote(self, error: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
-        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts beside an error of the prior."""
+    def aimed(self, pose: Pose) -> Array:
+        """The points (N, 11) as vote() wants them, from a pose."""
+        assert self.voters is not None
+        return self.voters.aimed(self.eye, pose, self.motion.gain[:, :2])
+
+    def vote(self, aimed: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
+        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
         assert self.voters is not None
         v, c, marks = self.voters, self.level.camera, len(self.free)
-        aimed = v.aimed(self.eye, self.motion.pose(error), self.motion.gain[:, :2])
         field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
         support, length = vote(
             field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
@@ -207,19 +203,18 @@ class _Stage:
         )  # fmt: skip
         return support - self.expected * length, length
 
-    def moved(self, pose: Pose) -> Array:
-        """How each landmark moves in the picture with the pose (L, 2, 6) px."""
+    def motions(self, aimed: Array, pose: Pose) -> Array:
+        """How each landmark moves with the pose (L, 2, 6), px of the picture."""
         assert self.voters is not None
-        v, marks = self.voters, len(self.free)
-        aimed = v.aimed(self.eye, pose, self.motion.gain[:, :2])
-        D = moved(self.level.camera, aimed[:, :3], v.points_n - pose[0], self.eye.pose(*pose)[1]).reshape(-1, 12)
-        of = v.mark_of_point == np.arange(marks)[:, None]
-        return np.asarray((of @ D / np.maximum(of.sum(axis=1), 1)[:, None]).reshape(marks, 2, 6) * self.level.size)
+        v, c = self.voters, self.level.camera
+        _, R_nk = self.eye.pose(*pose)
+        D = motions(aimed[:, :3], v.points_n - pose[0], v.mark_of_point, len(self.free), R_nk, c.fx, c.fy)
+        return np.asarray(D * self.level.size)
 
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
         assert self.voters is not None
-        aimed = self.voters.aimed(self.eye, self.motion.pose(self.motion.gain @ q), self.motion.gain[:, :2])
+        aimed = self.aimed(self.motion.pose(self.motion.gain @ q))
         px = self.level.camera.project(aimed[:, :3])
         shown = self.level.camera.contains(px)
         r = ((px + 0.5) * self.level.size - 0.5)[shown] - self.motion.middle - q[:2]

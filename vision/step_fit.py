@@ -22,6 +22,8 @@ _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 _FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how far it reaches
 _PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
+_WIDTHS = 0.5 * np.arange(4, 15)  # px, of strips that are tried,
+_STRIP_PLACES, _STRIP_BLUR = 7, 0.7  # at so many places of the first step, and how blurred [px]
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 
 
@@ -42,17 +44,19 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             mean[edge[i]] += grey[i]
             count[edge[i]] += 1.0
     place = (np.arange(size) - half) * step
+    columns = _strip_columns(place, farthest)
     rows = np.zeros((edges, 2, size))
     centre = np.full(edges, np.nan)
     for e in range(edges):
         if count[e] < 2:
             continue
-        second = gap[e]
-        x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
+        second, g = gap[e], mean[e] / count[e]
+        g -= np.mean(g)
+        x, variance, misfit = _fit_mean(place, g, second, farthest)
         if second == 0.0 and misfit > _STRIP_MISFIT:
-            second = _strip(place, mean[e] / count[e], misfit, farthest)
+            second = _strip(columns, g, misfit)
             if second > 0.0:
-                x, variance, misfit = _fit_mean(place, mean[e] / count[e], second, farthest)
+                x, variance, misfit = _fit_mean(place, g, second, farthest)
         contrast = max(abs(x[1]), abs(x[2]))
         if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest or abs(x[1]) < _FIRST * contrast:
             continue
@@ -62,10 +66,13 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
         e = edge[i]
         if not usable[i] or math.isnan(centre[e]):
             continue
-        gain = np.dot(rows[e, 0], grey[i])
+        gain = shift = 0.0
+        for j in range(size):
+            gain += rows[e, 0, j] * grey[i, j]
+            shift += rows[e, 1, j] * grey[i, j]
         if gain < 0.3:
             continue
-        shift = np.dot(rows[e, 1], grey[i]) / min(max(gain, 0.6), 1.6)
+        shift /= min(max(gain, 0.6), 1.6)
         if abs(shift) < 0.6 * half * step:
             offsets[i] = centre[e] + shift
     return offsets, blur, opened
@@ -127,41 +134,41 @@ def _solve(matrix: Array, right: Array, size: int, x: Array) -> bool:
 
 
 @njit(cache=True)
-def _split(
-    place: Array,
-    g: Array,
-    gap: float,
-    weight: float,
-    s0: float,
-    sigma: float,
-    x: Array,
-    basis: Array,
-    normal: Array,
-    right: Array,
-) -> float:
-    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. normal, right: room."""
+def _levels(gg: float, g1: float, g2: float, a11: float, a12: float, a22: float, weight: float) -> tuple[float, float, float]:
+    """Least |g - c1 f1 - c2 f2|^2 + weight (c1 - c2)^2, and c1, c2, from the inner products of g, f1, f2."""
+    b11, b12, b22 = a11 + weight, a12 - weight, a22 + weight
+    det = b11 * b22 - b12 * b12
+    if det <= 1e-9 * b11 * b22:
+        return np.inf, 0.0, 0.0
+    c1, c2 = (b22 * g1 - b12 * g2) / det, (b11 * g2 - b12 * g1) / det
+    return max(gg - c1 * g1 - c2 * g2, 0.0), c1, c2
+
+
+@njit(cache=True)
+def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
+    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. g: without its mean."""
     _basis(place, s0, sigma, gap, basis)
-    levels = 3 if gap > 0.0 else 2
-    normal[:] = 0.0
-    right[:] = 0.0
-    for j in range(place.shape[0]):
-        for k in range(levels):
-            right[k] += basis[j, k] * g[j]
-            for m in range(k + 1):
-                normal[k, m] += basis[j, k] * basis[j, m]
-    for k in range(levels):
-        normal[k, k] += 1e-9
+    size = place.shape[0]
+    m1 = m2 = gg = g1 = g2 = a11 = a12 = a22 = 0.0
+    for j in range(size):
+        f1, f2 = basis[j, 1], basis[j, 2]
+        m1 += f1 / size
+        m2 += f2 / size
+        gg += g[j] * g[j]
+        g1 += f1 * g[j]
+        g2 += f2 * g[j]
+        a11 += f1 * f1
+        a12 += f1 * f2
+        a22 += f2 * f2
+    a11 -= size * m1 * m1
     if gap > 0.0:
-        normal[1, 1] += weight
-        normal[2, 2] += weight
-        normal[2, 1] -= weight
-    x[2] = 0.0
-    if not _solve(normal, right, levels, x):
-        return np.inf
-    x[3], x[4] = s0, sigma
-    cost = weight * (x[1] - x[2]) ** 2 if gap > 0.0 else 0.0
-    for j in range(place.shape[0]):
-        cost += (g[j] - x[0] - x[1] * basis[j, 1] - x[2] * basis[j, 2]) ** 2
+        cost, x[1], x[2] = _levels(gg, g1, g2, a11, a12 - size * m1 * m2, a22 - size * m2 * m2, weight)
+    elif a11 > 1e-9:
+        x[1], x[2] = g1 / a11, 0.0
+        cost = max(gg - x[1] * g1, 0.0)
+    else:
+        cost = np.inf
+    x[0], x[3], x[4] = -x[1] * m1 - x[2] * m2, s0, sigma
     return cost
 
 
@@ -169,16 +176,17 @@ def _split(
 def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
     the mean squared misfit. Levenberg-Marquardt from the best of several places; the levels are always the best ones.
+    g: a mean profile without its own mean.
     """
     size = place.shape[0]
     reach = place[size - 1]
-    contrast = max(abs(np.mean(g[size - 3 :]) - np.mean(g[:3])), 0.5 * (g.max() - g.min()), 1.0)
-    weight = (2.0 / (1.5 * contrast)) ** 2  # the noise of a mean profile over how uneven the two steps may be
+    across = (g[size - 1] + g[size - 2] + g[size - 3] - g[0] - g[1] - g[2]) / 3.0
+    weight = _unevenness(max(abs(across), 0.5 * (g.max() - g.min())))
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
     normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     cost = np.inf
     for k in range(-4, 5):
-        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis, normal, right)
+        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis)
         if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
             cost = value
             x[:] = trial
@@ -194,7 +202,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
         if not _solve(room, right, 5, step):
             break
         s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
-        value = _split(place, g, gap, weight, s0, sigma, trial, basis, room, step)
+        value = _split(place, g, gap, weight, s0, sigma, trial, basis)
         fresh = value < cost
         if fresh:
             done = cost - value < 1e-3 * cost
@@ -217,20 +225,45 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
 
 
 @njit(cache=True)
-def _strip(place: Array, g: Array, misfit: float, farthest: float) -> float:
+def _unevenness(contrast: float) -> float:
+    """Weight of (c1 - c2)^2: the noise of a mean profile over how uneven two steps of a contrast may be, squared."""
+    return (2.0 / (1.5 * max(contrast, 1.0))) ** 2
+
+
+@njit(cache=True)
+def _strip_columns(place: Array, farthest: float) -> Array:
+    """Steps f (1 + W, P, S) without their means: the first one at P places, then the second one for each of W widths."""
+    columns = np.empty((1 + len(_WIDTHS), _STRIP_PLACES, place.shape[0]))
+    for w in range(columns.shape[0]):
+        width = _WIDTHS[w - 1] if w > 0 else 0.0
+        for p in range(_STRIP_PLACES):
+            s0 = (2.0 * p / (_STRIP_PLACES - 1) - 1.0) * farthest + width
+            for j in range(place.shape[0]):
+                columns[w, p, j], _ = _normal((place[j] - s0) / _STRIP_BLUR)
+            columns[w, p] -= np.mean(columns[w, p])
+    return columns
+
+
+@njit(cache=True)
+def _strip(columns: Array, g: Array, misfit: float) -> float:
     """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
-    contrast = max(g.max() - g.min(), 1.0)
-    weight = (2.0 / (1.5 * contrast)) ** 2
-    basis, x = np.empty((place.shape[0], 5)), np.zeros(5)
-    normal, right = np.zeros((5, 5)), np.zeros(5)
-    best, width = 0.3 * misfit * place.shape[0], 0.0
-    for k in range(4, 15):
-        gap = 0.5 * k
-        for m in range(-3, 4):
-            cost = _split(place, g, gap, weight, m * farthest / 3.0, 0.7, x, basis, normal, right)
-            if cost < best and abs(x[1]) > _FIRST * abs(x[2]):
-                best, width = cost, gap
-    return width
+    weight = _unevenness(g.max() - g.min())
+    gg = np.sum(g * g)
+    best, found = 0.3 * misfit * len(g), 0.0
+    for p in range(columns.shape[1]):
+        first = columns[0, p]
+        g1, a11 = np.sum(first * g), np.sum(first * first)
+        for w in range(len(_WIDTHS)):
+            second = columns[1 + w, p]
+            g2 = a12 = a22 = 0.0
+            for j in range(len(g)):
+                g2 += second[j] * g[j]
+                a12 += second[j] * first[j]
+                a22 += second[j] * second[j]
+            cost, c1, c2 = _levels(gg, g1, g2, a11, a12, a22, weight)
+            if cost < best and abs(c1) > _FIRST * abs(c2):
+                best, found = cost, _WIDTHS[w]
+    return found
 
 
 @njit(cache=True)
@@ -280,12 +313,16 @@ def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
         for k in range(3):
             for m in range(3):
                 normal[k, m] += jacobian[j, k] * jacobian[j, m] / (scale[k] * scale[m])
-    right, solution = np.empty(3), np.empty(3)
+    gain, shift = np.empty(3), np.empty(3)
+    room[:] = normal
+    found = _solve(room, np.array([0.0, 1.0, 0.0]), 3, gain)
+    if not found or room[2, 2] < 3e-3 or room[1, 1] < 3e-3:
+        return False
+    room[:] = normal
+    _solve(room, np.array([0.0, 0.0, 1.0]), 3, shift)
     for j in range(size):
-        room[:] = normal
+        rows[0, j] = rows[1, j] = 0.0
         for k in range(3):
-            right[k] = jacobian[j, k] / scale[k]
-        if not _solve(room, right, 3, solution) or room[2, 2] < 3e-3 or room[1, 1] < 3e-3:
-            return False
-        rows[0, j], rows[1, j] = solution[1] / scale[1], solution[2] / scale[2]
+            rows[0, j] += gain[k] * jacobian[j, k] / (scale[k] * scale[1])
+            rows[1, j] += shift[k] * jacobian[j, k] / (scale[k] * scale[2])
     return True

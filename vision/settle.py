@@ -1,0 +1,98 @@
+"""Pose and map errors that follow from where each landmark was found in the picture.
+
+    y_l = D_l dx - D_l,p m_l + e_l,       dx ~ N(0, P),  m_l ~ N(0, s_l^2 I),  e_l ~ N(0, e^2 I)                        (px)
+    dx = (P^-1 + sum_l D_l^T N_l^-1 D_l)^-1 sum_l D_l^T N_l^-1 y_l,    N_l = e^2 I + s_l^2 D_l,p D_l,p^T
+    m_l = -s_l^2 D_l,p^T N_l^-1 (y_l - D_l dx)
+
+D_l (2, 6): how landmark l moves in the picture with the pose, the mean over its points; D_l,p: with the position.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class Settled(NamedTuple):
+    """Error of the prior (6,) and map errors north, east (L, 2) m."""
+
+    error: Array
+    shift_m: Array
+
+
+def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array) -> Settled:
+    """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
+
+    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a place is found.
+    """
+    return Settled(*_settled(D, found_px, trusted, map_sigma, place_px, error, P))
+
+
+@njit(cache=True)
+def motions(x_c: Array, lever_n: Array, mark: Indices, marks: int, R_nk: Array, fx: float, fy: float) -> Array:
+    """D (L, 2, 6) px of points x_c (N, 3) of landmarks mark (N,), lever_n (N, 3) from the vehicle; camera without distortion.
+
+    dx_c = R_nk^T (-dp + [X - p]x dtheta)
+    """
+    D, count = np.zeros((marks, 2, 6)), np.zeros(marks)
+    row = np.empty(3)
+    for i in range(len(x_c)):
+        m, x, y, z = mark[i], x_c[i, 0], x_c[i, 1], x_c[i, 2]
+        count[m] += 1.0
+        for k in range(2):
+            a, b, c = (fx / z, 0.0, -fx * x / z**2) if k == 0 else (0.0, fy / z, -fy * y / z**2)
+            for j in range(3):
+                row[j] = R_nk[j, 0] * a + R_nk[j, 1] * b + R_nk[j, 2] * c
+                D[m, k, j] -= row[j]
+            D[m, k, 3] += row[1] * lever_n[i, 2] - row[2] * lever_n[i, 1]
+            D[m, k, 4] += row[2] * lever_n[i, 0] - row[0] * lever_n[i, 2]
+            D[m, k, 5] += row[0] * lever_n[i, 1] - row[1] * lever_n[i, 0]
+    for m in range(marks):
+        D[m] /= max(count[m], 1.0)
+    return D
+
+
+@njit(cache=True)
+def _settled(
+    D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array
+) -> tuple[Array, Array]:
+    information, told = np.zeros((6, 6)), np.zeros(6)
+    y, W, WD = np.empty((len(D), 2)), np.empty((len(D), 2, 2)), np.empty((2, 6))
+    for m in range(len(D)):
+        if not trusted[m]:
+            continue
+        n00, n01, n11 = place_px**2, 0.0, place_px**2
+        for k in range(2):
+            d0, d1 = map_sigma[m] * D[m, 0, k], map_sigma[m] * D[m, 1, k]
+            n00, n01, n11 = n00 + d0 * d0, n01 + d0 * d1, n11 + d1 * d1
+        det = n00 * n11 - n01 * n01
+        W[m, 0, 0], W[m, 0, 1], W[m, 1, 0], W[m, 1, 1] = n11 / det, -n01 / det, -n01 / det, n00 / det
+        for i in range(2):
+            y[m, i] = found_px[m, i] + np.sum(D[m, i] * error)
+            for k in range(6):
+                WD[i, k] = W[m, i, 0] * D[m, 0, k] + W[m, i, 1] * D[m, 1, k]
+        for k in range(6):
+            told[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
+            for j in range(6):
+                information[k, j] += D[m, 0, k] * WD[0, j] + D[m, 1, k] * WD[1, j]
+    whole, right = np.eye(6), np.zeros(6)
+    for k in range(6):
+        for i in range(6):
+            right[k] += P[k, i] * told[i]
+            for j in range(6):
+                whole[k, j] += P[k, i] * information[i, j]
+    total = np.linalg.solve(whole, right).astype(np.float64)
+    shift_m = np.zeros((len(D), 2))
+    for m in range(len(D)):
+        if trusted[m]:
+            r0, r1 = y[m, 0] - np.sum(D[m, 0] * total), y[m, 1] - np.sum(D[m, 1] * total)
+            w0, w1 = W[m, 0, 0] * r0 + W[m, 0, 1] * r1, W[m, 1, 0] * r0 + W[m, 1, 1] * r1
+            for k in range(2):
+                shift_m[m, k] = -(map_sigma[m] ** 2) * (D[m, 0, k] * w0 + D[m, 1, k] * w1)
+    return total, shift_m
