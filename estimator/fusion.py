@@ -96,6 +96,10 @@ class Fusion:
             self._detail = f"internal error: {type(error).__name__}: {error}"
             return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
 
+    def catch_up(self) -> None:
+        """Redo now what came late, while nothing waits, rather than before the next output; no output is another for it."""
+        self._history.advance(self._history.samples.newest_ns)
+
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:
         config = self._config
         tracker = Tracker(

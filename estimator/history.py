@@ -56,11 +56,9 @@ class History:
             if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
                 self._rewind_to(before_ns + 1)
             return None
-        if sample.t_ns < self.samples.newest_ns - self._span_ns:
-            return Reason.TOO_OLD
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
         before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1
-        if before_ns < self._checkpoint_times[0]:
+        if before_ns < max(self._checkpoint_times[0], self.samples.newest_ns - self._span_ns):
             return Reason.TOO_OLD
         if not self.samples.insert(sample):
             return Reason.DUPLICATE
@@ -101,15 +99,17 @@ class History:
         return self.tracker
 
     def changed(self) -> list[Entry]:
-        """Entries whose decision is new or another than last told; each is handed out once."""
-        if not self._changed:
-            return self._changed
-        changed, self._changed = self._changed, []
-        return changed
+        """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""
+        if not self._changed:  # nearly every call
+            return []
+        changed = [e for e in set(self._changed) if e.decision is not None and e.told is not e.decision.reason]
+        self._changed.clear()
+        for entry in changed:
+            entry.revision += 1
+        return sorted(changed, key=lambda e: e.aid.order)
 
     def _decide(self, entry: Entry, decision: Decision) -> None:
         if entry.decision is None or entry.decision.reason is not decision.reason:
-            entry.revision += 1
             self._changed.append(entry)
         entry.decision = decision
 

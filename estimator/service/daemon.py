@@ -1,7 +1,8 @@
 """The loop: one message after the other through Fusion.handle, its outputs to the links and the log.
 
-Everything else (links, log, state file) has threads of its own and never makes the loop wait. What the loop gives to Fusion is
-decoded from the very bytes that are logged, stamps translated before, so a replay of the log says the same, to the bit.
+Everything else (links, log, state file) has threads of its own and never makes the loop wait, and what a late fix changes is
+worked out while no message waits. What the loop gives to Fusion is decoded from the very bytes that are logged, stamps translated
+before, so a replay of the log says the same, to the bit.
 """
 
 import queue
@@ -176,6 +177,8 @@ class Daemon:
             self._remember(output)
         for message_out in encoded:
             self._log.put_output(message_out, arrived_ns)
+        if not outputs and not len(self.mailbox):
+            self._fusion.catch_up()
 
     def _on_our_clock(self, arrival: Arrival) -> Arrival:
         """The message with its stamp translated; on another topic, that feeds nothing, where its clock is not known."""

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.history import History
 from estimator.initialise import InitialiseConfig
+from estimator.sources.pose import PoseConfig
 from estimator.tracker import Tracker, TrackerConfig
+from logs.codec import encode
 from models.imu import Coast, ImuNoise
-from models.messages import Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reason, Tick
+from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reason, Tick
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
 from tests.estimator.scenes import (
@@ -169,6 +171,39 @@ def test_a_decision_that_changes_is_told_again_with_the_next_revision(flight: Si
     for words in told.values():
         assert [revision for revision, _ in words] == list(range(words[0][0], words[0][0] + len(words)))
         assert all(a != b for (_, a), (_, b) in pairwise(words))
+
+
+def test_catching_up_at_any_time_changes_no_word(flight: Simulation, messages: list[Input]) -> None:
+    """Aids come in bursts, of which any order is possible; some samples are late, too."""
+    rng = np.random.default_rng(4)
+    most_s = [4.0 if not isinstance(m, ImuSample) else 0.5 if rng.random() < 0.05 else 0.0 for m in messages]
+    late_s = [rng.uniform(0.0, most) for most in most_s]
+    late = by_arrival(
+        arriving(m, s) if isinstance(m, ImuSample) else arriving(m, s + 1.0 - (m.t_ns * 1e-9 + s) % 1.0)
+        for m, s in zip(messages, late_s, strict=True)
+    )
+    lazy, eager = Fusion(config_of(flight)), Fusion(config_of(flight))
+    revised = 0
+    for message in late:
+        said = lazy.handle(message)
+        assert [encode(out) for out in eager.handle(message)] == [encode(out) for out in said]
+        revised += sum(isinstance(out, AidStatus) and out.revision > 0 for out in said)
+        if rng.random() < 0.7:
+            eager.catch_up()
+    assert revised > 0
+
+
+def test_a_decision_that_changes_back_before_the_next_output_is_not_told_again() -> None:
+    """Fixes 0.5 s apart; one shortly before the last thins it out, until another before that one thins it out itself."""
+    fusion = Fusion(FusionConfig(pose_fix=PoseConfig(spacing_s=0.2)))
+    run = Run(fusion).feed(hover(8.0))
+    last = max(s.t_ns for s in run.statuses if s.kind == "pose")
+    said = len(run.statuses)
+    for before_ms in (150, 250):
+        run.feed([pose_fix(last - before_ms * SECOND // 1000)])
+        fusion.catch_up()
+    run.feed([_sample(EPOCH_NS + 8 * SECOND + SECOND // 100)])
+    assert {(last - s.t_ns) // 1_000_000: s.reason for s in run.statuses[said:]} == {250: Reason.FUSED, 150: Reason.THINNED}
 
 
 def test_counts_of_health_are_the_last_decisions(flight: Simulation, messages: list[Input]) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from benchmarks.service_vehicle import truth
+from benchmarks.service_vehicle import gnss, imu, pose_fix, truth
 from estimator.config import parse
+from estimator.service.ports import Arrival
+from estimator.service.run import assembled
 from estimator.service.zenoh_keys import rmw_key
 from logs import schemas
-from logs.codec import decode_odometry, type_hash
+from logs.codec import decode_odometry, encode_input, type_hash
 from logs.reader import LogReader
 from tests.service.flying import (
     ODOMETRY,
@@ -29,6 +31,8 @@ from tests.service.flying import (
     toml,
     until,
 )
+
+SECOND = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -173,3 +177,19 @@ def test_a_defect_of_ours_costs_one_message(tmp_path: Path, monkeypatch: pytest.
         vehicle = fly(session, 1.5)
         until(lambda: status(session).get("internal_errors") == "1", "the status tells of it")
     assert len(vehicle.latency_ns) > 50
+
+
+def test_what_a_late_fix_changes_is_worked_out_before_the_next_sample_comes(tmp_path: Path) -> None:
+    rng, start_ns = np.random.default_rng(1), 1_795_000_000 * SECOND
+    with assembled(parse(toml(tmp_path, 1, zenoh_keys="enabled = false")), tmp_path) as daemon:
+        for t_ns in range(start_ns, start_ns + 2 * SECOND, SECOND // 100):
+            aids = gnss(t_ns - SECOND // 20, rng) if t_ns % (SECOND // 5) == 0 else ()
+            for message in (*aids, imu(t_ns, rng)):
+                daemon.take(Arrival(*encode_input(message), t_ns))
+        history = daemon._fusion._history
+        at_ns = history.tracker.t_ns
+        daemon.take(Arrival(*encode_input(pose_fix(at_ns - SECOND // 10, rng)), at_ns))
+        redone = history.tracker
+        assert redone.t_ns == at_ns
+        daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 100, rng)), at_ns + SECOND // 100))
+        assert history.tracker is redone
