@@ -30,6 +30,8 @@ class Ear:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.latency_ns: list[int] = []
+        self.worst_ns: dict[int, int] = {}  # in each second since the first stamp
+        self._first_ns: int | None = None
         self.not_finite = self.out_of_order = 0
         self._last_ns = 0
         decode_odometry(cdr_fast.odometry(1, np.zeros(85)))  # tables are made: the first estimate is not to be late
@@ -40,6 +42,10 @@ class Ear:
         now_ns, data = time.time_ns(), sample.payload.to_bytes()
         t_ns = stamp_of(data) or 0
         self.latency_ns.append(now_ns - t_ns)
+        if self._first_ns is None:
+            self._first_ns = t_ns
+        second = (t_ns - self._first_ns) // 1_000_000_000
+        self.worst_ns[second] = max(self.worst_ns.get(second, 0), now_ns - t_ns)
         self.out_of_order += t_ns <= self._last_ns
         self._last_ns = t_ns
         told = decode_odometry(data)
@@ -50,6 +56,12 @@ def quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
     """The middle and the tail."""
     ms = sorted(ns * 1e-6 for ns in latency_ns) or [math.nan]
     return {name: round(ms[math.ceil(q * len(ms)) - 1], 3) for name, q in _SHARES.items()}
+
+
+def worst_ms(worst_ns: dict[int, int], most: int = 8) -> dict[int, float]:
+    """The seconds with the largest latencies."""
+    worst = sorted(worst_ns, key=lambda second: -worst_ns[second])[:most]
+    return {second: round(worst_ns[second] * 1e-6, 1) for second in sorted(worst)}
 
 
 def main() -> None:
@@ -67,6 +79,7 @@ def main() -> None:
     heard = {
         "estimates_heard": len(ear.latency_ns),
         "latency_ms": quantiles_ms(ear.latency_ns),
+        "worst_seconds_ms": worst_ms(ear.worst_ns),
         "not_finite": ear.not_finite,
         "out_of_order": ear.out_of_order,
         "daemon": status,
