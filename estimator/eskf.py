@@ -6,8 +6,10 @@ zero after every update (Sola 2017, sec. 6):
     x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                                                     (eq. 287)
 
 P may carry, behind the 15 error states, slow errors: they repeat from fix to fix (map, rig, slow GNSS, zero of a barometer)
-and take part in S and in the correlations. Most are *considered*: never corrected (Schmidt 1966). With the optimal gain for
-the others this is the full update whose considered block and mean are put back (Bierman 1977, sec. VIII.3).
+and take part in S and in the correlations. Most are *considered*: never corrected (Schmidt 1966). A reading has of the
+considered errors c only their sum e = H_c c, so the update is that of the others and of e, few as they are:
+
+    (a, e) <- update,   P_ac <- P_ac - K_a (H P)_c,   P_cc stays                        (Bierman 1977, sec. VIII.3)
 """
 
 import math
@@ -17,6 +19,7 @@ from functools import cache
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from estimator.kalman import ErrorStateKalman
 from estimator.samples import ImuBuffer
@@ -26,17 +29,17 @@ from models.measurements import Measurement, PartialPose, innovation_covariance,
 from models.messages import Array
 from models.state import E, retract, sound
 
-_LONG_S = 1e9
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """One measurement seen from one state: nu (m,), H (m, n), R and S (m, m), squared Mahalanobis distance, ln det S."""
+    """One measurement seen from one state: nu (m,), H and H P (m, n), R and S (m, m), squared Mahalanobis distance, ln det S."""
 
     nu: Array
     h: Array
+    hp: Array
     noise: Array
     s: Array
     distance2: float
@@ -67,7 +70,7 @@ class Eskf:
         s = self.slow
         self.sound = imu.propagate(
             self.x, self.cov, samples.t_ns, samples.u, samples.known, samples.count, index, self.t_ns, to_ns,
-            self.constants, s.tau_s, s.sigma2,
+            self.constants, s.tau_s, s.psd,
         )  # fmt: skip
         self.t_ns = to_ns
 
@@ -83,9 +86,9 @@ class Eskf:
         wider[:n, :n], wider[n:, n:] = self.cov, covariance
         self.cov = wider
         if walk is None:
-            self.slow = self.slow.also(block, np.diag(covariance).copy(), tau_s, estimated=False)
-        else:  # the limit of sigma^2 (1 - exp(-2 dt / tau)) for a long tau
-            self.slow = self.slow.also(block, 0.5 * _LONG_S * walk, _LONG_S, estimated=True)
+            self.slow = self.slow.also(block, 2.0 * np.diag(covariance) / tau_s, tau_s, estimated=False)
+        else:
+            self.slow = self.slow.also(block, walk, math.inf, estimated=True)
 
     def zero(self, block: str, seen: Innovation) -> None:
         """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,
@@ -125,12 +128,12 @@ class Eskf:
             h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
         nu = nu - h[:, E.SIZE :] @ self.slow.mean
         noise = z.noise
-        s = innovation_covariance(self.cov, h, noise)
+        s, hp = innovation_covariance(self.cov, h, noise)
         if isinstance(z, PartialPose):
             bend = z.bend(self.x, self.cov, nu, h, s)
             noise, s = noise + bend, s + bend
         distance2, logdet = mahalanobis(nu, s)
-        return Innovation(nu, h, noise, s, distance2, logdet)
+        return Innovation(nu, h, hp, noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:
         """Fuse a measurement that has passed its gate."""
@@ -139,24 +142,63 @@ class Eskf:
 
     def correct(self, seen: Innovation) -> Array:
         """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
-        dx, cov = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
-        if len(cov) > E.SIZE:
-            put_back(cov, self.cov, self.slow.estimated)
-            self.slow = self.slow.moved(dx[E.SIZE :])
-        self.cov = cov
-        return dx[: E.SIZE]
+        if len(self.cov) == E.SIZE:
+            dx, self.cov, _ = _kalman(E.SIZE).update(self.cov, seen.nu, seen.h, seen.noise)
+            return dx
+        kept, cov, h = summed(self.cov, seen.h, self.slow.estimated)
+        dx, cov, gain = _kalman(len(cov)).update(cov, seen.nu, h, seen.noise)
+        spread(self.cov, cov, gain, seen.hp, kept)
+        by = np.zeros(len(self.cov))
+        by[kept] = dx[: len(kept)]
+        self.slow = self.slow.moved(by[E.SIZE :])
+        return by[: E.SIZE]
 
 
 _T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
 
 
 @njit(cache=True)
-def put_back(cov: Array, before: Array, estimated: Array) -> None:
-    """The block of the considered states, in place, as it was before the update; estimated: (n - 15,) 0 where considered."""
-    for i in range(estimated.shape[0]):
-        for j in range(estimated.shape[0]):
-            if estimated[i] == 0.0 and estimated[j] == 0.0:
-                cov[_N + i, _N + j] = before[_N + i, _N + j]
+def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Which states a (k,) of P (n, n) are corrected, and P (k + m, k + m) and H (m, k + m) of a and e = H_c c, H (m, n).
+
+    estimated: (n - 15,) 0 where a slow error is considered.
+    """
+    kept = np.append(np.arange(_N), _N + np.flatnonzero(estimated))
+    k, m = kept.shape[0], h.shape[0]
+    of_considered = h.copy()
+    by = np.zeros((m, k + m))
+    for i in range(m):
+        for j in range(k):
+            by[i, j] = h[i, kept[j]]
+            of_considered[i, kept[j]] = 0.0
+        by[i, k + i] = 1.0
+    between, with_all = innovation_covariance(cov, of_considered, np.zeros((m, m)))
+    small = np.empty((k + m, k + m))
+    small[k:, k:] = between
+    for i in range(k):
+        for j in range(k):
+            small[i, j] = cov[kept[i], kept[j]]
+        for j in range(m):
+            small[i, k + j] = with_all[j, kept[i]]
+            small[k + j, i] = with_all[j, kept[i]]
+    return kept, small, by
+
+
+@njit(cache=True)
+def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
+    """P (n, n), in place, from what `summed` made and the update turned into posterior and gain (k + m, m); hp: H P (m, n)."""
+    n, k = cov.shape[0], kept.shape[0]
+    for i in range(k):
+        row = cov[kept[i]]
+        for line in range(hp.shape[0]):
+            for j in range(n):
+                row[j] -= gain[i, line] * hp[line, j]
+    for i in range(k):
+        for j in range(k):
+            cov[kept[i], kept[j]] = posterior[i, j]
+    for i in range(k):
+        for j in range(n):
+            cov[j, kept[i]] = cov[kept[i], j]
 
 
 @njit(cache=True)

@@ -20,8 +20,8 @@ class ErrorStateKalman:
         self._zero = np.zeros(size)
         self._ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
 
-    def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array]:
-        """Error dx (n,) and posterior covariance (n, n), symmetric.
+    def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array, Array]:
+        """Error dx (n,), posterior covariance (n, n), symmetric, and the gain K (n, m).
 
         cov: (n, n) prior; nu: (m,); h: (m, n); noise: (m, m).
         Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is singular.
@@ -33,4 +33,4 @@ class ErrorStateKalman:
         ekf.x, ekf.P = self._zero, cov
         predicted = np.zeros(m)
         ekf.update(nu, lambda _: h, lambda _: predicted, R=noise)
-        return ekf.x, 0.5 * (ekf.P + ekf.P.T)
+        return ekf.x, 0.5 * (ekf.P + ekf.P.T), ekf.K

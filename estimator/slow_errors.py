@@ -11,24 +11,25 @@ from models.state import E
 
 @dataclass(frozen=True, slots=True)
 class SlowErrors:
-    """columns: where a block stands in P, the one that was used last behind the others; tau_s, sigma2, mean: (k,) of all;
+    """columns: where a block stands in P, the one that was used last behind the others; tau_s, psd, mean: (k,) of all;
 
-    estimated: (k,) 1 where it is corrected, 0 where it is considered.
+    psd: variance per second of the white noise that drives it, 2 sigma^2 / tau where sigma shall stay, of tau s; estimated: (k,)
+    1 where it is corrected, 0 where it is considered.
     """
 
     columns: dict[str, slice]
     tau_s: Array
-    sigma2: Array
+    psd: Array
     mean: Array
     estimated: Array
 
-    def also(self, block: str, sigma2: Array, tau_s: float, *, estimated: bool) -> "SlowErrors":
+    def also(self, block: str, psd: Array, tau_s: float, *, estimated: bool) -> "SlowErrors":
         """With one more block behind the others, of mean zero."""
-        start, k = E.SIZE + len(self.tau_s), len(sigma2)
+        start, k = E.SIZE + len(self.tau_s), len(psd)
         return SlowErrors(
             self.columns | {block: slice(start, start + k)},
             np.append(self.tau_s, np.full(k, tau_s)),
-            np.append(self.sigma2, sigma2),
+            np.append(self.psd, psd),
             np.append(self.mean, np.zeros(k)),
             np.append(self.estimated, np.full(k, float(estimated))),
         )
@@ -43,7 +44,7 @@ class SlowErrors:
             if name != block
         }
         rows = slice(gone.start - E.SIZE, gone.stop - E.SIZE)
-        kept = (np.delete(values, rows) for values in (self.tau_s, self.sigma2, self.mean, self.estimated))
+        kept = (np.delete(values, rows) for values in (self.tau_s, self.psd, self.mean, self.estimated))
         return SlowErrors(columns, *kept)
 
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
@@ -61,7 +62,7 @@ class SlowErrors:
 
     def moved(self, by: Array) -> "SlowErrors":
         """With the means of what is estimated moved; by: (k,)."""
-        return SlowErrors(self.columns, self.tau_s, self.sigma2, self.mean + self.estimated * by, self.estimated)
+        return SlowErrors(self.columns, self.tau_s, self.psd, self.mean + self.estimated * by, self.estimated)
 
 
 NO_SLOW_ERRORS = SlowErrors({}, *(np.zeros(0) for _ in range(4)))

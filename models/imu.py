@@ -16,7 +16,7 @@ Error transition (local attitude error; exact in theta because R(t) theta(t) is 
     theta1 = R1^T (I - h [w_ie]x) R0 theta - h R1^T Rm db_g
 
 When the IMU itself is missing the model is constant velocity with a turn rate that dies away, and much larger noise (`coast`).
-States beyond E.SIZE in P are first-order Gauss-Markov errors that the filter considers: c1 = exp(-h/tau) c + n_c.
+States beyond E.SIZE in P are slow errors of the aids, first-order Gauss-Markov: c1 = exp(-h/tau) c + n_c.
 """
 
 import math
@@ -38,6 +38,7 @@ _XP, _XV, _XQ, _XG, _XA = X.P.start, X.V.start, X.Q.start, X.BG.start, X.BA.star
 
 _NS = 1e-9  # s per ns
 _EARTH_RADIUS = 6_371_000.0  # m, mean
+_LANES = 8  # numbers that a vector register holds
 
 
 class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -132,16 +133,16 @@ def _cross_columns(sx: float, sy: float, sz: float, r: Array, scale: float, out:
         out[2, j] = scale * (sx * r[1, j] - sy * r[0, j])
 
 
-# Rows of the workspace (_WORK, 3, 3): rotations at three instants, then the blocks of the transition.
-_R0, _RM, _R1, _PT, _VT, _PG, _VG, _TT, _TG, _VV = range(10)
-_WORK = 10
+# The rows of Phi that are not those of the identity, (9, 15), have nothing outside these columns.
+_FIRST, _LAST = (_P,) * _T + (_T,) * 3, (_N,) * _T + (_A,) * 3
 
 
 @njit(cache=True)
-def _strapdown(x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c: Array, work: Array) -> None:
-    """One step of the nominal state, in place; fills the blocks of the error transition in `work`."""
+def _strapdown(
+    x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c: Array, r0: Array, rm: Array, r1: Array, phi: Array,
+) -> None:  # fmt: skip
+    """One step of the nominal state, in place; fills r0, rm, r1 (3, 3) and the error transition phi (9, 15)."""
     p, v, q, bg, ba = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA], x[_XA:]
-    r0, rm, r1 = work[_R0], work[_RM], work[_R1]
     _matrix_into(q, r0)
     earth = c[_C_EARTH : _C_EARTH + 3]
     a0, a1, a2 = w0[0] - bg[0], w0[1] - bg[1], w0[2] - bg[2]
@@ -176,55 +177,56 @@ def _strapdown(x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c
     v[0] += vx + h * gx
     v[1] += vy + h * gy
     v[2] += vz + h * gz
-    _cross_columns(px, py, pz, r0, -1.0, work[_PT])
-    _cross_columns(vx, vy, vz, r0, -1.0, work[_VT])
-    _cross_columns(vx, vy, vz, rm, kp, work[_PG])
-    _cross_columns(vx, vy, vz, rm, 0.5 * h, work[_VG])
+    _cross_columns(px, py, pz, r0, -1.0, phi[_P:_V, _T:_G])
+    _cross_columns(vx, vy, vz, r0, -1.0, phi[_V:_T, _T:_G])
+    _cross_columns(vx, vy, vz, rm, kp, phi[_P:_V, _G:_A])
+    _cross_columns(vx, vy, vz, rm, 0.5 * h, phi[_V:_T, _G:_A])
     wx, wy, wz = h * earth[0], h * earth[1], h * earth[2]
-    turn = work[_VV]  # I - 2h [w_ie]x
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0, 2.0 * wz, -2.0 * wy
-    turn[1, 0], turn[1, 1], turn[1, 2] = -2.0 * wz, 1.0, 2.0 * wx
-    turn[2, 0], turn[2, 1], turn[2, 2] = 2.0 * wy, -2.0 * wx, 1.0
+    phi[_V, _V], phi[_V, _V + 1], phi[_V, _V + 2] = 1.0, 2.0 * wz, -2.0 * wy  # I - 2h [w_ie]x
+    phi[_V + 1, _V], phi[_V + 1, _V + 1], phi[_V + 1, _V + 2] = -2.0 * wz, 1.0, 2.0 * wx
+    phi[_V + 2, _V], phi[_V + 2, _V + 1], phi[_V + 2, _V + 2] = 2.0 * wy, -2.0 * wx, 1.0
     for j in range(3):
+        phi[_P + j, _P + j], phi[_P + j, _V + j] = 1.0, h
+        phi[_V + j, _P + j] = (2.0 if j == 2 else -1.0) * c[_C_GRADIENT] * h
         x0, x1, x2 = r0[0, j], r0[1, j], r0[2, j]
         y0, y1, y2 = x0 + wz * x1 - wy * x2, x1 - wz * x0 + wx * x2, x2 + wy * x0 - wx * x1
         for i in range(3):
-            work[_TT, i, j] = r1[0, i] * y0 + r1[1, i] * y1 + r1[2, i] * y2
-            work[_TG, i, j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
+            phi[_P + i, _A + j], phi[_V + i, _A + j] = -hh * rm[i, j], -h * rm[i, j]
+            phi[_T + i, _T + j] = r1[0, i] * y0 + r1[1, i] * y1 + r1[2, i] * y2
+            phi[_T + i, _G + j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
 
 
 @njit(cache=True)
-def _transition_rows(m: Array, h: float, gradient: float, work: Array, out: Array) -> None:
-    """out = the position, velocity and attitude rows of Phi m, m (>= 15, k); the bias rows of Phi m are those of m.
+def _transition_rows(phi: Array, m: Array, out: Array) -> None:
+    """out (9, k) = phi m, m (15, k): position, velocity and attitude rows of Phi m; its bias rows are those of m.
 
     One inner loop an output row, its coefficients in scalars: the form that LLVM turns into vector instructions.
     """
     k = m.shape[1]
-    hh = -0.5 * h * h
     for i in range(3):
-        r0, r1, r2 = work[_RM, i, 0], work[_RM, i, 1], work[_RM, i, 2]
-        t0, t1, t2 = work[_PT, i, 0], work[_PT, i, 1], work[_PT, i, 2]
-        g0, g1, g2 = work[_PG, i, 0], work[_PG, i, 1], work[_PG, i, 2]
+        f = phi[_P + i]
+        v, t0, t1, t2, g0, g1, g2 = f[_V + i], f[_T], f[_T + 1], f[_T + 2], f[_G], f[_G + 1], f[_G + 2]
+        a0, a1, a2 = f[_A], f[_A + 1], f[_A + 2]
         for j in range(k):
             out[_P + i, j] = (
-                m[_P + i, j] + h * m[_V + i, j]
+                m[_P + i, j] + v * m[_V + i, j]
                 + t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
                 + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
-                + hh * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
+                + a0 * m[_A, j] + a1 * m[_A + 1, j] + a2 * m[_A + 2, j]
             )  # fmt: skip
-        v0, v1, v2 = work[_VV, i, 0], work[_VV, i, 1], work[_VV, i, 2]
-        pull = (2.0 if i == 2 else -1.0) * gradient * h
-        t0, t1, t2 = work[_VT, i, 0], work[_VT, i, 1], work[_VT, i, 2]
-        g0, g1, g2 = work[_VG, i, 0], work[_VG, i, 1], work[_VG, i, 2]
+        f = phi[_V + i]
+        p, v0, v1, v2 = f[_P + i], f[_V], f[_V + 1], f[_V + 2]
+        t0, t1, t2, g0, g1, g2 = f[_T], f[_T + 1], f[_T + 2], f[_G], f[_G + 1], f[_G + 2]
+        a0, a1, a2 = f[_A], f[_A + 1], f[_A + 2]
         for j in range(k):
             out[_V + i, j] = (
-                pull * m[_P + i, j] + v0 * m[_V, j] + v1 * m[_V + 1, j] + v2 * m[_V + 2, j]
+                p * m[_P + i, j] + v0 * m[_V, j] + v1 * m[_V + 1, j] + v2 * m[_V + 2, j]
                 + t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
                 + g0 * m[_G, j] + g1 * m[_G + 1, j] + g2 * m[_G + 2, j]
-                - h * (r0 * m[_A, j] + r1 * m[_A + 1, j] + r2 * m[_A + 2, j])
+                + a0 * m[_A, j] + a1 * m[_A + 1, j] + a2 * m[_A + 2, j]
             )  # fmt: skip
-        t0, t1, t2 = work[_TT, i, 0], work[_TT, i, 1], work[_TT, i, 2]
-        g0, g1, g2 = work[_TG, i, 0], work[_TG, i, 1], work[_TG, i, 2]
+        f = phi[_T + i]
+        t0, t1, t2, g0, g1, g2 = f[_T], f[_T + 1], f[_T + 2], f[_G], f[_G + 1], f[_G + 2]
         for j in range(k):
             out[_T + i, j] = (
                 t0 * m[_T, j] + t1 * m[_T + 1, j] + t2 * m[_T + 2, j]
@@ -233,61 +235,58 @@ def _transition_rows(m: Array, h: float, gradient: float, work: Array, out: Arra
 
 
 @njit(cache=True)
-def _covariance(cov: Array, h: float, gradient: float, work: Array, rows: Array, turned: Array, block: Array) -> None:
-    """P <- Phi P Phi^T = Phi (Phi P)^T, in place, exactly symmetric.
-
-    Scratch: rows (9, n) for Phi P, turned (15, 9) for its transpose, block (9, 9) for the result's upper left.
-    """
-    n = cov.shape[0]
-    _transition_rows(cov, h, gradient, work, rows)
-    for i in range(_G):
-        for j in range(_N):
-            turned[j, i] = rows[i, j]
-    _transition_rows(turned, h, gradient, work, block)
+def _covariance(p: Array, phi: Array, rows: Array) -> None:
+    """P <- Phi P Phi^T, in place, exactly symmetric; p: (15, >= 15), zero in the columns beyond; scratch: rows (9, like p)."""
+    _transition_rows(phi, p, rows)
     for i in range(_G):
         for j in range(i, _G):
-            cov[i, j] = block[i, j]
-            cov[j, i] = block[i, j]
-        for j in range(_G, n):
-            cov[i, j] = rows[i, j]
-            cov[j, i] = rows[i, j]
+            total = 0.0
+            for k in range(_FIRST[j], _LAST[j]):
+                total += rows[i, k] * phi[j, k]
+            p[i, j] = total
+            p[j, i] = total
+        for j in range(_G, _N):
+            p[i, j] = rows[i, j]
+            p[j, i] = rows[i, j]
 
 
 @njit(cache=True, inline="always")
-def _add_noise(cov: Array, h: float, gyro: float, accel: float, gyro_walk: float, accel_walk: float) -> None:
+def _add_noise(p: Array, h: float, gyro: float, accel: float, gyro_walk: float, accel_walk: float) -> None:
     """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral)."""
     for i in range(3):
-        cov[_P + i, _P + i] += accel * h * h * h / 3.0
-        cov[_P + i, _V + i] += 0.5 * accel * h * h
-        cov[_V + i, _P + i] += 0.5 * accel * h * h
-        cov[_V + i, _V + i] += accel * h
-        cov[_T + i, _T + i] += gyro * h
-        cov[_G + i, _G + i] += gyro_walk * h
-        cov[_A + i, _A + i] += accel_walk * h
+        p[_P + i, _P + i] += accel * h * h * h / 3.0
+        p[_P + i, _V + i] += 0.5 * accel * h * h
+        p[_V + i, _P + i] += 0.5 * accel * h * h
+        p[_V + i, _V + i] += accel * h
+        p[_T + i, _T + i] += gyro * h
+        p[_G + i, _G + i] += gyro_walk * h
+        p[_A + i, _A + i] += accel_walk * h
 
 
 @njit(cache=True)
-def _gauss_markov(cov: Array, h: float, tau: Array, sigma2: Array, phi: Array) -> None:
-    """The considered states: c1 = phi c + n, phi = exp(-h/tau), Q = sigma^2 (1 - phi^2). Scratch: phi (n,), 1 for the others.
+def _gauss_markov(cov: Array, cross: Array, h: float, tau: Array, psd: Array) -> None:
+    """Slow errors: c1 = exp(-h/tau) c + n, Q = q tau/2 (1 - exp(-2 h/tau)); Q = q h where tau is infinite.
 
-    Whole rows, though the others stay as they are: this form becomes vector instructions.
+    cov (n, n): their own covariance behind the 15; cross (15, >= n - 15): what the 15 have in common with them.
     """
     n, last, stays = cov.shape[0], 0.0, 1.0
     for k in range(tau.shape[0]):
-        if tau[k] != last:  # most are the same error of many landmarks
-            last, stays = tau[k], math.exp(-h / tau[k])
-        phi[_N + k] = stays
-    for i in range(n):
-        row = phi[i]
-        for j in range(n):
-            cov[i, j] *= row * phi[j]
-    for k in range(tau.shape[0]):
         i = _N + k
-        cov[i, i] += sigma2[k] * (1.0 - phi[i] * phi[i])
+        if tau[k] == math.inf:
+            cov[i, i] += psd[k] * h
+            continue
+        if tau[k] != last:  # most are of the same kind
+            last, stays = tau[k], math.exp(-h / tau[k])
+        for j in range(_N):
+            cross[j, k] *= stays
+        for j in range(_N, n):
+            cov[i, j] *= stays
+            cov[j, i] *= stays
+        cov[i, i] += 0.5 * psd[k] * tau[k] * (1.0 - stays * stays)
 
 
 @njit(cache=True)
-def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> None:
+def _coast(x: Array, h: float, age: float, w: Array, c: Array, r0: Array, r1: Array, phi: Array) -> None:
     """One step of the nominal state without IMU: attitude turns on at the last rate, which dies away, and v with it.
 
     psi = integral of w_n,z;  v1 = Rz(psi) v,  p1 = p + h v,  R1 = R exp(alpha)      (coordinated turn; Bar-Shalom 2001, 11.7)
@@ -296,8 +295,7 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> N
     decay = c[_C_TURN_DECAY_S]
     gain = decay * (math.exp(-age / decay) - math.exp(-(age + h) / decay))
     p, v, q, bg = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA]
-    work[:] = 0.0
-    r0, r1 = work[_R0], work[_R1]
+    phi[:] = 0.0
     _matrix_into(q, r0)
     a = np.empty(3)
     for i in range(3):
@@ -308,21 +306,27 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, work: Array) -> N
     v[0], v[1] = cos * v[0] - sin * v[1], sin * v[0] + cos * v[1]
     q[:] = so3.normalise(so3.multiply(q, so3.quat_exp(a)))
     _matrix_into(q, r1)
-    work[_TT] = r1.T @ r0
-    work[_VV] = np.eye(3)
+    phi[_T:_G, _T:_G] = r1.T @ r0
+    for i in range(3):
+        phi[_P + i, _P + i], phi[_P + i, _V + i], phi[_V + i, _V + i] = 1.0, h, 1.0
 
 
 @njit(cache=True)
 def _step(
-    x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array, work: Array, ends: Array,
+    x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array,
+    rotations: Array, ends: Array, phi: Array,
 ) -> bool:  # fmt: skip
-    """The nominal state from `from_ns` to `to_ns`, both within the interval that sample i closes; True where it had to coast."""
+    """The nominal state from `from_ns` to `to_ns`, both within the interval that sample i closes; True where it had to coast.
+
+    Fills phi (9, 15), the error transition. Scratch: rotations (3, 3, 3), ends (4, 3).
+    """
+    r0, rm, r1 = rotations[0], rotations[1], rotations[2]
     h = (to_ns - from_ns) * _NS
     if i <= 0:
-        _coast(x, h, 1e9, ends[0], c, work)
+        _coast(x, h, 1e9, np.zeros(3), c, r0, r1, phi)
         return True
     if i >= count or (t_ns[i] - t_ns[i - 1]) * _NS > c[_C_GAP_S]:
-        _coast(x, h, (from_ns - t_ns[i - 1]) * _NS, u[i - 1, :3], c, work)
+        _coast(x, h, (from_ns - t_ns[i - 1]) * _NS, u[i - 1, :3], c, r0, r1, phi)
         return True
     span = (t_ns[i] - t_ns[i - 1]) * _NS
     s0 = (from_ns - t_ns[i - 1]) * _NS / span
@@ -331,60 +335,75 @@ def _step(
         w, f = u[i, k] - u[i - 1, k], u[i, 3 + k] - u[i - 1, 3 + k]
         ends[0, k], ends[1, k] = u[i - 1, k] + s0 * w, u[i - 1, k] + s1 * w
         ends[2, k], ends[3, k] = u[i - 1, 3 + k] + s0 * f, u[i - 1, 3 + k] + s1 * f
-    _strapdown(x, h, ends[0], ends[1], ends[2], ends[3], c, work)
+    _strapdown(x, h, ends[0], ends[1], ends[2], ends[3], c, r0, rm, r1, phi)
     return False
+
+
+@njit(cache=True)
+def _padded(m: Array) -> Array:
+    """m (15, k) with columns of zeros behind it, so that rows fill vector registers and leave no rest to be done one by one."""
+    k = m.shape[1]
+    wide = np.zeros((_N, -(-k // _LANES) * _LANES))
+    wide[:, :k] = m
+    return wide
 
 
 @njit(cache=True)
 def propagate(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int, to_ns: int,
-    c: Array, tau: Array, sigma2: Array,
+    c: Array, tau: Array, psd: Array,
 ) -> bool:  # fmt: skip
     """Take state and covariance from `from_ns` to `to_ns`, in place; False where the result is not sound (state.sound).
 
-    x: (16,) nominal; cov: (n, n), n = 15 + considered states; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
+    x: (16,) nominal; cov: (n, n), n = 15 + slow errors; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
     accel; known (>= count, sampling.SIZE): what they tell of the time between them (sampling.learn), zero: nothing; i: first
-    sample with t_ns[i] > from_ns; c: constants(); tau, sigma2: (n - 15,) of the considered states.
+    sample with t_ns[i] > from_ns; c: constants(); tau, psd: (n - 15,) of the slow errors, s and variance per s.
     Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
     A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
     """
     n = cov.shape[0]
-    work, ends = np.empty((_WORK, 3, 3)), np.zeros((4, 3))
-    rows, turned, block, phi = np.empty((_G, n)), np.empty((_N, _G)), np.empty((_G, _G)), np.ones(n)
+    p, cross = _padded(cov[:_N, :_N]), _padded(cov[:_N, _N:])
+    rows, cross_rows = np.empty((_G, p.shape[1])), np.empty((_G, cross.shape[1]))
+    rotations, ends, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.zeros((_G, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
         h = (end - from_ns) * _NS
-        coasting = _step(x, t_ns, u, count, i, from_ns, end, c, work, ends)
-        _covariance(cov, h, 0.0 if coasting else c[_C_GRADIENT], work, rows, turned, block)
+        coasting = _step(x, t_ns, u, count, i, from_ns, end, c, rotations, ends, phi)
+        _covariance(p, phi, rows)
         if coasting:
-            _add_noise(cov, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+            _add_noise(p, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         else:
             span = (t_ns[i] - t_ns[i - 1]) * _NS
             gyro = c[_C_GYRO_PSD] + sampling.density(known[i], 0, span, c[_C_GYRO_PSD])
             accel = c[_C_ACCEL_PSD] + sampling.density(known[i], 1, span, c[_C_ACCEL_PSD])
-            _add_noise(cov, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+            _add_noise(p, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         if n > _N:
-            _gauss_markov(cov, h, tau, sigma2, phi)
+            _transition_rows(phi, cross, cross_rows)
+            cross[:_G] = cross_rows
+            _gauss_markov(cov, cross, h, tau, psd)
         from_ns = end
         if i < count and end == t_ns[i]:
             i += 1
+    cov[:_N, :_N], cov[:_N, _N:] = p[:, :_N], cross[:, : n - _N]
+    cov[_N:, :_N] = cov[:_N, _N:].T
     return sound(x, cov)
 
 
 @njit(cache=True)
 def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
     """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
-    phi, nominal = np.eye(_N), x.copy()
-    work, ends, rows = np.empty((_WORK, 3, 3)), np.zeros((4, 3)), np.empty((_G, _N))
+    whole, nominal = np.eye(_N), x.copy()
+    rotations, ends, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.zeros((_G, _N))
+    rows = np.empty((_G, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
-        coasting = _step(nominal, t_ns, u, count, i, from_ns, end, c, work, ends)
-        _transition_rows(phi, (end - from_ns) * _NS, 0.0 if coasting else c[_C_GRADIENT], work, rows)
-        phi[:_G] = rows
+        _step(nominal, t_ns, u, count, i, from_ns, end, c, rotations, ends, phi)
+        _transition_rows(phi, whole, rows)
+        whole[:_G] = rows
         from_ns = end
         if i < count and end == t_ns[i]:
             i += 1
-    return phi
+    return whole
 
 
 @njit(cache=True)

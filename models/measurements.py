@@ -256,25 +256,23 @@ def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def innovation_covariance(cov: Array, h: Array, noise: Array) -> Array:
-    """S = H P H^T + R, with H (m, k) over the first k states of P; exactly symmetric."""
+def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Array]:
+    """S = H P H^T + R (m, m), exactly symmetric, and H P (m, n), of P (n, n) symmetric; most of H (m, n) is zero."""
     m, n = h.shape
-    s = np.empty((m, m))
-    ph = np.zeros((n, m))
-    for i in range(n):
-        for j in range(m):
-            total = 0.0
-            for k in range(n):
-                total += cov[i, k] * h[j, k]
-            ph[i, j] = total
+    s, hp = np.empty((m, m)), np.zeros((m, n))
+    for i in range(m):
+        for k in range(n):
+            if h[i, k] != 0.0:
+                for j in range(n):
+                    hp[i, j] += h[i, k] * cov[k, j]
     for i in range(m):
         for j in range(i, m):
             total = 0.5 * (noise[i, j] + noise[j, i])
             for k in range(n):
-                total += h[i, k] * ph[k, j]
+                total += h[i, k] * hp[j, k]
             s[i, j] = total
             s[j, i] = total
-    return s
+    return s, hp
 
 
 @njit(cache=True)

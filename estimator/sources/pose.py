@@ -26,7 +26,6 @@ from models.state import X
 
 _NOT_GIVEN = np.array([9e4] * 3 + [10.0] * 3)  # m^2, rad^2
 FARTHEST_M = 1e6
-_PERMANENT_S = 1e9  # time constant of an error that does not change
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
@@ -154,7 +153,7 @@ def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
 
 def _steady(block: str, moved: Array) -> SlowError:
     """k errors of variance 1 that move the pose by `moved` (6, k)."""
-    return SlowError(block, np.eye(moved.shape[1]), _PERMANENT_S, moved)
+    return SlowError(block, np.eye(moved.shape[1]), math.inf, moved)
 
 
 def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
@@ -167,7 +166,7 @@ def _on_the_body(block: str, covariance: Array, q_nb: Array) -> SlowError:
     """Six errors of what is mounted on the body: they turn with it."""
     still = _turn(so3.matrix(so3.normalise(q_nb))).T
     root = _root(still @ covariance @ still.T)
-    return SlowError(block, np.eye(6), _PERMANENT_S, lambda x: _turn(so3.matrix(x[X.Q])) @ root)
+    return SlowError(block, np.eye(6), math.inf, lambda x: _turn(so3.matrix(x[X.Q])) @ root)
 
 
 def _turn(R: Array) -> Array:

@@ -101,7 +101,7 @@ def test_an_update_that_ruins_the_state_is_told(bad: float) -> None:
     eskf = _filter()
     seen = eskf.innovation(_pose_of(_truth(), 0.1), GYRO)
     with np.errstate(invalid="ignore"):
-        eskf.update(Innovation(np.full(6, bad), seen.h, seen.noise, seen.s, seen.distance2, seen.logdet))
+        eskf.update(Innovation(np.full(6, bad), seen.h, seen.hp, seen.noise, seen.s, seen.distance2, seen.logdet))
     assert not eskf.sound
 
 
@@ -172,7 +172,7 @@ def test_a_block_once_known_stays_as_it_is() -> None:
     eskf.consider("map", np.eye(6) * 0.09, 1e9)
     eskf.consider("map", np.eye(6) * 4.0, 10.0)
     assert eskf.cov.shape == (E.SIZE + 6, E.SIZE + 6)
-    np.testing.assert_array_equal(eskf.slow.sigma2, np.full(6, 0.09))
+    np.testing.assert_array_equal(eskf.slow.psd, np.full(6, 2.0 * 0.09 / 1e9))
     np.testing.assert_array_equal(eskf.slow.tau_s, np.full(6, 1e9))
 
 
@@ -241,7 +241,7 @@ def test_estimation_is_the_kalman_filter_of_the_larger_state() -> None:
     gain = (eskf.cov @ seen.h.T / seen.s)[:, 0]
     mean, block = eskf.slow.mean.copy(), eskf.cov[-2:, -2:] - np.outer(gain, gain)[-2:, -2:] * seen.s
     eskf.update(seen)
-    np.testing.assert_allclose(eskf.slow.mean[-2:], mean[-2:] + 3.0 * gain[-2:], rtol=1e-12)
+    np.testing.assert_allclose(eskf.slow.mean[-2:], mean[-2:] + 3.0 * gain[-2:], rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(eskf.slow.mean[:-2], 0.0)  # the map's error is considered
     np.testing.assert_allclose(eskf.cov[-2:, -2:], block, atol=1e-12)
 

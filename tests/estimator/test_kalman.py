@@ -17,11 +17,12 @@ def _problem(n: int, m: int, seed: int) -> tuple[Array, Array, Array, Array]:
 @pytest.mark.parametrize(("n", "m"), [(15, 1), (15, 3), (15, 6), (18, 3), (21, 6)])
 def test_update_is_that_of_the_information_filter(n: int, m: int) -> None:
     cov, nu, h, noise = _problem(n, m, n + m)
-    dx, posterior = ErrorStateKalman(n).update(cov, nu, h, noise)
+    dx, posterior, gain = ErrorStateKalman(n).update(cov, nu, h, noise)
     information = np.linalg.inv(cov) + h.T @ np.linalg.solve(noise, h)
     expected = np.linalg.inv(information)
     np.testing.assert_allclose(posterior, expected, atol=1e-9 * np.abs(cov).max())
     np.testing.assert_allclose(dx, expected @ h.T @ np.linalg.solve(noise, nu), atol=1e-8)
+    np.testing.assert_allclose(gain @ nu, dx, atol=1e-12)
 
 
 def test_covariance_comes_out_exactly_symmetric_and_positive_where_the_short_form_fails() -> None:
@@ -30,7 +31,7 @@ def test_covariance_comes_out_exactly_symmetric_and_positive_where_the_short_for
     a = rng.normal(size=(15, 15))
     cov = 1e6 * (a @ a.T)
     h, noise = rng.normal(size=(3, 15)), 1e-6 * np.eye(3)
-    _, posterior = ErrorStateKalman(15).update(0.5 * (cov + cov.T), rng.normal(size=3), h, noise)
+    _, posterior, _ = ErrorStateKalman(15).update(0.5 * (cov + cov.T), rng.normal(size=3), h, noise)
     gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + noise)
     short = (np.eye(15) - gain @ h) @ cov
     np.testing.assert_array_equal(posterior, posterior.T)

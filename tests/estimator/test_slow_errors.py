@@ -17,13 +17,13 @@ def test_blocks_stand_one_behind_the_other() -> None:
     assert slow.columns == {
         "gnss": slice(E.SIZE, E.SIZE + 2), "fix/a": slice(E.SIZE + 2, E.SIZE + 3), "fix/b": slice(E.SIZE + 3, E.SIZE + 6)
     }  # fmt: skip
-    np.testing.assert_array_equal(slow.sigma2, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(slow.psd, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 
 
 def test_without_one_the_others_close_up() -> None:
     slow = _blocks().moved(np.arange(1.0, 7.0)).without("fix/a")
     assert slow.columns == {"gnss": slice(E.SIZE, E.SIZE + 2), "fix/b": slice(E.SIZE + 2, E.SIZE + 5)}
-    np.testing.assert_array_equal(slow.sigma2, [1.0, 2.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(slow.psd, [1.0, 2.0, 4.0, 5.0, 6.0])
     np.testing.assert_array_equal(slow.tau_s, [60.0, 60.0, 1e8, 1e8, 1e8])
     np.testing.assert_array_equal(slow.mean, [0.0, 0.0, 4.0, 5.0, 6.0])  # only what is estimated moves
     np.testing.assert_array_equal(slow.estimated, [0.0, 0.0, 1.0, 1.0, 1.0])

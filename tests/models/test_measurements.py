@@ -252,8 +252,10 @@ def _random(m: int, n: int, seed: int) -> tuple[Array, Array, Array]:
 @pytest.mark.parametrize("m", [1, 2, 3, 6])
 def test_innovation_covariance_is_that_of_the_textbook_and_exactly_symmetric(m: int) -> None:
     cov, h, noise = _random(m, E.SIZE, m)
-    s = innovation_covariance(cov, h, noise)
+    h[0, :3] = 0.0
+    s, hp = innovation_covariance(cov, h, noise)
     np.testing.assert_allclose(s, h @ cov @ h.T + noise, rtol=1e-12)
+    np.testing.assert_allclose(hp, h @ cov, atol=1e-12)
     np.testing.assert_array_equal(s, s.T)
 
 
