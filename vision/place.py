@@ -11,6 +11,7 @@ import numpy as np
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
+from vision.catalogue import Beliefs
 from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.motion import straight
@@ -24,8 +25,10 @@ from vision.verify import Fitted, VerifyConfig
 
 Views = tuple[Image | None, Image | None]
 _MOST_FITS = 3
+_GONE = Beliefs().gone_fraction
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
+_STANDS = math.log(0.99 / 0.01) + math.log(_GONE / (1.0 - _GONE))  # likelihood ratio from which a landmark stands for 99 %
 _LEAST_SHARE = 0.5  # of what the better picture shows
 
 
@@ -53,8 +56,8 @@ class Fitter:
             off_map = _off_map(some, fit)
             good = [
                 k
-                for k, share, chi2 in zip(chosen, seen.share, off_map, strict=True)
-                if share >= v.landmark_found and chi2 < v.off_map
+                for k, share, stands, chi2 in zip(chosen, seen.share, seen.stands, off_map, strict=True)
+                if share >= v.landmark_found and stands > _STANDS and chi2 < v.off_map
             ]
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, place.pose, place.shift_m[chosen], prior):

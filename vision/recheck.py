@@ -20,6 +20,7 @@ from vision.look import LookConfig, Scene, roof_offsets
 from vision.pose import PoseEstimate
 from vision.rectify import Image
 from vision.sensitivity import eyes, sample_edges, view
+from vision.stands import across, log_likelihood_ratio
 from vision.visibility import Kind, visible_edges
 
 Mask = NDArray[np.bool_]
@@ -38,10 +39,12 @@ _FLOOR_PX = 0.2
 class Recheck:
     """share (L,) of each landmark's roof in view that lies where the fit says; pictures: the same of each picture that is there.
 
+    stands (L,): logarithm of how much likelier these pictures are if it stands than if it is gone (stands.py).
     apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
     """
 
     share: Array
+    stands: Array
     pictures: tuple[float, ...]
     apart: tuple[float, float, float] | None
 
@@ -57,7 +60,7 @@ def recheck(
     samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == Kind.ROOF)
     mark, count = edges.landmark[samples.edge], len(landmarks)
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
-    near, usable, offsets, normals = [], [], [], []
+    near, usable, offsets, normals, sums = [], [], [], [], []
     for eye, image in shown:
         seen = view(edges, samples, eye, *pose, prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
@@ -66,10 +69,12 @@ def recheck(
         usable.append(good)
         offsets.append(offset)
         normals.append(seen.normal)
+        sums.append(across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable))
     found, given = (sum(np.bincount(mark[one], minlength=count) for one in ones) for ones in (near, usable))
     pictures = tuple(float(a.sum()) / max(float(b.sum()), 1.0) for a, b in zip(near, usable, strict=True))
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
-    return Recheck(np.asarray(found / np.maximum(given, 1)), pictures, apart)
+    stands = log_likelihood_ratio(sums, edges.landmark, count)
+    return Recheck(np.asarray(found / np.maximum(given, 1)), stands, pictures, apart)
 
 
 def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:

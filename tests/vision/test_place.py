@@ -2,28 +2,59 @@
 
 import numpy as np
 
+from models.landmarks import Landmark
+from models.messages import Array
 from tests.vision.test_predict import MARKS, RIG, View, drawn, whole
 from vision.coarse import Candidate
 from vision.pictures import Pictures
 from vision.place import Fitter
 from vision.pose import PoseConfig
+from vision.sensitivity import eyes
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.ground import Ground
+from vision.synthetic.render import render_pair
+from vision.synthetic.world import Look, Solid, Sun, World
 from vision.verify import Fitted, VerifyConfig, decided
 from vision.visibility import MapError
 
-LENGTH = np.full(len(MARKS), 100.0)
 
-
-def place(view: View, east_m: float) -> Candidate:
+def place(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candidate:
     """The true pose, where the search thinks that every landmark is off the map by east_m."""
-    shift_m = np.zeros((len(MARKS), len(MapError)))
+    shift_m, length = np.zeros((len(marks), len(MapError))), np.full(len(marks), 100.0)
     shift_m[:, MapError.EAST] = east_m
-    return Candidate(view.p_n, view.R_nb, np.zeros(6), shift_m, 0.5 * LENGTH, LENGTH, 100.0)
+    return Candidate(view.p_n, view.R_nb, np.zeros(6), shift_m, 0.5 * length, length, 100.0)
+
+
+def fitted(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Fitted:
+    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6)
+    fit = fitter.fit(Pictures(view.left, view.right, ""), list(marks), place(view, marks, east_m), drawn(view, 1))
+    assert isinstance(fit, Fitted)
+    return fit
 
 
 def test_one_pose_from_two_places_is_one() -> None:
     """Where landmarks are off the map by what the search thought of them does not tell two poses apart."""
-    view, config = whole(), VerifyConfig(moved_px=2.0)
-    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6)
-    tried = [fitter.fit(Pictures(view.left, view.right, ""), list(MARKS), place(view, e), drawn(view, 1)) for e in (0.0, 0.15)]
-    assert all(isinstance(one, Fitted) for one in tried)
-    assert isinstance(decided(tried, config), Fitted)
+    tried = [fitted(whole(), MARKS, east_m) for east_m in (0.0, 0.15)]
+    assert isinstance(decided(tried, VerifyConfig(moved_px=2.0)), Fitted)
+
+
+def on_the_ground(view: View, px: list[tuple[float, float]]) -> Array:
+    """Where sights of the left camera meet the ground (K, 2)."""
+    p_nk, R_nk = eyes(RIG)[0].pose(view.p_n, view.R_nb)
+    ray = RIG.left.ray(np.array(px)) @ R_nk.T
+    return np.asarray((p_nk - ray * (p_nk[2] / ray[:, 2:]))[:, :2])
+
+
+def test_one_side_on_a_kerb_is_no_landmark() -> None:
+    """Of a roof at the border one side is in view. Where it is gone a concrete slab has its edge there: it is not the roof."""
+    view = whole()
+    gone = Landmark.of("3", on_the_ground(view, [(760, 150), (624, 150), (624, 330), (760, 330)]), 0.0, 0.0, None, 0.1, 0.0, 0.05)
+    slab = Solid(on_the_ground(view, [(760, 60), (624, 60), (624, 420), (760, 420)]), 0.0, 0.0, Look((165.0, 170.0, 172.0)))
+    looks = tuple(Look((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in MARKS)
+    rng, marks = np.random.default_rng(3), (*MARKS, gone)
+    for stands, used in ((False, [0, 1, 2]), (True, [0, 1, 2, 3])):
+        looks_of = (*looks, Look((40.0, 60.0, 190.0))) if stands else looks
+        clutter = () if stands else (slab,)
+        world = World(marks if stands else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
+        pair = render_pair(world, RIG, view.p_n, view.R_nb, Conditions(), rng)
+        assert fitted(View(*pair, view.p_n, view.R_nb, marks), marks).used == used
