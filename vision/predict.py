@@ -8,6 +8,7 @@ left of them.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import msgspec
@@ -98,7 +99,7 @@ class PredictPath:
             return Result(None, report, tuple(said))
         self._waiting.clear()
         fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
-        said = [_settled(one, names) for one in said]
+        said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
         used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
         detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
         fix = fix_of(fit, t_ns, names, fit.found)
@@ -168,6 +169,14 @@ def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
         return one
     done = one.landmark in used
     return msgspec.structs.replace(one, state="identified" if done else "open", reason="" if done else "seen, but not used")
+
+
+def _as_fitted(found: _Decided) -> Candidate:
+    """The place with pose and map errors that the fit has found: a search is good to a few pixels only."""
+    place, fit = found.place, found.fitted.pose
+    shift_m = place.shift_m.copy()
+    shift_m[found.fitted.used] = fit.shift_m
+    return replace(place, p_n=fit.joint_p_n, R_nb=fit.joint_R_nb, shift_m=shift_m)
 
 
 def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -> list[RegionReport]:

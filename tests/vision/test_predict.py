@@ -136,6 +136,25 @@ def test_a_landmark_that_moved_is_left_out() -> None:
     assert later.fix is not None
 
 
+def test_reported_boxes_are_where_the_fit_says() -> None:
+    """Roofs off the map by up to 0.5 m, 8 px, which the search finds to a few px."""
+    rng, believed = (
+        np.random.default_rng(5),
+        tuple(house(mark.id, PLACES[k][0], PLACES[k][1], 0.3) for k, mark in enumerate(MARKS)),
+    )
+    true = tuple(msgspec.structs.replace(m, outline_n=m.outline_n + rng.normal(0.0, 0.3, 2)) for m in believed)
+    view = look_at(believed, np.array([0.0, 0.0, -40.0]), shown=true)
+    result = pipeline(believed).process(view.left, view.right, 0, drawn(view, 1))
+    assert_right(result, view)
+    eye = eyes(RIG)[0]
+    p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
+    for said in result.regions:
+        roof = next(mark for mark in true if mark.id == said.landmark)
+        px = eye.camera.project((np.column_stack((roof.outline_n, np.full(4, roof.roof_d))) - p_nk) @ R_nk)
+        u, v, width, height = said.bbox
+        np.testing.assert_allclose([u, v, u + width, v + height], np.concatenate((px.min(axis=0), px.max(axis=0))), atol=1.0)
+
+
 @pytest.mark.parametrize("angle", [0.6, 1.57, 2.4])
 def test_a_map_that_is_turned_is_refused(angle: float) -> None:
     view, turn = whole(), np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
