@@ -93,6 +93,7 @@ class History:
             self._propagate(entry.aid.t_ns)
             self._decide(entry, self.tracker.process(entry.aid, self.samples))
             self._next += 1
+            self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples: what comes later need not redo it
         self._propagate(limit)
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
             self._checkpoint()
