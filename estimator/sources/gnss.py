@@ -42,7 +42,12 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         int, Meta(ge=0, description="fixes that must pass before a (returning) GNSS is fused beside another absolute source")
     ] = 10
     hold_s: Annotated[float, Meta(ge=0, description="s: how long GNSS is held off when its innovations drift; 0: never")] = 10.0
-    delay_s: Annotated[float, Meta(ge=0, le=5, description="s: stamps are later than validity by this much")] = 0.0
+    delay_s: Annotated[
+        float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
+    ] = 0.0
+    velocity_delay_s: Annotated[
+        float, Meta(ge=-1, le=5, description="s: velocities are older than positions of the same stamp by this much")
+    ] = 0.0
     antenna_b_m: Annotated[tuple[float, float, float], Meta(description="m: antenna from the IMU, forward right down")] = (
         0.0,
         0.0,
@@ -104,7 +109,7 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
     if refusal := covariance_refusal(noise):
         return refusal
     z = Velocity(v_n, noise, np.array(config.antenna_b_m))
-    t_ns = velocity.t_ns - round(config.delay_s * 1e9)
+    t_ns = velocity.t_ns - round((config.delay_s + config.velocity_delay_s) * 1e9)
     return Aid(
         t_ns=t_ns,
         arrived_ns=velocity.arrived_ns,

@@ -99,9 +99,10 @@ DATA_SETS = {
     "rtk_drive_walk": DataSet(
         noise=CAR,
         noise_reason="a car: data sheet x 15 (gyro: engine, road) and x 70 (accel: 1 % of scale error besides)",
-        gnss_delay_s=0.05,  # measured: gyro against course 0.08, force against change of speed 0.04
+        gnss_delay_s=-0.075,  # measured: gyro against the velocity's course 0.05; its velocity is 0.125 s older than its position
         antenna_b_m=(0.0, -0.05, 0.0),
-        receiver={"slow_sigma_m": 0.2},  # carrier phase has no slow error; 0.02 s of stamp at 10 m/s are one
+        # Velocities are those of the last quarter of a second; carrier phase has no slow error; 0.02 s of stamp at 10 m/s are one
+        receiver={"velocity_delay_s": 0.125, "slow_sigma_m": 0.2},
         altitude="above mean sea level",
     ),
     "umn_thor75": DataSet(

@@ -89,6 +89,13 @@ def test_the_slow_error_is_considered_unless_there_is_none() -> None:
     assert _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.0))).slow_errors == ()
 
 
+def test_velocities_may_be_older_than_positions_of_the_same_stamp() -> None:
+    fix, velocity, config = _fix(), _velocity(), GnssConfig(delay_s=-0.075, velocity_delay_s=0.125)
+    assert _aid(position_aid(fix, config)).t_ns == fix.t_ns + 75_000_000
+    aid = _aid(velocity_aid(velocity, config))
+    assert aid.t_ns == velocity.t_ns - 50_000_000 == aid.order[0]
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

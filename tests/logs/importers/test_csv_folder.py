@@ -152,7 +152,25 @@ def test_settings_of_the_sets(landfix_data: Path) -> None:
     assert above_take_off is not None
     assert above_take_off[2] == pytest.approx(12.5942341 - 7.1, abs=0.01)
     assert csv_folder.read(flights / "euroc/V1_02_medium").settings.noise.accel_noise == 0.04
-    assert csv_folder.read(flights / "rtk_drive_walk/drive_0708").settings.antenna_b_m == (0.0, -0.05, 0.0)
+    drive = csv_folder.read(flights / "rtk_drive_walk/drive_0708").settings
+    assert drive.antenna_b_m == (0.0, -0.05, 0.0)
+    assert drive.receiver["velocity_delay_s"] == 0.125
+
+
+def test_the_drives_velocity_is_as_much_older_than_its_position_as_its_settings_say(landfix_data: Path) -> None:
+    recording = csv_folder.read(landfix_data / "flights/rtk_drive_walk/drive_0708")
+    fixes, velocities = of(recording, GnssFix), of(recording, GnssVelocity)
+    assert recording.settings.origin is not None
+    origin = Origin(*recording.settings.origin)
+    t_s = np.array([m.t_ns - fixes[0].t_ns for m in fixes]) * 1e-9
+    p_n = np.array([origin.to_ned(m.lat_deg, m.lon_deg, m.alt_m) for m in fixes])
+    moved, at_s = np.diff(p_n, axis=0) / np.diff(t_s)[:, None], 0.5 * (t_s[1:] + t_s[:-1])  # the mean velocity of an interval
+    stamp_s = np.array([m.t_ns - fixes[0].t_ns for m in velocities]) * 1e-9
+    v_n = np.array([m.v_n for m in velocities])
+    delays_s = np.arange(0.0, 0.26, 0.025)
+    off = [np.sqrt(np.mean([(np.interp(at_s + d, stamp_s, v_n[:, k]) - moved[:, k]) ** 2 for k in range(2)])) for d in delays_s]
+    assert delays_s[np.argmin(off)] == pytest.approx(recording.settings.receiver["velocity_delay_s"], abs=0.026)
+    assert min(off) < 0.5 * off[0]
 
 
 def test_another_imu_on_request(landfix_data: Path) -> None:
