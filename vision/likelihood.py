@@ -66,13 +66,15 @@ def options(
     count = len(sightings)
     own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
     clutter_y, clutter_a, clutter_log = clutter.row(p_n + moved, arm, own, landmarks, b)
-    attributes = clutter.attributes(features, noise, depth, landmarks, covariance, b)
+    turns, log_scales = clutter.grid(covariance)
+    by_depth = depth[:, None, None] ** 2 * np.outer((1.0, 1.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0))
+    attributes = clutter.attributes(features, noise + by_depth, landmarks, turns, log_scales, b)
     for i, r in enumerate(sightings):
         if r.partial is not None:
-            attributes[i] = clutter.sides(r.partial, noise[i], float(depth[i]), len(landmarks.ids), covariance, b)
+            attributes[i] = clutter.sides(r.partial, noise[i] + by_depth[i], len(landmarks.ids), turns, log_scales, b)
             own[i] += np.cov(landmarks.place_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
-    clutter_log += ground_colour + np.log(attributes)
-    clutter_log += np.log(clutter.intensity(moved + arm, own, landmarks, covariance, b))
+    crowd = clutter.crowd(moved + arm, own, attributes, landmarks, turns, log_scales, b)
+    clutter_log += ground_colour + crowd.highest
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
     return Options(
@@ -81,6 +83,7 @@ def options(
         y=np.concatenate([clutter_y, y])[order],
         A=np.concatenate([clutter_a, A])[order],
         log_weight=np.concatenate([clutter_log, weight])[order],
+        crowd=crowd,
     )
 
 

@@ -151,9 +151,9 @@ def test_unmapped_objects_on_the_grid_are_expected_there() -> None:
 
     place = np.stack([landmarks.place_n[0], landmarks.place_n[1], landmarks.place_n[2]])
     off = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
-    own, P = np.zeros((3, 3, 3)), np.zeros((7, 7))
-    on_grid = intensity(place, own, landmarks, P, Beliefs())
-    beside = intensity(off, own, landmarks, P, Beliefs())
+    own, told = np.zeros((3, 3, 3)), np.zeros(1)
+    on_grid = intensity(place, own, landmarks, told, told, Beliefs())[:, 0, 0]
+    beside = intensity(off, own, landmarks, told, told, Beliefs())[:, 0, 0]
     assert on_grid[2] > 10.0 * beside[2]
     assert beside[2] == pytest.approx(0.3 / 0.7 * landmarks.density_per_m2 + 1e-4, rel=0.2)
 

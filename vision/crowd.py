@@ -1,0 +1,47 @@
+"""How dense objects that are not in the map are where a region is seen, by how the picture is turned and grown.
+
+    f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
+
+(t, s): turn about the vertical and log scale, two of the errors x that all regions share; x, P: what a hypothesis has found of
+them. In streets and among look-alikes f_i has summits: at one of many turns and scales there is nearly always a house beside
+which something unmapped might stand just so. The search goes by the highest of them, which no hypothesis exceeds; but a
+hypothesis has one turn and scale, and it is judged by what f_i is there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+
+_TURN, _SCALE = 5, 6  # of x
+
+
+@dataclass(frozen=True, slots=True)
+class Crowd:
+    """log_density (M, T, S) of M regions, at turns (T,) rad and log scales (S,), both evenly apart."""
+
+    log_density: Array
+    turns: Array
+    log_scales: Array
+
+    @property
+    def highest(self) -> Array:
+        """(M,) over all turns and scales."""
+        return np.asarray(self.log_density.max(axis=(1, 2)))
+
+    def below_highest(self, absent: NDArray[np.bool_], x: Array, covariance: Array) -> Array:
+        """Log of f_i over its highest, summed over the regions that a hypothesis says are not in the map (H,), never above 0.
+
+        absent (H, M); x (H, 7), covariance (H, 7, 7).
+        """
+        t, s = (axis.ravel() for axis in np.meshgrid(self.turns, self.log_scales, indexing="ij"))
+        off = np.stack((t - x[:, _TURN, None], s - x[:, _SCALE, None]), axis=-1)  # (H, TS, 2)
+        steps = [self.turns[1] - self.turns[0], self.log_scales[1] - self.log_scales[0]]
+        spread = covariance[:, [[_TURN], [_SCALE]], [_TURN, _SCALE]] + np.diag(np.maximum(0.5 * np.array(steps), 1e-6) ** 2)
+        squared = np.einsum("hka,hab,hkb->hk", off, np.linalg.inv(spread), off)
+        weight = np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True)))
+        share = np.exp(self.log_density - self.highest[:, None, None]).reshape(len(self.log_density), len(t))
+        below = np.log(weight @ share.T / weight.sum(axis=1, keepdims=True))
+        return np.asarray(np.where(absent, below, 0.0).sum(axis=1))
