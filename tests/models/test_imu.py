@@ -251,6 +251,19 @@ def test_considered_errors_stay_steady_and_forget_what_they_were_correlated_with
     np.testing.assert_allclose(after[: E.SIZE, : E.SIZE], plain, rtol=1e-12)
 
 
+def test_what_state_and_slow_errors_have_in_common_is_carried_by_the_transition() -> None:
+    rng, begin, end = np.random.default_rng(3), int(AGILE.t_ns[0]), int(AGILE.t_ns[300])
+    shared = rng.normal(size=(E.SIZE, 9)) * 0.01
+    cov = np.block([[_covariance(), shared], [shared.T, np.eye(9)]])
+    tau = np.where(np.arange(9) < 4, np.inf, 1.5)
+    _, after = _propagate(AGILE, AGILE.state(), cov, [begin, end], slow=(tau, 2.0 / tau))
+    phi = imu.transition(AGILE.state(), AGILE.t_ns, AGILE.u, len(AGILE.t_ns), 1, begin, end, imu.constants(NOISE, COAST, ORIGIN))
+    expected = phi @ shared * np.exp(-(end - begin) * 1e-9 / tau)
+    np.testing.assert_allclose(after[: E.SIZE, E.SIZE :], expected, atol=1e-12)
+    np.testing.assert_array_equal(after[E.SIZE :, : E.SIZE], after[: E.SIZE, E.SIZE :].T)
+    np.testing.assert_allclose(after[E.SIZE :, E.SIZE :], np.eye(9), atol=1e-12)
+
+
 # --- without IMU ---------------------------------------------------------------------------------------------------------
 
 
