@@ -21,7 +21,6 @@ import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
@@ -32,7 +31,7 @@ from vision.pose import Pose
 from vision.rectify import Image
 from vision.reduced import Level, levels
 from vision.sensitivity import Eye
-from vision.settle import motions, settled
+from vision.settle import motions, own_places, settled
 from vision.visibility import MapError, Prisms
 from vision.voters import chromas, voters
 from vision.votes import vote
@@ -43,6 +42,7 @@ _SLACK = 1  # pixels of the level that a landmark may be off beside its map erro
 _PLACE_PX = 1.0  # of the level: how well a landmark's place is found
 _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
+_FEW_VOTES = 300_000  # are quicker than to reduce the picture once more, and to look again in it
 _FLOOR = 0.5  # of the median gradient of the picture
 _NEVER = -1e6
 _SUMMITS = 6  # of each turn and scale that are kept
@@ -100,8 +100,8 @@ class Search:
 
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
-        size = self._reduction()
-        sizes = sorted({max(size // 4, 1), max(size // 2, 1), size})
+        sizes = self._sizes()
+        size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
         stages = [
             _Stage(level, self, reach, max(self.config.points, each * len(self.landmarks)))
@@ -116,16 +116,26 @@ class Search:
         ranked = _best([self._climb(fine, self._near(fine, c.error, 2), 2) for c in found], self.config.peaks)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
-    def _reduction(self) -> int:
-        """By how much the picture is reduced: roofs keep a width, unless the search would be too long."""
-        size, points = 1, max(self.config.points, _WIDE_POINTS * len(self.landmarks))
+    def _sizes(self) -> list[int]:
+        """By how much the picture is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
+
+        Where the prior leaves little open, a less reduced one is searched at once.
+        """
+        size = 1
         while size * _LEAST_WIDTH < self.eye.camera.width:
-            grid = _grid(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
-            votes = len(grid.su) * len(grid.sv) * len(grid.others) * points
-            if votes <= self.config.most_votes and self.motion.roof_px < 2.0 * size * self.config.roof_px:
+            if self._votes(size) <= self.config.most_votes and self.motion.roof_px < 2.0 * size * self.config.roof_px:
                 break
             size *= 2
-        return size
+        sizes = sorted({max(size // 4, 1), max(size // 2, 1), size})
+        while len(sizes) > 1 and self._votes(sizes[-2]) <= _FEW_VOTES:
+            sizes.pop()
+        return sizes
+
+    def _votes(self, size: int) -> int:
+        """Of points, in the whole search of a picture reduced `size` times."""
+        grid = _grid(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
+        points = max(self.config.points, _WIDE_POINTS * len(self.landmarks))
+        return len(grid.su) * len(grid.sv) * len(grid.others) * points
 
     def _wide(self, stage: "_Stage") -> list[Array]:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
@@ -161,7 +171,7 @@ class Search:
         votes, length = stage.vote(aimed, s, s, everywhere)
         inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
         common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
-        places = _own_places(votes, common, free)
+        places = own_places(votes, common, free)
         k, (a, b) = np.arange(len(votes)), np.rint(places).astype(int).T
         length = length[k, a, b]
         support = votes[k, a, b] + self.config.expected * length
@@ -281,30 +291,3 @@ def _peaks(score: Array) -> list[tuple[int, int]]:
     top = (score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score > _NEVER)
     places = np.argwhere(top)
     return [(int(a), int(b)) for a, b in places[np.argsort(-score[top], kind="stable")]]
-
-
-@njit(cache=True)
-def _own_places(votes: Array, common: NDArray[np.int64], free: Array) -> Array:
-    """Row and column (L, 2), to a fraction, of each landmark's best place in votes (L, U, V), at most free (L,) from common."""
-    places = np.empty((len(votes), 2))
-    for k in range(len(votes)):
-        one, radius = votes[k], int(free[k])
-        a, b = common[0], common[1]
-        best = -np.inf
-        for i in range(max(common[0] - radius, 0), min(common[0] + radius + 1, one.shape[0])):
-            for j in range(max(common[1] - radius, 0), min(common[1] + radius + 1, one.shape[1])):
-                if one[i, j] > best:
-                    best, a, b = one[i, j], i, j
-        places[k, 0], places[k, 1] = a, b
-        if 0 < a < one.shape[0] - 1:
-            places[k, 0] += _top(one[a - 1, b], one[a, b], one[a + 1, b])
-        if 0 < b < one.shape[1] - 1:
-            places[k, 1] += _top(one[a, b - 1], one[a, b], one[a, b + 1])
-    return places
-
-
-@njit(cache=True)
-def _top(before: float, here: float, after: float) -> float:
-    """Where the parabola through three values has its top, -0.5 ... 0.5; 0 where it has none."""
-    curvature = before - 2.0 * here + after
-    return min(max(0.5 * (before - after) / curvature, -0.5), 0.5) if curvature < 0.0 else 0.0

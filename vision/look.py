@@ -27,6 +27,7 @@ Mask = NDArray[np.bool_]
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
 _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
+_DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is looked up, and half how far
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
 _MAPPED_FROM = 18  # columns before those of the map: pose 6, camera on the body 6, right against left camera 6
@@ -189,8 +190,20 @@ def roof_offsets(
     """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
     usable = _alone(edges, samples, seen, eye, pose, _SEARCH_BESIDE_PX)
     values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 1, usable)
-    distance = outline.off_roof(values, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
+    roof = edges.kind == Kind.ROOF
+    beside = _roof_beside(image, values, edges, samples, seen, half, usable)
+    distance = outline.off_roof(values, beside, samples.edge, roof, usable)
     return outline.search(distance, samples.edge, len(edges.kind), 1.0, usable), usable, np.zeros(len(edges.kind))
+
+
+def _roof_beside(
+    image: Image, values: Array, edges: ModelEdges, samples: Samples, seen: EdgeView, half: int, usable: Mask
+) -> Array:
+    """Colour (N, C) of the roof beside each sample, from profiles of half width half and what lies farther inside."""
+    inside = usable.copy()
+    px = seen.px - (half + _DEEPER_PX) * seen.normal
+    interior = outline.profiles(image, px, seen.normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
+    return outline.roof_beside(values, interior, inside, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
 
 
 def _fit(
@@ -211,7 +224,8 @@ def _fit(
     near = np.abs(gap) < half + _BESIDE_PX  # base edges there are fitted along with the roof edge
     usable &= ~((edges.kind == Kind.BASE) & near)[samples.edge]
     values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3, usable)
-    usable &= ~outline.alien(values, samples.edge, edges.landmark, roof, usable)[samples.edge]
+    beside = _roof_beside(image, values, edges, samples, seen, half, usable)
+    usable &= ~outline.alien(values, beside, samples.edge, roof, usable)[samples.edge]
     grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
     narrow = roof & (gap > 0.0) & near
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)

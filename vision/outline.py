@@ -20,9 +20,12 @@ Mask = NDArray[np.bool_]
 _BOX = 3  # samples on either side of a step that the search compares
 _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offset
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
+_STANDS_OUT = 4.0  # standard deviations of the mean of its points that a step has: the largest of a dozen places has 3 by chance
 _CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
 _UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which are not clipped
 _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
+_SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
+_BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 
 
@@ -133,34 +136,61 @@ def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, us
 
 
 @njit(cache=True)
-def off_roof(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
-    """How far colours are from the roof's along profiles (N, S) that run outwards; 0 for edges that are not of a roof."""
-    n, size, channels = values.shape
+def roof_beside(
+    values: Array, interior: Array, inside: Mask, edge: Indices, landmark: Indices, roof: Mask, usable: Mask
+) -> Array:
+    """Colour (N, C) of the roof beside each point: the landmark's, as light or dark as the slope there; gables have two.
+
+    interior (N, S', C): what lies farther inside than profiles values (N, S, C), where inside (N,); neighbours on the edge
+    count as well.
+    """
+    n, size, channels = interior.shape
     colour = roof_colours(values, edge, landmark, roof, usable)
+    single, beside = np.full(n, np.nan), np.empty((n, channels))
+    for i in range(n):
+        whole = np.sum(colour[landmark[edge[i]]])
+        if inside[i] and whole > 0.0:  # not where it is NaN
+            single[i] = np.sum(interior[i]) / size / whole
+    for i in range(n):
+        total = count = 0.0
+        for k in range(max(i - _BESIDE, 0), min(i + _BESIDE + 1, n)):
+            if edge[k] == edge[i] and not math.isnan(single[k]):
+                total += single[k]
+                count += 1.0
+        shade = min(max(total / count, 1.0 / _SHADE), _SHADE) if count > 0.0 else 1.0
+        beside[i] = shade * colour[landmark[edge[i]]]
+    return beside
+
+
+@njit(cache=True)
+def off_roof(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Array:
+    """How far colours are from the roof's beside them (N, C) along profiles (N, S) that run outwards; 0 where there is none."""
+    n, size, channels = values.shape
     distance = np.zeros((n, size))
     for i in range(n):
         if usable[i] and roof[edge[i]]:
             for j in range(size):
                 total = 0.0
                 for c in range(channels):
-                    total += (values[i, j, c] - colour[landmark[edge[i]], c]) ** 2
+                    total += (values[i, j, c] - beside[i, c]) ** 2
                 distance[i, j] = math.sqrt(total)
     return distance
 
 
 @njit(cache=True)
-def alien(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Mask:
-    """Which roof edges (E,) have something else than the roof on their inner side."""
+def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Mask:
+    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), on their inner side."""
     n, size, channels = values.shape
-    inner, edges = size // 4, len(landmark)
-    colour = roof_colours(values, edge, landmark, roof, usable)
-    inside, outside, count = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros(edges)
+    inner, edges = size // 4, len(roof)
+    ours, inside, outside = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros((edges, channels))
+    count = np.zeros(edges)
     for i in range(n):
         e = edge[i]
         if usable[i] and roof[e]:
             count[e] += inner
-            for j in range(inner):
-                for c in range(channels):
+            for c in range(channels):
+                ours[e, c] += inner * beside[i, c]
+                for j in range(inner):
                     inside[e, c] += values[i, j, c]
                     outside[e, c] += values[i, size - 1 - j, c]
     found = np.zeros(edges, dtype=np.bool_)
@@ -168,7 +198,7 @@ def alien(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: M
         if count[e] > 0.0:
             off = across = 0.0
             for c in range(channels):
-                off += (inside[e, c] / count[e] - colour[landmark[e], c]) ** 2
+                off += ((inside[e, c] - ours[e, c]) / count[e]) ** 2
                 across += ((outside[e, c] - inside[e, c]) / count[e]) ** 2
             found[e] = math.sqrt(off) > _ALIEN * math.sqrt(across) + 4.0
     return found
@@ -183,7 +213,7 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
     """
     n, size = distance.shape
     last = size - _BOX
-    response, vote = np.zeros((n, size)), np.zeros((edges, size))
+    response, vote, square = np.zeros((n, size)), np.zeros((edges, size)), np.zeros((edges, size))
     mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
         if usable[i]:
@@ -195,7 +225,8 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
                     total += distance[i, j + k] - distance[i, j - k]
                 response[i, j] = total / _BOX
                 vote[edge[i], j] += response[i, j]
-    best = _elect(vote, mean, count)
+                square[edge[i], j] += response[i, j] ** 2
+    best = _elect(vote, square, mean, count)
     offsets = np.full(n, np.nan)
     for i in range(n):
         e = edge[i]
@@ -216,8 +247,11 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
 
 
 @njit(cache=True)
-def _elect(vote: Array, mean: Array, count: Array) -> Array:
-    """Best place (E,), -1 where none or ambiguous, of the edges' votes (E, S); mean (E, S): summed distances from the roof."""
+def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
+    """Best place (E,), -1 where none or ambiguous, of the edges' votes (E, S) and the sums of their squares (E, S).
+
+    mean (E, S): summed distances from the roof. A step stands out of the scatter of its points; what texture makes does not.
+    """
     edges, size = vote.shape
     best = np.full(edges, -1.0)
     for e in range(edges):
@@ -227,6 +261,8 @@ def _elect(vote: Array, mean: Array, count: Array) -> Array:
         for j in range(_BOX + 1, size - _BOX - 1):
             value = vote[e, j]
             if value < top * _SECOND or value <= vote[e, j - 1] or value < vote[e, j + 1]:
+                continue
+            if value**2 < _STANDS_OUT**2 * (square[e, j] - value**2 / count[e]):
                 continue
             if mean[e, max(j - 4, 0)] > _ALIEN * mean[e, min(j + 4, size - 1)] + 8.0 * count[e]:
                 continue

@@ -1,4 +1,4 @@
-"""Pose and map errors that follow from where each landmark was found in the picture.
+"""Where each landmark is found in the picture, and the pose and the map errors that follow.
 
     y_l = D_l dx - D_l,p m_l + e_l,       dx ~ N(0, P),  m_l ~ N(0, s_l^2 I),  e_l ~ N(0, e^2 I)                        (px)
     dx = (P^-1 + sum_l D_l^T N_l^-1 D_l)^-1 sum_l D_l^T N_l^-1 y_l,    N_l = e^2 I + s_l^2 D_l,p D_l,p^T
@@ -96,3 +96,30 @@ def _settled(
             for k in range(2):
                 shift_m[m, k] = -(map_sigma[m] ** 2) * (D[m, 0, k] * w0 + D[m, 1, k] * w1)
     return total, shift_m
+
+
+@njit(cache=True)
+def own_places(votes: Array, common: Indices, free: Array) -> Array:
+    """Row and column (L, 2), to a fraction, of each landmark's best place in votes (L, U, V), at most free (L,) from common."""
+    places = np.empty((len(votes), 2))
+    for k in range(len(votes)):
+        one, radius = votes[k], int(free[k])
+        a, b = common[0], common[1]
+        best = -np.inf
+        for i in range(max(common[0] - radius, 0), min(common[0] + radius + 1, one.shape[0])):
+            for j in range(max(common[1] - radius, 0), min(common[1] + radius + 1, one.shape[1])):
+                if one[i, j] > best:
+                    best, a, b = one[i, j], i, j
+        places[k, 0], places[k, 1] = a, b
+        if 0 < a < one.shape[0] - 1:
+            places[k, 0] += _top(one[a - 1, b], one[a, b], one[a + 1, b])
+        if 0 < b < one.shape[1] - 1:
+            places[k, 1] += _top(one[a, b - 1], one[a, b], one[a, b + 1])
+    return places
+
+
+@njit(cache=True)
+def _top(before: float, here: float, after: float) -> float:
+    """Where the parabola through three values has its top, -0.5 ... 0.5; 0 where it has none."""
+    curvature = before - 2.0 * here + after
+    return min(max(0.5 * (before - after) / curvature, -0.5), 0.5) if curvature < 0.0 else 0.0

@@ -18,6 +18,7 @@ from models.messages import Array
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+_STANDS_OUT = 4.0  # standard deviations of the mean profile that a contrast has, at least: what texture makes has less
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 _FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how far it reaches
 _PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
@@ -38,10 +39,11 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
     n, size = grey.shape
     edges, half = len(gap), size // 2
     offsets, blur, opened = np.full(n, np.nan), np.full(edges, np.nan), np.zeros(edges)
-    mean, count = np.zeros((edges, size)), np.zeros(edges)
+    mean, square, count = np.zeros((edges, size)), np.zeros(edges), np.zeros(edges)
     for i in range(n):
         if usable[i]:
             mean[edge[i]] += grey[i]
+            square[edge[i]] += np.sum((grey[i] - np.mean(grey[i])) ** 2)
             count[edge[i]] += 1.0
     place = (np.arange(size) - half) * step
     columns = _strip_columns(place, farthest)
@@ -58,7 +60,12 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             if second > 0.0:
                 x, variance, misfit = _fit_mean(place, g, second, farthest)
         contrast = max(abs(x[1]), abs(x[2]))
-        if contrast < _LEAST_CONTRAST or abs(x[3]) > farthest or abs(x[1]) < _FIRST * contrast:
+        scatter = max(square[e] / count[e] - np.sum(g * g), 0.0) / (size - 1.0)  # of single profiles about their mean
+        if (
+            contrast < max(_LEAST_CONTRAST, _STANDS_OUT * math.sqrt(scatter / count[e]))
+            or abs(x[3]) > farthest
+            or abs(x[1]) < _FIRST * contrast
+        ):
             continue
         if _point_rows(place, x, second, rows[e]):
             centre[e], blur[e], opened[e] = x[3], x[4], variance

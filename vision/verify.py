@@ -37,7 +37,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.35
     landmark_found: Annotated[
         float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
-    ] = 0.6
+    ] = 0.5
     looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4

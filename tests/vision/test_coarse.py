@@ -12,11 +12,12 @@ from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
 from tests.vision.roofs import nadir_rig
+from vision import coarse
 from vision.coarse import Candidate, CoarseConfig, Search
 from vision.identify import Prior
 from vision.motion import motion, moved, straight
 from vision.rectify import Image
-from vision.reduced import Field, levels
+from vision.reduced import Field, Level, levels
 from vision.sensitivity import Eye, eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -95,6 +96,23 @@ def test_outlines_a_hundred_pixels_off_are_found_to_a_few(seed: int) -> None:
     assert len(places) > 1
     assert places[1].score < 0.6 * places[0].score
     assert places[0].support.sum() > 0.5 * places[0].length.sum()
+
+
+def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    reduced: list[tuple[int, ...]] = []
+
+    def noted(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
+        reduced.append(sizes)
+        return levels(picture, camera, sizes)
+
+    monkeypatch.setattr(coarse, "levels", noted)
+    for share in (1.0, 0.05):
+        prior = prior_off(seen(), share * SIGMA)
+        places = found(seen(), Prior(prior.p_n, prior.q_nb_wxyz, share**2 * prior.covariance))
+        assert off_px(seen(), places[0]) < 6.0
+    wide, narrow = reduced
+    assert narrow[0] == wide[0]
+    assert narrow[-1] < wide[-1]
 
 
 def test_landmarks_that_are_off_the_map_find_their_own_places() -> None:

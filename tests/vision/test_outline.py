@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from vision.outline import alien, along_contrast, crossed, off_roof, profiles, search
+from vision.outline import alien, along_contrast, crossed, off_roof, profiles, roof_beside, search
 
 POINTS, HALF = 12, 12
 ONE = np.zeros(POINTS, dtype=np.int64)
 ROOF = np.ones(1, dtype=np.bool_)
-LANDMARK = np.zeros(1, dtype=np.int64)
 
 
 def bars(*widths_and_colours: tuple[int, tuple[float, float, float]]) -> np.ndarray:
@@ -19,6 +18,14 @@ def bars(*widths_and_colours: tuple[int, tuple[float, float, float]]) -> np.ndar
 
 def everything() -> np.ndarray:
     return np.ones(POINTS, dtype=np.bool_)
+
+
+def beside(values: np.ndarray, edge: np.ndarray, interior: np.ndarray | None = None) -> np.ndarray:
+    """The roof's colour beside each point, of edges of one landmark that are all its roof's."""
+    marks = np.zeros(edge.max() + 1, dtype=np.int64)
+    seen = np.full(len(values), interior is not None)
+    roof, all_of_it = np.ones(len(marks), dtype=np.bool_), np.ones(len(values), dtype=np.bool_)
+    return roof_beside(values, values[:, :5] if interior is None else interior, seen, edge, marks, roof, all_of_it)
 
 
 def test_profiles_of_a_ramp_are_the_ramp() -> None:
@@ -45,8 +52,8 @@ RED, DARK, GREEN = (40.0, 40.0, 190.0), (25.0, 35.0, 30.0), (70.0, 120.0, 110.0)
 def test_the_roof_ends_where_its_colour_ends_not_where_the_shadow_does(shift: int) -> None:
     """The shadow's rim has the larger contrast in green; the roof ends before it."""
     values = bars((12 + shift, RED), (4, DARK), (9 - shift, GREEN))
-    distance = off_roof(values, ONE, LANDMARK, ROOF, everything())
-    assert not alien(values, ONE, LANDMARK, ROOF, everything()).any()
+    distance = off_roof(values, beside(values, ONE), ONE, ROOF, everything())
+    assert not alien(values, beside(values, ONE), ONE, ROOF, everything()).any()
     offsets = search(distance, ONE, 1, 1.0, everything())
     np.testing.assert_allclose(offsets, shift - 0.5, atol=0.6)
 
@@ -58,12 +65,42 @@ def test_an_edge_inside_the_ground_is_alien() -> None:
     values[POINTS // 2 :] = bars((13, GREEN), (12, (90.0, 150.0, 140.0)))[: POINTS // 2]
     values = np.concatenate((values[: POINTS // 2], values))  # the roof's colour is the majority's
     edge = np.concatenate((np.zeros(POINTS // 2, dtype=np.int64), edge))
-    found = alien(values, edge, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_), np.ones(len(edge), dtype=np.bool_))
+    found = alien(values, beside(values, edge), edge, np.ones(2, dtype=np.bool_), np.ones(len(edge), dtype=np.bool_))
     assert found.tolist() == [False, True]
 
 
+def test_a_slope_in_other_light_is_roof_and_a_wall_is_not() -> None:
+    """Most of the outline runs along the light slope, one edge along the dark one, and one along the foot of a dark wall."""
+    light, dark = np.array([150.0, 140.0, 145.0]), 0.82 * np.array([150.0, 140.0, 145.0])
+    edge = np.repeat([0, 1, 2], (2 * POINTS, POINTS // 2, POINTS // 2))
+    values = np.concatenate((
+        np.repeat(bars((13, tuple(light)), (12, GREEN)), 2, axis=0),
+        np.repeat(bars((13, tuple(dark)), (12, GREEN)), 2, axis=0)[: POINTS],
+    ))  # fmt: skip
+    interior = np.tile(light, (len(values), 5, 1))
+    interior[edge == 1] = dark  # farther inside: the same slope; behind the wall: the light one
+    ours = beside(values, edge, interior)
+    np.testing.assert_allclose(ours[edge == 1], dark[None].repeat(POINTS // 2, axis=0))
+    roof, everywhere = np.ones(3, dtype=np.bool_), np.ones(len(values), dtype=np.bool_)
+    assert alien(values, ours, edge, roof, everywhere).tolist() == [False, False, True]
+    offsets = search(off_roof(values, ours, edge, roof, everywhere), edge, 3, 1.0, everywhere)
+    np.testing.assert_allclose(offsets[edge == 1], 0.5, atol=0.6)
+
+
+def test_texture_makes_no_step() -> None:
+    """Roughness as strong as a weak step, without one: hardly an edge is elected; with one it is."""
+    rng, found = np.random.default_rng(2), [0, 0]
+    for _ in range(50):
+        rough = 8.0 + 6.0 * rng.normal(size=(POINTS, 25))
+        for k, step in enumerate((0.0, 25.0)):
+            offsets = search(rough + step * (np.arange(25) > 12), ONE, 1, 1.0, everything())
+            found[k] += bool(np.isfinite(offsets).any())
+    assert found[0] <= 2
+    assert found[1] >= 48
+
+
 def test_no_step_no_offset() -> None:
-    distance = off_roof(bars((25, GREEN)), ONE, LANDMARK, ROOF, everything())
+    distance = off_roof(bars((25, GREEN)), beside(bars((25, GREEN)), ONE), ONE, ROOF, everything())
     assert np.isnan(search(distance, ONE, 1, 1.0, everything())).all()
 
 

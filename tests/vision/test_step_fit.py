@@ -88,3 +88,14 @@ def test_a_point_without_the_step_is_left_out() -> None:
     offsets, _, _ = run(profiles)
     assert np.isnan(offsets[3])
     assert np.isfinite(np.delete(offsets, 3)).all()
+
+
+def test_texture_makes_no_edge() -> None:
+    """Roughness whose mean profile has more than the least contrast, without a step; with one it is found."""
+    rng, found = np.random.default_rng(3), [0, 0]
+    for _ in range(50):
+        rough = 100.0 + 15.0 * rng.normal(size=(POINTS, len(PLACE)))
+        for k, contrast in enumerate((0.0, 40.0)):
+            found[k] += bool(np.isfinite(run(rough + step(0.3, 0.8, contrast))[0]).any())
+    assert found[0] <= 5
+    assert found[1] == 50
