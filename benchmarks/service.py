@@ -1,6 +1,6 @@
 """The daemon under load for minutes: latency, processor, memory, drops, fixes, and whether its log says the same again.
 
-    python -m benchmarks.service [--minutes 10] [--mavlink] [--realtime] [--busy] [--json]
+    python -m benchmarks.service [--minutes 10] [--mavlink] [--realtime] [--awake] [--json]
 
 Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
 10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
@@ -49,7 +49,7 @@ folder = "{folder / "logs"}"
 {link}"""
 
 
-def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, busy: bool = False) -> dict[str, Any]:
+def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, awake: bool = False) -> dict[str, Any]:
     """One run; what was measured."""
     text = configuration(folder, port, mavlink_port)
     (folder / "vehicle.toml").write_text(text)
@@ -68,16 +68,16 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, bu
     else:
         vehicle = _python("benchmarks.service_vehicle", *words)
     machine = _python("benchmarks.service_machine")
-    others = [_python("benchmarks.service_busy", str(core)) for core in os.sched_getaffinity(0)] if busy else []
+    keepers = [_python("benchmarks.service_awake", str(core)) for core in os.sched_getaffinity(0)] if awake else []
     vision = child(daemon.pid, "spawn_main")
     processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
     used = watch(processes, lambda: vehicle.poll() is not None)
     flown = json.loads(vehicle.communicate()[0])
     machine.send_signal(signal.SIGTERM)
     flown["machine"] = json.loads(machine.communicate()[0])
-    for other in others:
-        other.kill()
-        other.communicate()
+    for keeper in keepers:
+        keeper.kill()
+        keeper.communicate()
     time.sleep(1.5)  # the status is of the last full second
     subscriber.send_signal(signal.SIGTERM)
     heard = json.loads(subscriber.communicate()[0])
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=17447)
     parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
     parser.add_argument("--realtime", action="store_true", help="SCHED_RR, but for vision, for a busy machine; needs root")
-    parser.add_argument("--busy", action="store_true", help="other computations on every core, at the lowest priority")
+    parser.add_argument("--awake", action="store_true", help="no core goes idle: a host that takes idle ones away cannot")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where pictures, log and replay are kept")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
@@ -146,7 +146,7 @@ def main() -> None:
             service_pictures.write(folder)
         if given.realtime:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))
-        result = run(given.minutes, given.port, given.port + 1 if given.mavlink else None, folder, busy=given.busy)
+        result = run(given.minutes, given.port, given.port + 1 if given.mavlink else None, folder, awake=given.awake)
     for name, value in result.items() if not given.json else ():
         print(f"{name:24} {value}")
     if given.json:

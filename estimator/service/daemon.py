@@ -21,7 +21,7 @@ from estimator.service.status import Status
 from estimator.vision_requests import Track
 from logs.codec import Decoder, Encoded, ImuMounting, encode_input
 from logs.stamps import restamped, stamp_of
-from models.messages import Input, Output, Tick
+from models.messages import ImuSample, Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
 REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
@@ -46,6 +46,7 @@ class Mailbox:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
         self.see: Callable[[Arrival], None] = _look_away
         self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
+        self._own: queue.SimpleQueue[Encoded] = queue.SimpleQueue()
         self._putting, self._put_bytes, self._got_bytes, self._lost = threading.Lock(), 0, 0, 0
 
     def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
@@ -62,8 +63,8 @@ class Mailbox:
         self._enqueue(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
 
     def put_own(self, message: Encoded) -> None:
-        """What our own vision was asked and answers."""
-        self._enqueue(Arrival(*message, self._clock.now_ns(), own=True))
+        """What our own vision was asked and answers: kept until get_own()."""
+        self._own.put(message)
 
     def get(self, timeout_s: float) -> Arrival | None:
         """The next message; None when there is none in time, or after wake()."""
@@ -75,6 +76,13 @@ class Mailbox:
             self._got_bytes += len(arrival.data)
         return arrival
 
+    def get_own(self) -> Arrival | None:
+        """The next message of our own vision, which arrives now; None when there is none."""
+        try:
+            return Arrival(*self._own.get_nowait(), self._clock.now_ns(), own=True)
+        except queue.Empty:
+            return None
+
     def wake(self) -> None:
         """Let get() return at once; safe in a signal handler."""
         self._queue.put(None)
@@ -84,7 +92,7 @@ class Mailbox:
         return {"waiting": len(self), "lost_inputs": self._lost}
 
     def __len__(self) -> int:
-        return self._queue.qsize()
+        return self._queue.qsize() + self._own.qsize()
 
     def _enqueue(self, arrival: Arrival) -> None:
         with self._putting:
@@ -155,6 +163,17 @@ class Daemon:
             self._status.note_defect(f"{type(error).__name__}: {error}")
 
     def take(self, arrival: Arrival) -> None:
+        """One message; behind an IMU sample, when there is most time until the next, also what our own vision says."""
+        if isinstance(self._handle(arrival), ImuSample):
+            self._take_own()
+        if not len(self.mailbox):
+            self._fusion.catch_up()
+
+    def _take_own(self) -> None:
+        while arrival := self.mailbox.get_own():
+            self._handle(arrival)
+
+    def _handle(self, arrival: Arrival) -> Input | None:
         """One message: to the log, through Fusion, out."""
         if arrival.own:
             for outbox in self._outboxes:
@@ -165,7 +184,7 @@ class Daemon:
         topic, schema, data, arrived_ns, _ = arrival
         message = self._decoder.decode(topic, schema, data, arrived_ns)
         if message is None:
-            return
+            return None
         outputs = self._fusion.handle(message)
         self._track.note(outputs)
         encoded = list(self._publisher.encoded(outputs)) if outputs else []
@@ -177,8 +196,7 @@ class Daemon:
             self._remember(output)
         for message_out in encoded:
             self._log.put_output(message_out, arrived_ns)
-        if not outputs and not len(self.mailbox):
-            self._fusion.catch_up()
+        return message
 
     def _on_our_clock(self, arrival: Arrival) -> Arrival:
         """The message with its stamp translated; on another topic, that feeds nothing, where its clock is not known."""
@@ -194,8 +212,9 @@ class Daemon:
 
     def _tick(self) -> None:
         """Tell the estimator the time, unless messages wait that came before it; and everybody how we are."""
-        now_ns = self._clock.now_ns()
         self._alive()
+        self._take_own()  # no IMU sample may come for it
+        now_ns = self._clock.now_ns()
         if not len(self.mailbox):
             self.take(Arrival(*encode_input(Tick(now_ns, now_ns)), now_ns))
         if report := self._status.report(now_ns):

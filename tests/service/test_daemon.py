@@ -14,7 +14,7 @@ from estimator.service.ports import Arrival
 from estimator.service.run import assembled
 from estimator.service.zenoh_keys import rmw_key
 from logs import schemas
-from logs.codec import decode_odometry, encode_input, type_hash
+from logs.codec import Encoded, decode_odometry, encode_input, type_hash
 from logs.reader import LogReader
 from tests.service.flying import (
     ODOMETRY,
@@ -193,3 +193,17 @@ def test_what_a_late_fix_changes_is_worked_out_before_the_next_sample_comes(tmp_
         assert redone.t_ns == at_ns
         daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 100, rng)), at_ns + SECOND // 100))
         assert history.tracker is redone
+
+
+def test_what_our_own_vision_says_is_taken_behind_an_imu_sample_or_a_tick(tmp_path: Path) -> None:
+    rng, t_ns = np.random.default_rng(1), 1_795_000_000 * SECOND
+    with assembled(parse(toml(tmp_path, 1, zenoh_keys="enabled = false")), tmp_path) as daemon:
+        waiting = []
+        for step in (gnss(t_ns, rng)[0], imu(t_ns, rng)):
+            daemon.mailbox.put_own(Encoded(*encode_input(pose_fix(t_ns, rng))))
+            daemon.take(Arrival(*encode_input(step), t_ns))
+            waiting.append(len(daemon.mailbox))
+        daemon.mailbox.put_own(Encoded(*encode_input(pose_fix(t_ns, rng))))
+        daemon._tick()
+        assert [*waiting, len(daemon.mailbox)] == [1, 0, 0]
+    assert len(records(logs_of(tmp_path)[0], "/pose_fix")) == 3
