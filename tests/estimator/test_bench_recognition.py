@@ -206,7 +206,7 @@ def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_picture(summi
     c = PipelineConfig()
     coarse = msgspec.structs.replace(c.predict.coarse, summits=summits)
     config = msgspec.structs.replace(c, predict=msgspec.structs.replace(c.predict, coarse=coarse))
-    assert recognisers.landfix(views.draw("partial", "pale", 7, 0), config, timed=False).verdict == verdict
+    assert recognisers.landfix(views.draw("partial", "pale", 7, 3), config, timed=False).verdict == verdict
 
 
 def test_names_that_are_not_known() -> None:
