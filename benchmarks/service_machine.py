@@ -16,6 +16,8 @@ from pathlib import Path
 
 from benchmarks.service_subscriber import quantiles_ms
 
+_MINUTE_S = 60.0
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -24,22 +26,37 @@ def main() -> None:
     told_to_stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: told_to_stop.set())
     late_ns: list[int] = []
-    began_ns, stolen_s = time.monotonic_ns(), _stolen_s()
-    due_ns = began_ns
+    minutes: list[dict[str, float]] = []
+    whole, minute, first, due_ns = _Steal(), _Steal(), 0, time.monotonic_ns()
     while not told_to_stop.is_set():
         due_ns = max(due_ns + period_ns, time.monotonic_ns())  # what was slept through is one late waking
         time.sleep(max(due_ns - time.monotonic_ns(), 0) * 1e-9)
         late_ns.append(time.monotonic_ns() - due_ns)
-    seconds = (time.monotonic_ns() - began_ns) * 1e-9 * len(os.sched_getaffinity(0))
-    print(
-        json.dumps(
-            {"wakes_late_ms": quantiles_ms(late_ns), "stolen_percent": round(100.0 * (_stolen_s() - stolen_s) / seconds, 1)}
-        )
-    )
+        if minute.seconds >= _MINUTE_S:
+            minutes.append(quantiles_ms(late_ns[first:]) | {"stolen_percent": minute.percent})
+            first, minute = len(late_ns), _Steal()
+    told = {"wakes_late_ms": quantiles_ms(late_ns), "stolen_percent": whole.percent, "each_minute": minutes}
+    print(json.dumps(told))
+
+
+class _Steal:
+    """Processor time that the host of a virtual machine gives to others, of all cores, from now on."""
+
+    def __init__(self) -> None:
+        self._began_s, self._stolen_s = time.monotonic(), _stolen_s()
+
+    @property
+    def seconds(self) -> float:
+        """Since it began."""
+        return time.monotonic() - self._began_s
+
+    @property
+    def percent(self) -> float:
+        """Of the time since it began."""
+        return round(100.0 * (_stolen_s() - self._stolen_s) / self.seconds / len(os.sched_getaffinity(0)), 1)
 
 
 def _stolen_s() -> float:
-    """Processor time that the host of a virtual machine has given to others, of all cores."""
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / os.sysconf("SC_CLK_TCK")
 
 

@@ -22,6 +22,7 @@ from logs import cdr_fast, schemas
 from logs.codec import decode_odometry
 from logs.stamps import stamp_of
 
+MINUTE_NS = 60_000_000_000
 _SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
 
@@ -30,7 +31,7 @@ class Ear:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.latency_ns: list[int] = []
-        self.worst_ns: dict[int, int] = {}  # in each second since the first stamp
+        self.minutes_ns: list[list[int]] = []  # the same, a list for each minute since the first stamp
         self._first_ns: int | None = None
         self.not_finite = self.out_of_order = 0
         self._last_ns = 0
@@ -44,8 +45,9 @@ class Ear:
         self.latency_ns.append(now_ns - t_ns)
         if self._first_ns is None:
             self._first_ns = t_ns
-        second = (t_ns - self._first_ns) // 1_000_000_000
-        self.worst_ns[second] = max(self.worst_ns.get(second, 0), now_ns - t_ns)
+        while len(self.minutes_ns) <= (t_ns - self._first_ns) // MINUTE_NS:
+            self.minutes_ns.append([])
+        self.minutes_ns[-1].append(now_ns - t_ns)
         self.out_of_order += t_ns <= self._last_ns
         self._last_ns = t_ns
         told = decode_odometry(data)
@@ -56,12 +58,6 @@ def quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
     """The middle and the tail."""
     ms = sorted(ns * 1e-6 for ns in latency_ns) or [math.nan]
     return {name: round(ms[math.ceil(q * len(ms)) - 1], 3) for name, q in _SHARES.items()}
-
-
-def worst_ms(worst_ns: dict[int, int], most: int = 8) -> dict[int, float]:
-    """The seconds with the largest latencies."""
-    worst = sorted(worst_ns, key=lambda second: -worst_ns[second])[:most]
-    return {second: round(worst_ns[second] * 1e-6, 1) for second in sorted(worst)}
 
 
 def main() -> None:
@@ -79,7 +75,7 @@ def main() -> None:
     heard = {
         "estimates_heard": len(ear.latency_ns),
         "latency_ms": quantiles_ms(ear.latency_ns),
-        "worst_seconds_ms": worst_ms(ear.worst_ns),
+        "each_minute_ms": [quantiles_ms(minute) for minute in ear.minutes_ns],
         "not_finite": ear.not_finite,
         "out_of_order": ear.out_of_order,
         "daemon": status,
