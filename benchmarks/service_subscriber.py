@@ -30,8 +30,7 @@ class Ear:
     """Keeps little: the time and the bytes' verdict of each estimate."""
 
     def __init__(self, session: zenoh.Session) -> None:
-        self.latency_ns: list[int] = []
-        self.minutes_ns: list[list[int]] = []  # the same, a list for each minute since the first stamp
+        self.minutes_ns: list[list[int]] = []  # latencies, a list for each minute since the first stamp
         self._first_ns: int | None = None
         self.not_finite = self.out_of_order = 0
         self._last_ns = 0
@@ -39,10 +38,14 @@ class Ear:
         key = zenoh_keys.rmw_key(0, "/landfix/odometry", schemas.ODOMETRY)
         self._subscriber = session.declare_subscriber(key, self._hear)
 
+    @property
+    def latency_ns(self) -> list[int]:
+        """Of all estimates."""
+        return [ns for minute in self.minutes_ns for ns in minute]
+
     def _hear(self, sample: zenoh.Sample) -> None:
         now_ns, data = time.time_ns(), sample.payload.to_bytes()
         t_ns = stamp_of(data) or 0
-        self.latency_ns.append(now_ns - t_ns)
         if self._first_ns is None:
             self._first_ns = t_ns
         while len(self.minutes_ns) <= (t_ns - self._first_ns) // MINUTE_NS:

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.history import History
 from estimator.initialise import InitialiseConfig
+from estimator.samples import ImuBuffer
 from estimator.sources.pose import PoseConfig
-from estimator.tracker import Tracker, TrackerConfig
+from estimator.sources.source import Aid
+from estimator.tracker import Decision, Tracker, TrackerConfig
 from logs.codec import encode
 from models.imu import Coast, ImuNoise
 from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reason, Tick
@@ -340,6 +342,27 @@ def test_redo_is_lazy_once_for_a_burst(monkeypatch: pytest.MonkeyPatch) -> None:
     history.advance(history.samples.newest_ns)
     history.advance(history.samples.newest_ns)
     assert restored == 1
+
+
+def test_what_comes_behind_an_aid_does_not_redo_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    history, done = _history(6.0), list[int]()
+    process = Tracker.process
+
+    def noting(tracker: Tracker, aid: Aid, samples: ImuBuffer) -> Decision:
+        done.append(aid.t_ns - EPOCH_NS)
+        return process(tracker, aid, samples)
+
+    monkeypatch.setattr(Tracker, "process", noting)
+    history.insert_sample(_sample(EPOCH_NS))
+    for k in range(1, 100):
+        history.insert_sample(_sample(EPOCH_NS + k * SECOND // 100))
+        if k == 50:
+            history.insert_aid(aid_of(pose_fix(EPOCH_NS + 45 * SECOND // 100)))
+        history.advance(EPOCH_NS + k * SECOND // 100)
+    done.clear()
+    history.insert_aid(aid_of(pose_fix(EPOCH_NS + 55 * SECOND // 100)))
+    history.advance(history.samples.newest_ns)
+    assert done == [55 * SECOND // 100]
 
 
 def test_memory_is_bounded_over_a_long_flight() -> None:
