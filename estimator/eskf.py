@@ -14,8 +14,8 @@ considered errors c only their sum e = H_c c, so the update is that of the other
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,17 +24,17 @@ from numpy.typing import NDArray
 from estimator.kalman import ErrorStateKalman
 from estimator.samples import ImuBuffer
 from estimator.slow_errors import NO_SLOW_ERRORS, SlowErrors
-from models import imu, so3
+from models import cholesky, imu, so3
 from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.state import E, retract, sound
 
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
+_identity = cache(np.eye)
 
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+class Innovation(NamedTuple):
     """One measurement seen from one state: nu (m,), H and H P (m, n), R and S (m, m), squared Mahalanobis distance, ln det S."""
 
     nu: Array
@@ -114,25 +114,26 @@ class Eskf:
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""
-        kept = np.delete(np.arange(len(self.cov)), self.slow.columns[block])
-        self.cov = np.ascontiguousarray(self.cov[np.ix_(kept, kept)])
+        gone = self.slow.columns[block]
+        rows = np.concatenate((self.cov[: gone.start], self.cov[gone.stop :]))
+        self.cov = np.concatenate((rows[:, : gone.start], rows[:, gone.stop :]), axis=1)
         self.slow = self.slow.without(block)
 
     def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
         """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
         nu, by_state = z.evaluate(self.x, gyro_b)
-        h = np.zeros((len(nu), len(self.cov)))
+        m, noise = len(nu), z.noise
+        h = np.zeros((m, len(self.cov)))
         h[:, : E.SIZE] = by_state
         for block, jacobian in slow:
             columns = self.slow.columns[block]
-            h[:, columns] = (np.eye(columns.stop - columns.start) if jacobian is None else jacobian)[z.rows]
-        nu = nu - h[:, E.SIZE :] @ self.slow.mean
-        noise = z.noise
-        s, hp = innovation_covariance(self.cov, h, noise)
+            moved = _identity(columns.stop - columns.start) if jacobian is None else jacobian
+            h[:, columns] = moved if len(moved) == m else moved[z.rows]
+        hp, s, distance2, logdet = compare(nu, self.cov, h, noise, self.slow.mean)
         if isinstance(z, PartialPose):
             bend = z.bend(self.x, self.cov, nu, h, s)
             noise, s = noise + bend, s + bend
-        distance2, logdet = mahalanobis(nu, s)
+            distance2, logdet = mahalanobis(nu, s)
         return Innovation(nu, h, hp, noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:
@@ -148,13 +149,25 @@ class Eskf:
         kept, cov, h = summed(self.cov, seen.h, self.slow.estimated)
         dx, cov, gain = _kalman(len(cov)).update(cov, seen.nu, h, seen.noise)
         spread(self.cov, cov, gain, seen.hp, kept)
-        by = np.zeros(len(self.cov))
-        by[kept] = dx[: len(kept)]
-        self.slow = self.slow.moved(by[E.SIZE :])
-        return by[: E.SIZE]
+        if len(kept) > E.SIZE:
+            by = np.zeros(len(self.slow.mean))
+            by[kept[E.SIZE :] - E.SIZE] = dx[E.SIZE : len(kept)]
+            self.slow = self.slow.moved(by)
+        return dx[: E.SIZE]
 
 
 _T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
+
+
+@njit(cache=True)
+def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, float, float]:
+    """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s, in place; s: mean (n - 15,) of the slow errors."""
+    for i in range(nu.shape[0]):
+        for k in range(mean.shape[0]):
+            nu[i] -= h[i, _N + k] * mean[k]
+    s, hp = innovation_covariance(cov, h, noise)
+    distance2, logdet = mahalanobis(nu, s)
+    return hp, s, distance2, logdet
 
 
 @njit(cache=True)
@@ -218,9 +231,5 @@ def inject(x: Array, cov: Array, dx: Array) -> bool:
             row[i] = g[i, 0] * cov[j, _T] + g[i, 1] * cov[j, _T + 1] + g[i, 2] * cov[j, _T + 2]
         for i in range(3):
             cov[j, _T + i] = row[i]
-    for i in range(n):
-        for j in range(i):
-            mean = 0.5 * (cov[i, j] + cov[j, i])
-            cov[i, j] = mean
-            cov[j, i] = mean
+    cholesky.symmetrise(cov)
     return sound(x, cov)

@@ -1,4 +1,4 @@
-"""The Kalman update: filterpy's extended Kalman filter behind one wrapper that checks shapes.
+"""The Kalman update: filterpy's Kalman filter behind one wrapper that checks shapes.
 
     S = H P H^T + R,  K = P H^T S^-1,  dx = K nu,  P <- (I - K H) P (I - K H)^T + K R K^T       (Joseph form)
 
@@ -7,8 +7,9 @@ imports filterpy: its `update` broadcasts a column into a matrix without a word,
 """
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+from filterpy.kalman import KalmanFilter
 
+from models import cholesky
 from models.messages import Array
 
 
@@ -18,19 +19,20 @@ class ErrorStateKalman:
     def __init__(self, size: int) -> None:
         self._size = size
         self._zero = np.zeros(size)
-        self._ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
+        self._filter = KalmanFilter(dim_x=size, dim_z=1)
+        self._filter.inv = cholesky.inverse  # of S, symmetric and small
 
     def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array, Array]:
         """Error dx (n,), posterior covariance (n, n), symmetric, and the gain K (n, m).
 
         cov: (n, n) prior; nu: (m,); h: (m, n); noise: (m, m).
-        Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is singular.
+        Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is not positive definite.
         """
         m, n = len(nu), self._size
         if nu.shape != (m,) or h.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):
             raise ValueError(f"shapes do not fit: nu {nu.shape}, H {h.shape}, R {noise.shape}, P {cov.shape}, n = {n}")
-        ekf = self._ekf
-        ekf.x, ekf.P = self._zero, cov
-        predicted = np.zeros(m)
-        ekf.update(nu, lambda _: h, lambda _: predicted, R=noise)
-        return ekf.x, 0.5 * (ekf.P + ekf.P.T), ekf.K
+        kalman = self._filter
+        kalman.x, kalman.P = self._zero, cov
+        kalman.update(nu, noise, h)
+        cholesky.symmetrise(kalman.P)
+        return kalman.x, kalman.P, kalman.K

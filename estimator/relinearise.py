@@ -194,7 +194,7 @@ def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
     distance2, _ = mahalanobis(nu, seen.s)
     if distance2 > gate(taken.aid.rules.gate_probability, len(nu)):
         return dx
-    return dx + run.correct(replace(seen, nu=nu))
+    return dx + run.correct(seen._replace(nu=nu))
 
 
 def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[Array]:

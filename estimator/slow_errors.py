@@ -28,10 +28,10 @@ class SlowErrors:
         start, k = E.SIZE + len(self.tau_s), len(psd)
         return SlowErrors(
             self.columns | {block: slice(start, start + k)},
-            np.append(self.tau_s, np.full(k, tau_s)),
-            np.append(self.psd, psd),
-            np.append(self.mean, np.zeros(k)),
-            np.append(self.estimated, np.full(k, float(estimated))),
+            np.concatenate((self.tau_s, np.full(k, tau_s))),
+            np.concatenate((self.psd, psd)),
+            np.concatenate((self.mean, np.zeros(k))),
+            np.concatenate((self.estimated, np.full(k, float(estimated)))),
         )
 
     def without(self, block: str) -> "SlowErrors":
@@ -43,9 +43,9 @@ class SlowErrors:
             for name, c in self.columns.items()
             if name != block
         }
-        rows = slice(gone.start - E.SIZE, gone.stop - E.SIZE)
-        kept = (np.delete(values, rows) for values in (self.tau_s, self.psd, self.mean, self.estimated))
-        return SlowErrors(columns, *kept)
+        begin, end = gone.start - E.SIZE, gone.stop - E.SIZE
+        every = (self.tau_s, self.psd, self.mean, self.estimated)
+        return SlowErrors(columns, *(np.concatenate((values[:begin], values[end:])) for values in every))
 
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
         """With those of these blocks that it has as the ones that were used last."""

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import so3
+from models import cholesky, so3
 from models.messages import RADIAN_M, Array
 from models.state import E, X
 
@@ -23,7 +23,6 @@ _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
 _XA = X.BA.start
 
 _XYZ, _FIRST = np.arange(3), np.arange(1)
-_MOVED = slice(0, 3)  # of a pose's error
 DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D / this has orthonormal rows
 
 
@@ -131,12 +130,7 @@ class PartialPose:
         Poses that look the same are x exp(t zeta): moved by d and turned by theta, of which d - theta x d / 2 is linear in t. So
         D_p (theta x d) / 2 is left out; d and theta are what the truth may be off z, x (+) K nu (-) z and its covariance.
         """
-        off, to_pose = _pose(x, self.z_n, self.q_nb_wxyz)
-        cross = to_pose @ cov[:_N] @ h.T
-        gain = np.linalg.solve(s, cross.T).T
-        left = to_pose @ cov[:_N, :_N] @ to_pose.T - gain @ cross.T
-        position = self.directions[:, _MOVED]
-        return np.asarray(0.25 * position @ _cross_moment(off - gain @ nu, left) @ position.T, dtype=np.float64)
+        return _bend(x, cov, nu, h, s, self.z_n, self.q_nb_wxyz, self.directions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +150,37 @@ class Height:
         h = np.zeros((1, _N))
         h[0, E.P.stop - 1] = -1.0
         return np.array([self.z_m + x[X.P][2]]), h
+
+
+@njit(cache=True)
+def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Array, directions: Array) -> Array:
+    """D_p E[c c^T] D_p^T / 4, c = theta x d, of (d, theta) ~ N(x (+) K nu (-) z, J P J^T - K S K^T).
+
+    J: how z (-) x depends on the error of x. With S = L L^T and B = L^-1 H P J^T: K S K^T = B^T B, K nu = B^T L^-1 nu.
+    """
+    n, m = cov.shape[0], nu.shape[0]
+    off, by_state = _pose(x, z, q)
+    to_pose = np.zeros((6, n))
+    to_pose[:, :_N] = by_state
+    left, with_all = innovation_covariance(cov, to_pose, np.zeros((6, 6)))
+    low, white = np.empty((m, m)), np.zeros((m, 7))
+    for i in range(m):
+        for k in range(n):
+            if h[i, k] != 0.0:
+                for j in range(6):
+                    white[i, j] += h[i, k] * with_all[j, k]
+        white[i, 6] = nu[i]
+    if not cholesky.factor(s, low):
+        return np.full((m, m), np.nan)
+    cholesky.forward(low, white)
+    for i in range(6):
+        for k in range(m):
+            off[i] -= white[k, i] * white[k, 6]
+            for j in range(6):
+                left[i, j] -= white[k, i] * white[k, j]
+    moment = _cross_moment(off, left)
+    position = np.ascontiguousarray(directions[:, :3])
+    return 0.25 * position @ moment @ position.T
 
 
 @njit(cache=True)
@@ -279,24 +304,13 @@ def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Ar
 def mahalanobis(nu: Array, s: Array) -> tuple[float, float]:
     """(nu^T S^-1 nu, ln det S) by Cholesky; (inf, inf) where S is not positive definite."""
     m = nu.shape[0]
-    low = np.zeros((m, m))
-    y = np.empty(m)
+    low, y = np.empty((m, m)), np.empty((m, 1))
+    if not cholesky.factor(s, low):
+        return np.inf, np.inf
+    y[:, 0] = nu
+    cholesky.forward(low, y)
     d2, logdet = 0.0, 0.0
     for i in range(m):
-        for j in range(i + 1):
-            total = s[i, j]
-            for k in range(j):
-                total -= low[i, k] * low[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return np.inf, np.inf
-                low[i, i] = np.sqrt(total)
-            else:
-                low[i, j] = total / low[j, j]
-        total = nu[i]
-        for k in range(i):
-            total -= low[i, k] * y[k]
-        y[i] = total / low[i, i]
-        d2 += y[i] * y[i]
+        d2 += y[i, 0] * y[i, 0]
         logdet += 2.0 * np.log(low[i, i])
     return d2, logdet

@@ -1,0 +1,64 @@
+"""Cholesky's factor of a symmetric positive definite matrix, S = L L^T, and what is solved with it; compiled, for small ones."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+
+
+@njit(cache=True)
+def factor(s: Array, low: Array) -> bool:
+    """Fill the lower triangle of low (m, m) with L of S (m, m); False where S is not positive definite."""
+    for i in range(s.shape[0]):
+        for j in range(i + 1):
+            total = s[i, j]
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                low[i, i] = math.sqrt(total)
+            else:
+                low[i, j] = total / low[j, j]
+    return True
+
+
+@njit(cache=True)
+def forward(low: Array, b: Array) -> None:
+    """b (m, k) <- L^-1 b, in place."""
+    for i in range(b.shape[0]):
+        for k in range(i):
+            for j in range(b.shape[1]):
+                b[i, j] -= low[i, k] * b[k, j]
+        for j in range(b.shape[1]):
+            b[i, j] /= low[i, i]
+
+
+@njit(cache=True)
+def inverse(s: Array) -> Array:
+    """S^-1 = L^-T L^-1 (m, m), exactly symmetric. Raises numpy.linalg.LinAlgError where S is not positive definite."""
+    m = s.shape[0]
+    low, root, result = np.empty((m, m)), np.eye(m), np.empty((m, m))
+    if not factor(s, low):
+        raise np.linalg.LinAlgError("not positive definite")
+    forward(low, root)
+    for i in range(m):
+        for j in range(i, m):
+            total = 0.0
+            for k in range(j, m):
+                total += root[k, i] * root[k, j]
+            result[i, j] = total
+            result[j, i] = total
+    return result
+
+
+@njit(cache=True)
+def symmetrise(m: Array) -> None:
+    """m <- (m + m^T) / 2, in place, (n, n)."""
+    for i in range(m.shape[0]):
+        for j in range(i):
+            mean = 0.5 * (m[i, j] + m[j, i])
+            m[i, j] = mean
+            m[j, i] = mean
