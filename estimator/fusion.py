@@ -85,10 +85,12 @@ class Fusion:
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._reset_counter = 0
         self._published: Estimate | None = None
+        self._publisher: Tracker | None = None  # of the last estimate
 
     def handle(self, message: Input) -> list[Output]:
         """Take one message; what it leads to, in order."""
         try:
+            self._history.catch_up()
             if type(message) is ImuSample:
                 return self._imu(message)
             return self._other(message)
@@ -97,8 +99,8 @@ class Fusion:
             return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
 
     def catch_up(self) -> None:
-        """Redo now what came late, while nothing waits, rather than before the next output; no output is another for it."""
-        self._history.advance(self._history.samples.newest_ns)
+        """Work in some of what came late, now that the output is out, rather than when the next message comes; it is all one."""
+        self._history.catch_up()
 
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:
         config = self._config
@@ -143,7 +145,7 @@ class Fusion:
                 return self._aid(message, Refusal(Reason.UNKNOWN_TOPIC) if aid is None else aid)
 
     def _aid(self, message: Input, aid: Aid | Refusal) -> list[Output]:
-        """A measurement takes its place; it is processed before the next output."""
+        """A measurement takes its place, where it is processed with the next samples."""
         refusal = aid if isinstance(aid, Refusal) else self._future(message)
         if refusal is None and isinstance(aid, Aid) and (reason := self._history.insert_aid(aid)) is not None:
             refusal = Refusal(reason)
@@ -203,7 +205,9 @@ class Fusion:
             lead = tracker.hypotheses.lead
             if not lead.sound:
                 return [self._restart(t_ns, arrived_ns, Reason.INTERNAL, "internal error: the state was lost; aligning again")]
-            if last is not None and changed and (jump := self._jump(last, lead, t_ns)) is not None:
+            redone = tracker is not self._publisher
+            self._publisher = tracker
+            if last is not None and (changed or redone) and (jump := self._jump(last, lead, t_ns)) is not None:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))

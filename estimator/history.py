@@ -1,8 +1,11 @@
 """Exact rewind: the estimate is a function of the set of measurements, ordered by time of validity, never by arrival.
 
 A late or reordered measurement takes its place in the order; the tracker goes back to the last checkpoint before it and does
-everything again, gates and source machines included, once, before the next output. So late = punctual, to the bit. A stop at
-an IMU sample changes no bit of the propagation, and one at an aid is made in any case: there checkpoints may stand.
+everything again, gates and source machines included. So late = punctual, to the bit. A stop at an IMU sample changes no bit of
+the propagation, and one at an aid is made in any case: there checkpoints may stand.
+
+No output waits for that: behind each, a slice of it is done, few measurements at a time, and until it has caught up the tracker
+of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same.
 """
 
 from bisect import bisect_left, bisect_right
@@ -14,6 +17,7 @@ from estimator.tracker import Decision, Tracker
 from models.messages import ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
+_MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
 _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what it may go through again, for the alignment
 
 
@@ -44,6 +48,8 @@ class History:
         self._checkpoint_times = [tracker.t_ns]
         self._since_checkpoint = 0  # IMU samples
         self._redo_from_ns: int | None = None
+        self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
+        self._due = False  # a slice of that work
         self._changed: list[Entry] = []
 
     def insert_sample(self, sample: ImuSample) -> Reason | None:
@@ -81,23 +87,33 @@ class History:
         return None
 
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
-        """The tracker with every measurement up to `to_ns`, redone where something came late.
+        """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
 
-        coast: go on beyond the newest IMU sample, for the measurements that wait there.
+        coast: with every measurement up to `to_ns`, at once and beyond the newest IMU sample, for those that wait there.
         """
-        if self._redo_from_ns is not None:
+        if self._redo_from_ns is not None and self._ahead is None:
+            self._ahead = self.tracker
             self._restore()
-        limit = to_ns if coast else min(to_ns, self.samples.newest_ns)
-        while self._next < len(self._entries) and self._entries[self._next].aid.t_ns <= limit:
-            entry = self._entries[self._next]
-            self._propagate(entry.aid.t_ns)
-            self._decide(entry, self.tracker.process(entry.aid, self.samples))
-            self._next += 1
-            self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples: what comes later need not redo it
-        self._propagate(limit)
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
-            self._checkpoint()
+        if self._ahead is not None:
+            if not coast and self._ahead.t_ns <= to_ns:  # else it has coasted beyond
+                self._ahead.propagate(self.samples, to_ns)
+                self._due = True
+                return self._ahead
+            self._ahead = None
+            if self._redo_from_ns is not None:
+                self._restore()
+        self._go_through(to_ns if coast else min(to_ns, self.samples.newest_ns))
         return self.tracker
+
+    def catch_up(self) -> None:
+        """Work in a slice of what came late, once behind every output of `advance`."""
+        if not self._due:
+            return
+        self._due = False
+        newest_ns = self.samples.newest_ns
+        self._go_through(newest_ns, max(1, (newest_ns - self.samples.previous_ns) // _MEASUREMENT_NS))
+        if self.tracker.t_ns >= newest_ns:
+            self._ahead = None
 
     def changed(self) -> list[Entry]:
         """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""
@@ -113,6 +129,20 @@ class History:
         if entry.decision is None or entry.decision.reason is not decision.reason:
             self._changed.append(entry)
         entry.decision = decision
+
+    def _go_through(self, to_ns: int, most: int | None = None) -> None:
+        """Move the tracker to `to_ns`, or through as many measurements as may be at most."""
+        wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
+        for _ in range(wanted if most is None else min(wanted, most)):
+            entry = self._entries[self._next]
+            self._propagate(entry.aid.t_ns)
+            self._decide(entry, self.tracker.process(entry.aid, self.samples))
+            self._next += 1
+            self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples: what comes later need not redo it
+        if most is None or wanted <= most:
+            self._propagate(to_ns)
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._checkpoint()
 
     def _propagate(self, to_ns: int) -> None:
         """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
@@ -151,7 +181,7 @@ class History:
             self._next -= drop
 
     def _rewind_to(self, t_ns: int) -> None:
-        """Whatever was done at or after t_ns is to be done again, before the next output."""
+        """Whatever was done at or after t_ns is to be done again."""
         self._redo_from_ns = t_ns if self._redo_from_ns is None else min(self._redo_from_ns, t_ns)
 
     def _restore(self) -> None:

@@ -60,13 +60,13 @@ def test_test_ratio_is_the_distance_by_the_gate_and_sigma_that_of_the_innovation
     fusion = Run(Fusion(FusionConfig())).feed(hover(8.0)).fusion
     bank = fusion._history.tracker.hypotheses
     assert bank is not None
-    prior = bank.lead.cov
+    prior, p_n = bank.lead.cov.copy(), bank.lead.x[X.P].copy()
     fix = pose_fix(EPOCH_NS + 8 * SECOND, (0.3, 0.0, 0.0))
-    run = Run(fusion).feed([fix, _sample(EPOCH_NS + 8 * SECOND + SECOND // 100)])
+    run = Run(fusion).feed([fix, *(_sample(EPOCH_NS + 8 * SECOND + k * SECOND // 100) for k in (1, 2))])
     (status,) = run.statuses
     sigma = np.sqrt(np.diag(prior[E.P, E.P]) + 0.01)
     np.testing.assert_allclose(status.innovation_sigma[:3], sigma, rtol=1e-6)
-    assert status.innovation[0] == pytest.approx(0.3 - bank.lead.x[X.P][0], abs=0.3)
+    assert status.innovation[0] == pytest.approx(0.3 - p_n[0], abs=0.3)
     assert 0.0 < status.test_ratio < 1.0
     assert len(hovering.statuses) == 15
 

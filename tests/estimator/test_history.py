@@ -196,15 +196,18 @@ def test_catching_up_at_any_time_changes_no_word(flight: Simulation, messages: l
 
 
 def test_a_decision_that_changes_back_before_the_next_output_is_not_told_again() -> None:
-    """Fixes 0.5 s apart; one shortly before the last thins it out, until another before that one thins it out itself."""
+    """Fixes 0.5 s apart; one shortly before the last thins it out, until another before that one thins it out itself.
+
+    The IMU goes missing meanwhile, so all is worked in at once.
+    """
     fusion = Fusion(FusionConfig(pose_fix=PoseConfig(spacing_s=0.2)))
     run = Run(fusion).feed(hover(8.0))
     last = max(s.t_ns for s in run.statuses if s.kind == "pose")
     said = len(run.statuses)
-    for before_ms in (150, 250):
-        run.feed([pose_fix(last - before_ms * SECOND // 1000)])
-        fusion.catch_up()
-    run.feed([_sample(EPOCH_NS + 8 * SECOND + SECOND // 100)])
+    end = EPOCH_NS + 8 * SECOND + SECOND // 100
+    run.feed([pose_fix(last - 150 * SECOND // 1000), _sample(end)])
+    fusion.catch_up()
+    run.feed([pose_fix(last - 250 * SECOND // 1000), Tick(end + SECOND, end + SECOND)])
     assert {(last - s.t_ns) // 1_000_000: s.reason for s in run.statuses[said:]} == {250: Reason.FUSED, 150: Reason.THINNED}
 
 
@@ -227,7 +230,8 @@ def test_a_late_fix_says_how_late_and_how_much_was_processed_again() -> None:
     run = Run(Fusion(FusionConfig()))
     run.feed(hover(5.0))
     fix = pose_fix(EPOCH_NS + 3 * SECOND, late_s=2.0)
-    run.feed([fix, _next_sample(hover(5.0))])
+    after = _next_sample(hover(5.0))
+    run.feed([fix, after, _next_sample([after])])
     status = run.last_words("/pose_fix")[fix.t_ns, "pose"]
     assert status.reason is Reason.FUSED
     assert status.delay_s == pytest.approx(2.0)
@@ -344,6 +348,48 @@ def test_redo_is_lazy_once_for_a_burst(monkeypatch: pytest.MonkeyPatch) -> None:
     assert restored == 1
 
 
+def test_no_output_waits_for_what_came_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 400 Hz a slice is one measurement, behind the output; until all are worked in the IMU alone carries the estimate on."""
+    history, done, newest = _flown(6.0, 8.0), list[int](), EPOCH_NS + 8 * SECOND
+    history.insert_sample(_sample(newest))
+    history.advance(newest)
+    process = Tracker.process
+
+    def noting(tracker: Tracker, aid: Aid, samples: ImuBuffer) -> Decision:
+        done[-1] += 1
+        return process(tracker, aid, samples)
+
+    monkeypatch.setattr(Tracker, "process", noting)
+    before, published = history.tracker, []
+    history.insert_aid(aid_of(pose_fix(newest - 2 * SECOND - 7)))  # fixes twice a second: four are behind it
+    for _ in range(7):
+        newest += SECOND // 400
+        history.insert_sample(_sample(newest))
+        done.append(0)
+        published.append(history.advance(newest))
+        assert done[-1] == 0
+        assert published[-1].t_ns == newest
+        history.catch_up()
+    assert done == [1, 1, 1, 1, 1, 0, 0]
+    assert [tracker is before for tracker in published] == [True] * 5 + [False] * 2
+
+
+def test_what_keeps_coming_late_is_worked_in_and_not_begun_anew_for_ever() -> None:
+    """Fixes 1 s late at 40 Hz, and 40 punctual ones behind each, which take 0.1 s to do again, not 25 ms."""
+    history, newest = _flown(6.0, 8.0), EPOCH_NS + 8 * SECOND
+    for k in range(800):
+        if k % 10 == 0:
+            history.insert_aid(aid_of(pose_fix(newest - SECOND - 7)))
+            history.insert_aid(aid_of(pose_fix(newest)))
+        newest += SECOND // 400
+        history.insert_sample(_sample(newest))
+        tracker = history.advance(newest)
+        history.catch_up()
+    waiting = [e.aid.t_ns for e in history._entries if e.decision is None]
+    assert 0 < len(waiting) < 10
+    assert tracker.last_absolute_ns > newest - 0.25 * SECOND
+
+
 def test_what_comes_behind_an_aid_does_not_redo_it(monkeypatch: pytest.MonkeyPatch) -> None:
     history, done = _history(6.0), list[int]()
     process = Tracker.process
@@ -359,9 +405,11 @@ def test_what_comes_behind_an_aid_does_not_redo_it(monkeypatch: pytest.MonkeyPat
         if k == 50:
             history.insert_aid(aid_of(pose_fix(EPOCH_NS + 45 * SECOND // 100)))
         history.advance(EPOCH_NS + k * SECOND // 100)
+        history.catch_up()
     done.clear()
     history.insert_aid(aid_of(pose_fix(EPOCH_NS + 55 * SECOND // 100)))
     history.advance(history.samples.newest_ns)
+    history.catch_up()
     assert done == [55 * SECOND // 100]
 
 
@@ -412,4 +460,4 @@ def test_aids_before_the_first_sample_leave_no_checkpoint_in_the_void() -> None:
     _, *times = run.fusion._history._checkpoint_times  # the first is the beginning of time
     assert len(times) > 5
     assert min(times) >= EPOCH_NS - SECOND
-    assert same(run.estimates[-1], Run(Fusion(FusionConfig())).feed([*messages[:-1], early, messages[-1]]).estimates[-1])
+    assert same(run.estimates[-1], Run(Fusion(FusionConfig())).feed([*messages[:-6], early, *messages[-6:]]).estimates[-1])
