@@ -179,7 +179,7 @@ def test_a_defect_of_ours_costs_one_message(tmp_path: Path, monkeypatch: pytest.
     assert len(vehicle.latency_ns) > 50
 
 
-def test_what_a_late_fix_changes_is_worked_out_before_the_next_sample_comes(tmp_path: Path) -> None:
+def test_what_a_late_fix_changes_is_worked_out_behind_an_output_before_the_next_sample_comes(tmp_path: Path) -> None:
     rng, start_ns = np.random.default_rng(1), 1_795_000_000 * SECOND
     with assembled(parse(toml(tmp_path, 1, zenoh_keys="enabled = false")), tmp_path) as daemon:
         for t_ns in range(start_ns, start_ns + 2 * SECOND, SECOND // 100):
@@ -187,11 +187,14 @@ def test_what_a_late_fix_changes_is_worked_out_before_the_next_sample_comes(tmp_
             for message in (*aids, imu(t_ns, rng)):
                 daemon.take(Arrival(*encode_input(message), t_ns))
         history = daemon._fusion._history
-        at_ns = history.tracker.t_ns
+        before, at_ns = history.tracker, history.tracker.t_ns
         daemon.take(Arrival(*encode_input(pose_fix(at_ns - SECOND // 10, rng)), at_ns))
-        redone = history.tracker
-        assert redone.t_ns == at_ns
+        assert history.tracker is before
         daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 100, rng)), at_ns + SECOND // 100))
+        redone = history.tracker
+        assert redone is not before
+        assert redone.t_ns == at_ns + SECOND // 100
+        daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 50, rng)), at_ns + SECOND // 50))
         assert history.tracker is redone
 
 
