@@ -108,9 +108,8 @@ class Eskf:
 
     def widen(self, factor: float) -> None:
         """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
-        scale = np.ones(len(self.cov))
-        scale[E.P], scale[E.V], scale[E.THETA] = factor, factor, factor
-        self.cov = self.cov * np.outer(scale, scale)
+        self.cov[:_G] *= factor
+        self.cov[:, :_G] *= factor
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""

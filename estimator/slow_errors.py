@@ -1,7 +1,7 @@
 """Errors that repeat from fix to fix, states behind the 15 of the filter: named blocks of first-order Gauss-Markov processes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,7 +53,8 @@ class SlowErrors:
         if now == list(self.columns)[len(self.columns) - len(now) :]:
             return self
         others = {name: c for name, c in self.columns.items() if name not in now}
-        return replace(self, columns=others | {block: self.columns[block] for block in now})
+        columns = others | {block: self.columns[block] for block in now}
+        return SlowErrors(columns, self.tau_s, self.psd, self.mean, self.estimated)
 
     def oldest(self, kind: str, most: int) -> str | None:
         """Of the blocks called kind/..., the one that was not used for longest, where there are `most` or more of them."""

@@ -3,6 +3,7 @@
 A tracker takes measurements in the order of their validity and changes by nothing else: no clock, no arrival, no randomness.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -194,7 +195,7 @@ class Tracker:
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
-        sigma = np.sqrt(np.diag(verdict.seen.s))
+        sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
             self._note_absolute(aid, z)
@@ -368,6 +369,6 @@ class Tracker:
         self.last_absolute_ns = aid.t_ns
         if aid.geodetic and self.hypotheses is not None:
             lead = self.hypotheses.lead
-            sigma = float(np.sqrt(np.diag(z.noise)[: _XYZ - 1].max()))
-            speed = float(np.linalg.norm(lead.x[X.V]) + np.sqrt(np.trace(lead.cov[E.V, E.V])))
+            sigma = math.sqrt(z.noise.diagonal()[: _XYZ - 1].max())
+            speed = math.hypot(*lead.x[X.V].tolist()) + math.sqrt(lead.cov.diagonal()[E.V].sum())
             self.anchor = GnssAnchor(aid.geodetic, aid.t_ns, sigma, speed)

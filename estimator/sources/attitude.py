@@ -18,7 +18,7 @@ _CONFIG: Final = PoseConfig(tilt_deg=0.0)
 
 def attitude_aid(prior: AttitudePrior) -> Aid | Refusal:
     """A pose without a position, of which the alignment alone makes use."""
-    if not given_components(np.diag(np.r_[0.0, 0.0, 0.0, np.diag(prior.covariance)]))[3:].all():
+    if given_components(np.diag(np.r_[0.0, 0.0, 0.0, np.diag(prior.covariance)])).attitude != "full":
         return Refusal(Reason.UNSUPPORTED, "an attitude to begin with is given whole")
     covariance = np.full((6, 6), np.nan)
     covariance[3:, 3:] = prior.covariance

@@ -5,6 +5,7 @@ repeats from fix to fix and is considered, not averaged away.
 """
 
 import math
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -78,6 +79,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         return refusal
     lever = np.array(config.antenna_b_m)
 
+    @cache  # a measurement that comes late has others done again
     def measurement(origin: Origin | None) -> Position | None:
         return None if origin is None else Position(np.array(origin.to_ned(*place)), noise, _AXES, lever)
 

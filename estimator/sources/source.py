@@ -189,14 +189,13 @@ class SourceState(NamedTuple):
 
     def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no one to vouch."""
-        state = self
-        if t_ns > self.silent_ns:
-            state = state._replace(phase=Phase.STARTING, passed=0, sums=())
-        if state.phase is Phase.STOPPED and t_ns >= state.held_until_ns:
-            state = state._replace(phase=Phase.STARTING, passed=0, sums=())
-        if state.phase is Phase.STARTING and (state.passed >= rules.probation or (alone and t_ns >= state.held_until_ns)):
-            state = state._replace(phase=Phase.ACTIVE)
-        return state._replace(last_ns=t_ns, silent_ns=t_ns + round(rules.timeout_s * 1e9))
+        phase, passed, sums = self.phase, self.passed, self.sums
+        if t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
+            phase, passed, sums = Phase.STARTING, 0, ()
+        if phase is Phase.STARTING and (passed >= rules.probation or (alone and t_ns >= self.held_until_ns)):
+            phase = Phase.ACTIVE
+        silent_ns = t_ns + round(rules.timeout_s * 1e9)
+        return SourceState(phase, t_ns, silent_ns, self.fused_ns, passed, self.held_until_ns, sums)
 
     def phase_at(self, t_ns: int) -> Phase:
         """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
@@ -209,7 +208,7 @@ class SourceState(NamedTuple):
 
         A drift is the source's only where another source vouches for the filter: alone, the filter may be what drifts.
         """
-        state = self._replace(fused_ns=t_ns if fused else self.fused_ns)
+        state = self._replace(fused_ns=t_ns) if fused else self
         if state.phase is Phase.STARTING:
             return state._replace(passed=state.passed + 1 if passed else 0)
         if rules.hold_s > 0 and fused and not alone:
