@@ -68,10 +68,12 @@ class Measured:
         floor = self._floor()
         limited[:POSE, :POSE] += floor
         inverse = np.linalg.inv(limited)
-        gain = inverse[:POSE] @ system.A.transpose(0, 2, 1) @ system.W / factor  # (E, 6, M)
-        noise = factor * np.einsum("eij,ejk,elk->il", gain, system.R, gain)
+        every = system.A.reshape(-1, size)
+        gain = system.W @ (every @ inverse[:, :POSE]).reshape(*system.z.shape, POSE) / factor  # G^T (E, M, 6)
+        gains = gain.reshape(-1, POSE)
+        noise = factor * gains.T @ (system.R @ gain).reshape(-1, POSE)
         image = noise + (inverse[:POSE, :POSE] @ floor) @ inverse[:POSE, :POSE]
-        moved = np.einsum("eij,ejp->ip", gain, system.A[:, :, POSE:])
+        moved = gains.T @ every[:, POSE:]
         if self.rank == POSE:
             return image, moved
         through = self.through

@@ -32,9 +32,7 @@ class System:
     @classmethod
     def of(cls, z: Array, A: Array, R: Array, found: NDArray[np.bool_]) -> "System":
         """found: (E, M)."""
-        both = found[:, :, None] & found[:, None, :]
-        inverse = np.linalg.inv(np.where(both, R, np.eye(R.shape[1])))
-        return cls(z, np.ascontiguousarray(A), R, np.where(both, inverse, 0.0))
+        return cls(z, np.ascontiguousarray(A), R, _inverse(R, found))
 
     def weighted(self, weight: Array) -> "System":
         """The same with each edge's information times weight (E,)."""
@@ -99,30 +97,36 @@ def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Arra
 def _step(
     A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
-    """Pose and nuisances (6 + P,), information without the pose's prior, and residuals (E, M) after the step."""
+    """Pose and nuisances (6 + P,), information without the pose's prior, and residuals (E, M) after the step.
+
+    An edge depends on the map errors of its own landmark only: columns that are 0 are left out of its sums.
+    """
     edges, rows, columns = A.shape
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
-    WA = np.empty((rows, columns))
+    WA, some = np.empty((rows, columns)), np.empty(columns, np.int64)
     for e in range(edges):
         if weight[e] == 0.0 or not W[e].any():
             continue
-        WA[:] = 0.0
-        for i in range(rows):
-            for j in range(rows):
-                w = weight[e] * W[e, i, j]
-                if w != 0.0:
-                    for k in range(columns):
-                        WA[i, k] += w * A[e, j, k]
+        count = _used_columns(A[e], some)
         for i in range(rows):
             target = z[e, i]
             for k in range(len(present)):
                 target += A[e, i, POSE + k] * present[k]
-            for k in range(columns):
-                a = WA[i, k]
+            for c in range(count):
+                WA[i, c] = 0.0
+                for j in range(rows):
+                    WA[i, c] += W[e, i, j] * A[e, j, some[c]]
+                WA[i, c] *= weight[e]
+                eta[some[c]] += WA[i, c] * target
+        for i in range(rows):
+            for c in range(count):
+                a = WA[i, c]
                 if a != 0.0:
-                    eta[k] += a * target
-                    for m in range(columns):
-                        omega[k, m] += a * A[e, i, m]
+                    for d in range(c, count):
+                        omega[some[c], some[d]] += a * A[e, i, some[d]]
+    for k in range(columns):
+        for m in range(k):
+            omega[k, m] = omega[m, k]
     for k in range(POSE, columns):
         omega[k, k] += 1.0
     whole = omega.copy()
@@ -139,6 +143,44 @@ def _step(
             for k in range(columns):
                 residual[e, i] -= A[e, i, k] * change[k]
     return solution, omega, residual
+
+
+@njit(cache=True)
+def _used_columns(A: Array, some: NDArray[np.int64]) -> int:
+    """Write which columns of A (M, C) are not 0, rising, into some; how many they are."""
+    count = 0
+    for k in range(A.shape[1]):
+        for i in range(A.shape[0]):
+            if A[i, k] != 0.0:
+                some[count] = k
+                count += 1
+                break
+    return count
+
+
+@njit(cache=True)
+def _inverse(R: Array, found: NDArray[np.bool_]) -> Array:
+    """R^-1 (E, M, M) of the numbers that were found (E, M), 0 elsewhere: Gauss and Jordan, R being positive definite."""
+    edges, rows = found.shape
+    inverse, left = np.zeros((edges, rows, rows)), np.empty((rows, rows))
+    for e in range(edges):
+        left[:] = R[e]
+        for k in range(rows):
+            inverse[e, k, k] = 1.0 if found[e, k] else 0.0
+        for k in range(rows):
+            if not found[e, k]:
+                continue
+            pivot = left[k, k]
+            for j in range(rows):
+                left[k, j] /= pivot
+                inverse[e, k, j] /= pivot
+            for i in range(rows):
+                if i != k and found[e, i]:
+                    factor = left[i, k]
+                    for j in range(rows):
+                        left[i, j] -= factor * left[k, j]
+                        inverse[e, i, j] -= factor * inverse[e, k, j]
+    return inverse
 
 
 def distances(system: System, residual: Array) -> Array:

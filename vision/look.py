@@ -11,6 +11,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
@@ -19,18 +20,21 @@ from models.landmarks import Landmark
 from models.messages import Array
 from vision import outline, step_fit
 from vision.edge_lines import EdgeLines, compress, fit_lines
-from vision.sensitivity import Derivatives, EdgeView, Eye, Samples, derivatives, edge_gaps, eyes, sample_edges, view
-from vision.visibility import Kind, MapError, ModelEdges, Prisms, visible_edges
+from vision.joint import POSE
+from vision.sensitivity import MAPPED_FROM, EdgeView, Eye, Samples, derivatives, edge_gaps, ends_px, eyes, sample_edges, view
+from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 
 Image = NDArray[np.uint8]
+Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+_ROOF, _BASE = int(Kind.ROOF), int(Kind.BASE)  # compiled code reads plain integers
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
 _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
 _DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is looked up, and half how far
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
-_MAPPED_FROM = 18  # columns before those of the map: pose 6, camera on the body 6, right against left camera 6
+_NOTHING = np.zeros((0, 0))
 _COARSE = 1.5  # how much farther apart points are before the last look
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
@@ -50,8 +54,8 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Look:
     """What one look gave, of E edges in K pictures.
 
-    line: (E, K, 2) px; found: (E, K); H: (E, K, 2, 6); N: (E, K, 2, P); opened: (K, E) px^2, what gaps leave open of the offsets;
-    lines: of each picture; share: of the points in view that was found.
+    line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P), how lines depend on the pose, H, and on errors of map and rig, N;
+    opened: (K, E) px^2, what gaps leave open of the offsets; lines: of each picture; share: of the points in view that was found.
     """
 
     edges: ModelEdges
@@ -59,10 +63,14 @@ class Look:
     lines: list[EdgeLines]
     line: Array
     found: Mask
-    H: Array
-    N: Array
+    A: Array
     opened: Array
     share: float
+
+    @property
+    def H(self) -> Array:
+        """(E, K, 2, 6)."""
+        return self.A[..., :POSE]
 
 
 class Scene:
@@ -73,6 +81,8 @@ class Scene:
         self.images = [None if image is None else _channels(image) for image in views]
         self.map_sigma = np.array([_sigmas(m) for m in landmarks])  # (L, M)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
+        self.map_column = np.full(self.map_sigma.size, -1)
+        self.map_column[self.map_used] = np.arange(len(self.map_used))
         self.rig_roots = _rig_roots(rig)
 
     def moved_rig(self, bc: Array, rc: Array) -> StereoRig:
@@ -106,46 +116,68 @@ class Scene:
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
-        wanted = edges.kind == Kind.ROOF if search_px else None
+        wanted = edges.kind == _ROOF if search_px else None
         spacing = config.spacing_px * (1.0 if farthest_px == config.farthest_px[-1] else _COARSE)
         samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
-        count, lines, opened, H, N, points = len(edges.kind), [], [], [], [], 0.0
-        for eye, image in shown:
+        count, with_rig = len(edges.kind), not search_px
+        lines, opened, points = list[EdgeLines](), list[Array](), 0.0
+        A = np.zeros((count, len(shown), 2, POSE + len(self.map_used) + with_rig * sum(r.shape[1] for r in self.rig_roots)))
+        for k, (eye, image) in enumerate(shown):
             seen = view(edges, samples, eye, p_n, R_nb, prisms)
             if search_px:
                 offsets, usable, variance = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:
-                offsets, usable, variance = _fit(image, edges, samples, seen, p_n, R_nb, eye, config.fit_half_px, farthest_px)
+                offsets, usable, variance = _fit(image, edges, samples, seen, (p_n, R_nb), eye, config.fit_half_px, farthest_px)
             line = fit_lines(offsets, samples.tau, samples.edge, count, config.least_points)
-            d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb)
-            pose, nuisances = self._rows(d, edges, samples, line, right=eye.right, with_rig=not search_px)
+            d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb, with_own=with_rig)
+            roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
+            _dependence(A[:, k], line.gain, d.rows, d.own, samples.edge, edges.landmark, self.map_sigma, self.map_column, *roots)
             lines.append(line)
             opened.append(variance)
-            H.append(pose)
-            N.append(nuisances)
             points += float(usable.sum())
         share = sum(float(line.points.sum()) for line in lines) / max(points, 1.0)
         line_all, found = np.stack([line.line for line in lines], axis=1), np.stack([line.found for line in lines], axis=1)
-        return Look(edges, samples, lines, line_all, found, np.stack(H, axis=1), np.stack(N, axis=1), np.array(opened), share)
+        return Look(edges, samples, lines, line_all, found, A, np.array(opened), share)
 
-    def _rows(
-        self, d: Derivatives, edges: ModelEdges, samples: Samples, line: EdgeLines, *, right: bool, with_rig: bool
-    ) -> tuple[Array, Array]:
-        """H (E, 2, 6) and N (E, 2, P) of one picture; P counts map errors only, without the rig's."""
-        count = len(edges.kind)
-        every = compress(line.gain, np.hstack((d.pose, d.bc, d.rc, d.mapped, d.own)), samples.edge, count)
-        own_from = _MAPPED_FROM + len(MapError)
-        mapped = np.zeros((count, 2, len(self.map_sigma), len(MapError)))
-        own_map = every[:, :, _MAPPED_FROM:own_from]
-        mapped[np.arange(count), :, edges.landmark] = own_map * self.map_sigma[edges.landmark][:, None, :]
-        parts = [mapped.reshape(count, 2, -1)[:, :, self.map_used]]
-        if with_rig:
-            bc, rc, *own = self.rig_roots
-            parts += [every[:, :, columns] @ root for columns, root in ((slice(6, 12), bc), (slice(12, 18), rc)) if root.size]
-            for root, mine in zip(own, (not right, right), strict=True):
-                if root.size:
-                    parts.append(every[:, :, own_from:] @ root if mine else np.zeros((count, 2, root.shape[1])))
-        return every[:, :, :6], np.concatenate(parts, axis=2)
+    def _roots(self, *, right: bool) -> tuple[Array, Array, Array, int]:
+        """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
+        bc, rc, left, own_right = self.rig_roots
+        return bc, rc, own_right if right else left, left.shape[1] if right else 0
+
+
+@njit(cache=True)
+def _dependence(
+    A: Array, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array, map_column: Indices,
+    bc: Array, rc: Array, own_root: Array, own_skipped: int,
+) -> None:  # fmt: skip
+    """Fill A (E, 2, 6 + P) of one picture: by the pose, by errors of map and rig in units of their standard deviations.
+
+    rows (N, 18 + M), own (N, 4 + n): Derivatives of the points, gain (N, 2): from points to lines; map_column (L M,): where in P
+    errors of the map stand, -1: exact; then follow those of camera on body, right against left camera, left and right camera.
+    """
+    by_line, by_own = compress(gain, rows, edge, len(A)), compress(gain, own, edge, len(A))
+    errors = map_sigma.shape[1]
+    for e in range(len(A)):
+        for i in range(2):
+            A[e, i, :POSE] = by_line[e, i, :POSE]
+            for m in range(errors):
+                column = map_column[landmark[e] * errors + m]
+                if column >= 0:
+                    A[e, i, POSE + column] = by_line[e, i, MAPPED_FROM + m] * map_sigma[landmark[e], m]
+    at = POSE + int(np.count_nonzero(map_column >= 0))
+    _through(by_line, 6, bc, A, at)
+    _through(by_line, 12, rc, A, at + bc.shape[1])
+    _through(by_own, 0, own_root, A, at + bc.shape[1] + rc.shape[1] + own_skipped)
+
+
+@njit(cache=True)
+def _through(rows: Array, first: int, root: Array, A: Array, at: int) -> None:
+    """A (E, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
+    for e in range(len(A)):
+        for i in range(2):
+            for j in range(root.shape[1]):
+                for k in range(root.shape[0]):
+                    A[e, i, at + j] += rows[e, i, first + k] * root[k, j]
 
 
 def _sigmas(mark: Landmark) -> Array:
@@ -174,62 +206,71 @@ def _root(covariance: Array | None) -> Array:
     return root
 
 
-def _alone(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, pose: tuple[Array, Array], reach: float) -> Mask:
-    """Samples whose profile no other edge of the model crosses."""
-    p_nk, R_nk = eye.pose(*pose)
-    count = len(edges.kind)
-    ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
-    crossed = outline.crossed(seen.px, seen.normal, samples.edge, edges.partner, ends[:count], ends[count:], reach)
-    alone: Mask = seen.usable & ~crossed
-    return alone
-
-
 def roof_offsets(
     image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int
 ) -> tuple[Array, Mask, Array]:
     """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
-    usable = _alone(edges, samples, seen, eye, pose, _SEARCH_BESIDE_PX)
-    values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 1, usable)
-    roof = edges.kind == Kind.ROOF
-    beside = _roof_beside(image, values, edges, samples, seen, half, usable)
-    distance = outline.off_roof(values, beside, samples.edge, roof, usable)
-    return outline.search(distance, samples.edge, len(edges.kind), 1.0, usable), usable, np.zeros(len(edges.kind))
+    ends = ends_px(edges, eye, pose)
+    offsets, usable = _search(
+        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.landmark, edges.partner, ends, half
+    )
+    return offsets, usable, np.zeros(len(edges.kind))
 
 
+@njit(cache=True)
+def _search(
+    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, landmark: Indices, partner: Indices,
+    ends: Array, half: int,
+) -> tuple[Array, Mask]:  # fmt: skip
+    """Offsets (N,) px and usable samples (N,), as roof_offsets."""
+    roof = kind == _ROOF
+    usable = seen & ~outline.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
+    values = outline.profiles(image, px, normal, half, 1.0, 1, usable)
+    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, half, usable)
+    distance = outline.off_roof(values, beside, edge, roof, usable)
+    return outline.search(distance, edge, len(kind), 1.0, usable), usable
+
+
+@njit(cache=True)
 def _roof_beside(
-    image: Image, values: Array, edges: ModelEdges, samples: Samples, seen: EdgeView, half: int, usable: Mask
+    image: Image, values: Array, px: Array, normal: Array, edge: Indices, landmark: Indices, roof: Mask, half: int, usable: Mask
 ) -> Array:
     """Colour (N, C) of the roof beside each sample, from profiles of half width half and what lies farther inside."""
-    inside = usable.copy()
-    px = seen.px - (half + _DEEPER_PX) * seen.normal
-    interior = outline.profiles(image, px, seen.normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
-    return outline.roof_beside(values, interior, inside, samples.edge, edges.landmark, edges.kind == Kind.ROOF, usable)
+    inside = usable & roof[edge]
+    interior = outline.profiles(image, px - (half + _DEEPER_PX) * normal, normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
+    return outline.roof_beside(values, interior, inside, edge, landmark, roof, usable)
 
 
 def _fit(
-    image: Image,
-    edges: ModelEdges,
-    samples: Samples,
-    seen: EdgeView,
-    p_n: Array,
-    R_nb: Array,
-    eye: Eye,
-    half: int,
+    image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int,
     farthest: float,
-) -> tuple[Array, Mask, Array]:
+) -> tuple[Array, Mask, Array]:  # fmt: skip
     """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
-    roof, count = edges.kind == Kind.ROOF, len(edges.kind)
-    usable = _alone(edges, samples, seen, eye, (p_n, R_nb), half + _BESIDE_PX)
-    gap = edge_gaps(edges, samples, seen, eye, p_n, R_nb)
-    near = np.abs(gap) < half + _BESIDE_PX  # base edges there are fitted along with the roof edge
-    usable &= ~((edges.kind == Kind.BASE) & near)[samples.edge]
-    values = outline.profiles(image, seen.px, seen.normal, half, 1.0, 3, usable)
-    beside = _roof_beside(image, values, edges, samples, seen, half, usable)
-    usable &= ~outline.alien(values, beside, samples.edge, roof, usable)[samples.edge]
-    grey, clipped = outline.along_contrast(values, samples.edge, count, usable)
+    gap, ends = edge_gaps(edges, samples, seen, eye, *pose), ends_px(edges, eye, pose)
+    offsets, usable, variance = _fit_steps(
+        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.landmark, edges.partner, ends, gap, half,
+        farthest,
+    )  # fmt: skip
+    return offsets, usable, variance
+
+
+@njit(cache=True)
+def _fit_steps(
+    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, landmark: Indices, partner: Indices,
+    ends: Array, gap: Array, half: int, farthest: float,
+) -> tuple[Array, Mask, Array]:  # fmt: skip
+    """Offsets (N,) px, usable samples (N,) and variance (E,) px^2, as _fit."""
+    count, roof, reach = len(kind), kind == _ROOF, half + _BESIDE_PX
+    near = np.abs(gap) < reach  # base edges there are fitted along with the roof edge
+    usable = seen & ~outline.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)
+    usable &= ~((kind == _BASE) & near)[edge]
+    values = outline.profiles(image, px, normal, half, 1.0, 3, usable)
+    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, half, usable)
+    usable &= ~outline.alien(values, beside, edge, roof, usable)[edge]
+    grey, clipped = outline.along_contrast(values, edge, count, usable)
     narrow = roof & (gap > 0.0) & near
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)
-    offsets, _, variance = step_fit.fit(grey, samples.edge, double, farthest, 1.0, usable)
+    offsets, _, variance = step_fit.fit(grey, edge, double, farthest, 1.0, usable)
     variance = _GAP_FACTOR * variance + np.where(narrow & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)
-    offsets[(variance > _WIDEST_OPEN_PX**2)[samples.edge]] = np.nan
+    offsets[(variance > _WIDEST_OPEN_PX**2)[edge]] = np.nan
     return offsets, usable, variance + np.where(clipped, _CLIPPED_PX**2, 0.0)

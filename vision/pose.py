@@ -120,7 +120,7 @@ class _Fit:
         return difference(self.p_n, self.R_nb, self.p0, self.q0)
 
     def turned(self, seen: Look) -> Array:
-        """(E, K, 2, T) as Look.N: round landmarks turned about their middles by any angle, which nobody sees.
+        """(E, K, 2, T) as Look.A: round landmarks turned about their middles by any angle, which nobody sees.
 
         To turn one is to turn the vehicle about it, the other way: dtheta = e_d, dp = e_d x (p - c).
         """
@@ -179,8 +179,9 @@ def estimate_pose(
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found
+    information = np.linalg.inv(np.asarray(prior.covariance, dtype=float))
     for other in alternatives(found.joint_p_n, found.joint_R_nb, landmarks):
-        if not _may_be(other, found, prior, config):
+        if not _may_be(other, found, prior, information, config):
             continue
         rival = _estimate(scene, other, prior, found.shift_m, config)
         if isinstance(rival, NoPose) or rival.found < 0.9 * found.found or not _apart(rival, found):
@@ -191,10 +192,9 @@ def estimate_pose(
     return found
 
 
-def _may_be(other: Pose, found: PoseEstimate, prior: Prior, config: PoseConfig) -> bool:
-    """Whether the prior allows another pose nearly as well as the one found."""
+def _may_be(other: Pose, found: PoseEstimate, prior: Prior, information: Array, config: PoseConfig) -> bool:
+    """Whether the prior, of information (6, 6), allows another pose nearly as well as the one found."""
     q0 = np.asarray(prior.q_nb_wxyz, dtype=float)
-    information = np.linalg.inv(np.asarray(prior.covariance, dtype=float))
     ours, theirs = difference(found.joint_p_n, found.joint_R_nb, prior.p_n, q0), difference(*other, prior.p_n, q0)
     return bool(theirs @ information @ theirs < ours @ information @ ours + 2.0 * config.decided)
 
@@ -239,7 +239,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
 def _bend_px(seen: Look, dx: Array) -> float:
     """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
     px_m = float(np.linalg.norm(seen.H[:, :, 0, :3][seen.found], axis=1).max())
-    return 0.5 * px_m * float(np.linalg.norm(np.cross(dx[3:], dx[:3])))
+    return 0.5 * px_m * float(np.linalg.norm(so3.skew(dx[3:]) @ dx[:3]))
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
@@ -253,7 +253,7 @@ def _system(seen: Look, R: Array, *more: Array) -> System:
     """Edges of all pictures as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
     edges, pictures = seen.found.shape
     rows = 2 * pictures
-    A = np.concatenate((seen.H, seen.N, *more), axis=3).reshape(edges, rows, -1)
+    A = (np.concatenate((seen.A, *more), axis=3) if more else seen.A).reshape(edges, rows, -1)
     return System.of(seen.line.reshape(edges, rows), A, R.reshape(edges, rows, rows), np.repeat(seen.found, 2, axis=1))
 
 

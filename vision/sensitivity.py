@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.visibility import ModelEdges, Prisms, hidden
+from vision.visibility import ModelEdges, Prisms, hide
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _CORNER_PX = 2.5  # ends of edges that stay out: there a profile sees the corner
+MAPPED_FROM = 18  # columns before those of the map: pose 6, camera on the body 6, right against left camera 6
 _FEW, _CLOSEST_PX = 7, 3.0  # short edges get so many points, unless they came closer than that
 
 
@@ -78,21 +79,21 @@ def sample_edges(
     edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
 ) -> Samples:
     """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the picture, at most `most` on one."""
-    p_nk, R_nk = eye.pose(p_n, R_nb)
-    count = len(edges.kind)
-    part = part_in_view(eye, edges.start_n, edges.end_n, (p_n, R_nb))
-    along = edges.end_n - edges.start_n
-    cut = np.concatenate((edges.start_n + part[:, :1] * along, edges.end_n - (1.0 - part[:, 1:]) * along))
-    px = eye.camera.project((cut - p_nk) @ R_nk)
-    chosen = part[:, 0] < part[:, 1] if wanted is None else wanted & (part[:, 0] < part[:, 1])
-    return Samples(*_sample(edges.start_n, edges.end_n, part, px[:count], px[count:], spacing_px, most, chosen))
+    part, ends_c = _cut(edges.start_n, edges.end_n, *eye.pose(p_n, R_nb), _borders(eye.camera))
+    chosen = np.ones(len(part), dtype=np.bool_) if wanted is None else wanted
+    return Samples(*_sample(edges.start_n, edges.end_n, part, eye.camera.project(ends_c), spacing_px, most, chosen))
 
 
 def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Array]) -> Array:
     """From where to where (E, 2), of 0 ... 1, edges are in view; nowhere: the first is not smaller."""
+    part, _ = _cut(start_n, end_n, *eye.pose(*pose), _borders(eye.camera))
+    return part
+
+
+def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
+    """Where the ends of the edges are in the picture (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
     p_nk, R_nk = eye.pose(*pose)
-    ends_c = (np.concatenate((start_n, end_n)) - p_nk) @ R_nk
-    return np.asarray(_in_view(ends_c[: len(start_n)], ends_c[len(start_n) :], _borders(eye.camera)))
+    return eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
 
 
 @lru_cache(maxsize=8)
@@ -107,34 +108,52 @@ def _borders(camera: CameraModel) -> Array:
 
 
 @njit(cache=True)
-def _in_view(start: Array, end: Array, borders: Array) -> Array:
-    """From where to where (E, 2), of 0 ... 1, edges are on the inner side of all borders; nowhere: the first is not smaller."""
-    part = np.empty((len(start), 2))
-    for e in range(len(start)):
+def _cut(start: Array, end: Array, p_nk: Array, R_nk: Array, borders: Array) -> tuple[Array, Array]:
+    """From where to where (E, 2), of 0 ... 1, edges are on the inner side of all borders, nowhere: the first is not smaller;
+    and the ends of these parts in the camera (2 E, 3), first all starts, then all ends.
+    """
+    count = len(start)
+    part, ends_c = np.empty((count, 2)), np.empty((2 * count, 3))
+    for e in range(count):
         part[e, 0], part[e, 1] = 0.0, 1.0
+        begin, over = ends_c[e], ends_c[count + e]
+        _into(start[e], p_nk, R_nk, begin)
+        _into(end[e], p_nk, R_nk, over)
         for b in range(len(borders)):
-            first, last = np.dot(borders[b], start[e]), np.dot(borders[b], end[e])
+            first, last = np.dot(borders[b], begin), np.dot(borders[b], over)
             if first < 0.0 and last < 0.0:
                 part[e, 1] = -1.0
             elif first < 0.0:
                 part[e, 0] = max(part[e, 0], first / (first - last))
             elif last < 0.0:
                 part[e, 1] = min(part[e, 1], first / (first - last))
-    return part
+        for k in range(3):
+            along = over[k] - begin[k]
+            begin[k] += part[e, 0] * along
+            over[k] -= (1.0 - part[e, 1]) * along
+    return part, ends_c
+
+
+@njit(cache=True)
+def _into(X: Array, p_nk: Array, R_nk: Array, x_c: Array) -> None:
+    """x_c = R_nk^T (X - p_nk)."""
+    n, e, d = X[0] - p_nk[0], X[1] - p_nk[1], X[2] - p_nk[2]
+    for k in range(3):
+        x_c[k] = n * R_nk[0, k] + e * R_nk[1, k] + d * R_nk[2, k]
 
 
 @njit(cache=True)
 def _sample(
-    start: Array, end: Array, part: Array, start_px: Array, end_px: Array, spacing: float, most: int, wanted: Mask
+    start: Array, end: Array, part: Array, ends_px: Array, spacing: float, most: int, wanted: Mask
 ) -> tuple[Array, Array, Indices, Array]:
     count = len(start)
     points, place, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
     tau = np.empty(count * most)
     n = 0
     for e in range(count):
-        if not wanted[e]:
+        if not (wanted[e] and part[e, 0] < part[e, 1]):
             continue
-        length = np.sqrt(np.sum((end_px[e] - start_px[e]) ** 2))
+        length = np.hypot(ends_px[count + e, 0] - ends_px[e, 0], ends_px[count + e, 1] - ends_px[e, 1])
         if np.isnan(length):
             length = spacing * most
         number = min(max(int(length / spacing + 0.5), min(_FEW, int(length / _CLOSEST_PX)), 2), most)
@@ -143,7 +162,8 @@ def _sample(
             within = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
             t = part[e, 0] + (part[e, 1] - part[e, 0]) * within
             place[n], edge[n], tau[n] = t, e, 2.0 * within - 1.0
-            points[n] = start[e] + t * (end[e] - start[e])
+            for k in range(3):
+                points[n, k] = start[e, k] + t * (end[e, k] - start[e, k])
             n += 1
     return points[:n].copy(), place[:n].copy(), edge[:n].copy(), tau[:n].copy()
 
@@ -152,75 +172,144 @@ def view(
     edges: ModelEdges, samples: Samples, eye: Eye, p_n: Array, R_nb: Array, landmarks: Prisms | Sequence[Landmark]
 ) -> EdgeView:
     """The samples as `eye` sees them."""
+    prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     p_nk, R_nk = eye.pose(p_n, R_nb)
     x_c = (samples.points_n - p_nk) @ R_nk
-    direction = (edges.end_n - edges.start_n) @ R_nk
-    px, jacobian = eye.camera.project(x_c), eye.camera.project_jacobian(x_c)
-    normal, row_c = _normal_rows(jacobian, direction, samples.edge)
-    usable = np.isfinite(px).all(axis=1) & np.isfinite(row_c).all(axis=1)
-    usable &= ~hidden(samples.points_n, p_nk, landmarks)
+    px = eye.camera.project(x_c)
+    normal, row_c, usable = _viewed(
+        px, eye.camera.project_jacobian(x_c), samples.points_n, samples.edge, edges.start_n, edges.end_n, p_nk, R_nk,
+        prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m,
+    )  # fmt: skip
     return EdgeView(px, normal, row_c, x_c, usable)
 
 
 @njit(cache=True)
-def _normal_rows(jacobian: Array, direction: Array, edge: Indices) -> tuple[Array, Array]:
-    n = edge.shape[0]
-    normal, row = np.empty((n, 2)), np.empty((n, 3))
+def _viewed(
+    px: Array, jacobian: Array, points: Array, edge: Indices, start: Array, end: Array, p_nk: Array, R_nk: Array,
+    vertices: Array, offsets: Indices, base_d: Array, height: Array,
+) -> tuple[Array, Array, Mask]:  # fmt: skip
+    """normal, row_c and usable of an EdgeView."""
+    n, direction = len(edge), np.empty(3)
+    normal, row, unseen = np.empty((n, 2)), np.empty((n, 3)), np.zeros(n, np.bool_)
     for i in range(n):
-        d = direction[edge[i]]
-        tu = jacobian[i, 0, 0] * d[0] + jacobian[i, 0, 1] * d[1] + jacobian[i, 0, 2] * d[2]
-        tv = jacobian[i, 1, 0] * d[0] + jacobian[i, 1, 1] * d[1] + jacobian[i, 1, 2] * d[2]
-        length = np.sqrt(tu * tu + tv * tv)
-        nu, nv = -tv / length, tu / length
-        normal[i, 0], normal[i, 1] = nu, nv
         for k in range(3):
-            row[i, k] = nu * jacobian[i, 0, k] + nv * jacobian[i, 1, k]
-    return normal, row
+            direction[k] = 0.0
+            for m in range(3):
+                direction[k] += (end[edge[i], m] - start[edge[i], m]) * R_nk[m, k]
+        _normal_row(jacobian[i], direction, normal[i], row[i])
+        unseen[i] = not (np.isfinite(px[i]).all() and np.isfinite(row[i]).all())
+    hide(points, p_nk, vertices, offsets, base_d, height, unseen)
+    return normal, row, ~unseen
+
+
+@njit(cache=True)
+def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) -> None:
+    """Unit normal (2,) of the picture of an edge with this direction in the camera (3,), and n . du/dx_camera (3,)."""
+    tu = jacobian[0, 0] * direction[0] + jacobian[0, 1] * direction[1] + jacobian[0, 2] * direction[2]
+    tv = jacobian[1, 0] * direction[0] + jacobian[1, 1] * direction[1] + jacobian[1, 2] * direction[2]
+    length = np.sqrt(tu * tu + tv * tv)
+    normal[0], normal[1] = -tv / length, tu / length
+    for k in range(3):
+        row[k] = normal[0] * jacobian[0, k] + normal[1] * jacobian[1, k]
 
 
 def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n: Array, R_nb: Array) -> Array:
     """Distance (E,) px along the normal, outwards, from each edge to its partner, the mean over its points; 0 without partner."""
-    gaps = np.zeros(len(edges.kind))
-    rows = np.flatnonzero(edges.partner[samples.edge] >= 0)
+    rows, x_c, direction = _on_partners(
+        edges.start_n, edges.end_n, edges.partner, samples.edge, samples.t, *eye.pose(p_n, R_nb)
+    )  # fmt: skip
     if not len(rows):
-        return gaps
-    p_nk, R_nk = eye.pose(p_n, R_nb)
-    edge = samples.edge[rows]
-    partner, t = edges.partner[edge], samples.t[rows, None]
-    direction = edges.end_n[partner] - edges.start_n[partner]
-    x_c = (edges.start_n[partner] + t * direction - p_nk) @ R_nk
-    normal, _ = _normal_rows(eye.camera.project_jacobian(x_c), direction @ R_nk, np.arange(len(rows)))
-    offset = np.sum((eye.camera.project(x_c) - seen.px[rows]) * normal, axis=1) / np.sum(seen.normal[rows] * normal, axis=1)
-    good = np.isfinite(offset)
-    total = np.bincount(edge[good], offset[good], minlength=len(gaps))
-    gaps[:] = total / np.maximum(np.bincount(edge[good], minlength=len(gaps)), 1)
-    return gaps
+        return np.zeros(len(edges.kind))
+    px, jacobian = eye.camera.project(x_c), eye.camera.project_jacobian(x_c)
+    return np.asarray(_gaps(rows, px, jacobian, direction, seen.px, seen.normal, samples.edge, len(edges.kind)))
+
+
+@njit(cache=True)
+def _on_partners(
+    start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_nk: Array, R_nk: Array
+) -> tuple[Indices, Array, Array]:
+    """The samples (R,) whose edge has a partner, and the same places on that one: in the camera, and its direction (R, 3)."""
+    rows = np.flatnonzero(partner[edge] >= 0)
+    x_c, direction, point = np.empty((len(rows), 3)), np.empty((len(rows), 3)), np.empty(3)
+    for k in range(len(rows)):
+        e = partner[edge[rows[k]]]
+        for m in range(3):
+            point[m] = start[e, m] + t[rows[k]] * (end[e, m] - start[e, m])
+            direction[k, m] = 0.0
+            for j in range(3):
+                direction[k, m] += (end[e, j] - start[e, j]) * R_nk[j, m]
+        _into(point, p_nk, R_nk, x_c[k])
+    return rows, x_c, direction
+
+
+@njit(cache=True, error_model="numpy")
+def _gaps(
+    rows: Indices, px: Array, jacobian: Array, direction: Array, own_px: Array, own_normal: Array, edge: Indices, edges: int
+) -> Array:
+    """Mean over an edge's samples of (u_partner - u) . n_partner / n . n_partner."""
+    gaps, count, normal, row = np.zeros(edges), np.zeros(edges), np.empty(2), np.empty(3)
+    for k in range(len(rows)):
+        i = rows[k]
+        _normal_row(jacobian[k], direction[k], normal, row)
+        off = (px[k, 0] - own_px[i, 0]) * normal[0] + (px[k, 1] - own_px[i, 1]) * normal[1]
+        off /= own_normal[i, 0] * normal[0] + own_normal[i, 1] * normal[1]
+        if np.isfinite(off):
+            gaps[edge[i]] += off
+            count[edge[i]] += 1.0
+    return gaps / np.maximum(count, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Derivatives:
-    """n . du of the samples: by dp_n and dtheta_n (N, 6), by their landmark's MapError (N, M), by what covariance_bc (N, 6) and
-    covariance_rc (N, 6) speak of, and by the camera's own parameters (N, 4 + n).
-    """
+    """n . du of the samples: rows (N, 18 + M), and own (N, 4 + n) by the camera's own parameters."""
 
-    pose: Array
-    mapped: Array
-    bc: Array
-    rc: Array
+    rows: Array
     own: Array
+
+    @property
+    def pose(self) -> Array:
+        """By dp_n and dtheta_n (N, 6)."""
+        return self.rows[:, :6]
+
+    @property
+    def bc(self) -> Array:
+        """By what covariance_bc speaks of (N, 6)."""
+        return self.rows[:, 6:12]
+
+    @property
+    def rc(self) -> Array:
+        """By what covariance_rc speaks of (N, 6)."""
+        return self.rows[:, 12:MAPPED_FROM]
+
+    @property
+    def mapped(self) -> Array:
+        """By their landmark's MapError (N, M)."""
+        return self.rows[:, MAPPED_FROM:]
 
 
 def derivatives(
-    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig, p_n: Array, R_nb: Array
-) -> Derivatives:
-    """All that moves the samples along their normals in this picture."""
+    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig, p_n: Array, R_nb: Array, *,
+    with_own: bool = True,
+) -> Derivatives:  # fmt: skip
+    """All that moves the samples along their normals in this picture; own is empty (0, 0) where it is not wanted."""
     lever_b = eye.p_bk - rig.p_bc
     rows = _derivative_rows(
         seen.row_c, seen.x_c, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end, p_n, R_nb @ eye.R_kb.T,
         np.ascontiguousarray(eye.R_kb.T), lever_b, rig.t_rc, eye.right,
     )  # fmt: skip
-    own = np.matmul(seen.normal[:, None, :], eye.camera.parameter_jacobian(seen.x_c))[:, 0]
-    return Derivatives(rows[:, :6], rows[:, 18:], rows[:, 6:12], rows[:, 12:18], own)
+    own = _along(seen.normal, eye.camera.parameter_jacobian(seen.x_c)) if with_own else np.zeros((0, 0))
+    return Derivatives(rows, own)
+
+
+@njit(cache=True)
+def _along(normal: Array, jacobian: Array) -> Array:
+    """n^T J (N, P) of normals (N, 2) and Jacobians (N, 2, P)."""
+    n, columns = len(normal), jacobian.shape[2]
+    rows = np.empty((n, columns))
+    for i in range(n):
+        for k in range(columns):
+            rows[i, k] = normal[i, 0] * jacobian[i, 0, k] + normal[i, 1] * jacobian[i, 1, k]
+    return rows
 
 
 @njit(cache=True)
@@ -230,7 +319,7 @@ def _derivative_rows(
 ) -> Array:  # fmt: skip
     """(N, 18 + M): pose 6, bc 6, rc 6, map M.  row . (q x dtheta) = -(q x row) . dtheta."""
     n, errors = row_c.shape[0], map_start.shape[2]
-    rows, row_n, row_b, q = np.zeros((n, 18 + errors)), np.empty(3), np.empty(3), np.empty(3)
+    rows, row_n, row_b, q = np.zeros((n, MAPPED_FROM + errors)), np.empty(3), np.empty(3), np.empty(3)
     for i in range(n):
         out, row_k, e = rows[i], row_c[i], edge[i]
         _turn(R_nk, row_k, row_n)
@@ -245,7 +334,7 @@ def _derivative_rows(
         _minus_cross(q, row_n, out[3:6])
         for k in range(errors):
             for a in range(3):
-                out[18 + k] += row_n[a] * ((1.0 - t[i]) * map_start[e, a, k] + t[i] * map_end[e, a, k])
+                out[MAPPED_FROM + k] += row_n[a] * ((1.0 - t[i]) * map_start[e, a, k] + t[i] * map_end[e, a, k])
         if right:
             for a in range(3):
                 out[12 + a] = row_k[a]

@@ -200,17 +200,18 @@ def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark])
     """Which of points_n (N, 3) are hidden by one of the landmarks from a camera at p_nc."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     result = np.zeros(len(points_n), dtype=np.bool_)
-    _hidden(points_n, p_nc, prisms.vertices, prisms.offsets, prisms.base_d - prisms.height_m, prisms.height_m, result)
+    hide(points_n, p_nc, prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m, result)
     return result
 
 
 @njit(cache=True)
-def _hidden(
-    points: Array, p_c: Array, vertices: Array, offsets: Indices, roof_d: Array, height: Array, result: NDArray[np.bool_]
+def hide(
+    points: Array, p_c: Array, vertices: Array, offsets: Indices, base_d: Array, height: Array, result: NDArray[np.bool_]
 ) -> None:
-    for m in range(len(roof_d)):
+    """Set result (N,) where points (N, 3) are hidden by one of the prisms; those set already are not looked at."""
+    for m in range(len(base_d)):
         if height[m] > 0.0:
-            _hidden_by(points, p_c, vertices[offsets[m] : offsets[m + 1]], roof_d[m], result)
+            _hidden_by(points, p_c, vertices[offsets[m] : offsets[m + 1]], base_d[m] - height[m], result)
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from models.landmarks import Landmark
 from models.messages import Array
 from vision.motion import enlarged
 from vision.pose import Pose
-from vision.sensitivity import Eye, Samples, edge_gaps, sample_edges, view
+from vision.sensitivity import Eye, Samples, edge_gaps, ends_px, sample_edges, view
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 from vision.votes import aim
 
@@ -79,8 +79,7 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
 
 def _in_picture(edges: ModelEdges, eye: Eye, pose: Pose) -> tuple[Array, Array]:
     """Length (E,) px and direction (E, 2) of the edges in the picture; 0 where an end is behind the camera."""
-    p_nk, R_nk = eye.pose(*pose)
-    ends = eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
+    ends = ends_px(edges, eye, pose)
     step = np.nan_to_num(ends[len(edges.kind) :] - ends[: len(edges.kind)])
     length = np.linalg.norm(step, axis=1)
     return length, step / np.maximum(length, 1e-9)[:, None]
