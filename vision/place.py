@@ -1,17 +1,23 @@
-"""From a place that the coarse search found to a fit of the outlines, with what does not belong left out.
+"""From a place that the coarse search found to a fit of the outlines: what does not belong goes, what stands there joins.
 
-fit -> last look (recheck.py) -> landmarks that are not where the fit says, or a picture that contradicts the other, go -> again
+    fit -> last look (recheck.py) -> landmarks that are not where it says, or a picture that contradicts the other, go -> again
+    each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> last look -> all together
+
+A first fit begins at a place that is good to a few pixels, so it may not look far; then a roof larger than mapped is lost. Once
+the others tell the pose, what is left open of that roof is its own error on the map, and one may look as far as that reaches.
 """
 
 import math
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.catalogue import Beliefs
 from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.motion import straight
@@ -24,63 +30,121 @@ from vision.sensitivity import Eye, eyes
 from vision.verify import Fitted, VerifyConfig
 
 Views = tuple[Image | None, Image | None]
+Mask = NDArray[np.bool_]
 _MOST_FITS = 3
-_GONE = Beliefs().gone_fraction
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
+_ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
-_STANDS = math.log(0.99 / 0.01) + math.log(_GONE / (1.0 - _GONE))  # likelihood ratio from which a landmark stands for 99 %
+_SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands
 _LEAST_SHARE = 0.5  # of what the better picture shows
+_NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """Where a fit begins: pose and map errors (L, M), landmarks fitted; asked: those of whose outline so much must agree.
+
+    views: pictures that are used; remark: on one that is not.
+    """
+
+    pose: Pose
+    shift_m: Array
+    chosen: list[int]
+    asked: list[int]
+    views: Views
+    remark: str = ""
 
 
 class Fitter:
-    """Fits outlines in the pictures of one rig."""
+    """Fits outlines in the pictures of one rig. gone: share of the map that is believed to stand no longer."""
 
-    def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int) -> None:
+    def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
         self._rig, self._config, self._most = rig, config, most
         self._wide = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
-        self._pose = msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=_WINDOW_PX))
+        self._pose, self._alone = (
+            msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=window))
+            for window in (_WINDOW_PX, _ALONE_PX)
+        )
+        self._stands = _SURE - math.log((1.0 - gone) / gone)  # likelihood ratio
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a place, or why there is none."""
-        views: Views = (pictures.left, pictures.right)
-        first = self._chosen(place)
-        eye, v = eyes(self._rig)[int(pictures.only_right)], self._config
-        chosen, remark = first, ""
+        order = np.argsort(-np.where(self._seen(place), place.support, -1.0), kind="stable")
+        first = sorted(order[: min(self._most, int(self._seen(place).sum()))].tolist())
+        return self._settled(
+            marks, place, _Start(place.pose, place.shift_m, first, first, (pictures.left, pictures.right)), prior
+        )
+
+    def joined(self, pictures: Pictures, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
+        """The fit from that place with all landmarks seen that stand where it says; itself where it has them already.
+
+        More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
+        """
+        views: Views = (pictures.left, None if fitted.remark else pictures.right)
+        fit, shift_m = fitted.pose, place.shift_m.copy()
+        shift_m[fitted.used] = fit.shift_m
+        more = []
+        for k in set(np.flatnonzero(self._seen(place)).tolist()).difference(fitted.used):
+            if (found := self._found(views, marks[k], fit)) is not None:
+                shift_m[k] = found
+                more.append(k)
+        if not more:
+            return fitted
+        pose, chosen = (fit.joint_p_n, fit.joint_R_nb), sorted(fitted.used + more)
+        start = _Start(pose, shift_m, chosen, sorted({*fitted.asked, *more}), views, fitted.remark)
+        again = self._settled(marks, place, start, prior)
+        if isinstance(again, str) or len(again.used) <= len(fitted.used):
+            return fitted
+        return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
+
+    def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> Array | None:
+        """The map errors (M,) with which a landmark stands where the others say; None where it does not."""
+        pose = others.joint_p_n, others.joint_R_nb
+        told = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
+        alone = estimate_pose(self._rig, views, [mark], pose, told, self._alone)
+        if isinstance(alone, NoPose):
+            return None
+        stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.look))
+        return alone.shift_m[0] if stands[0] else None
+
+    def _settled(self, marks: list[Landmark], place: Candidate, start: _Start, prior: Prior) -> Fitted | str:
+        """The fit of what is left when landmarks and a picture that contradict it are gone, or why there is none."""
+        eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
+        views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
         for _ in range(_MOST_FITS):
             some = [marks[k] for k in chosen]
-            fit = estimate_pose(self._rig, views, some, place.pose, prior, self._pose, place.shift_m[chosen])
+            fit = estimate_pose(self._rig, views, some, start.pose, prior, self._pose, start.shift_m[chosen])
             if isinstance(fit, NoPose):
                 return f"{remark}{fit.reason} {fit.detail}".strip()
             seen = recheck(self._rig, views, some, fit, self._pose.look)
-            off_map = _off_map(some, fit)
-            good = [
-                k
-                for k, share, stands, chi2 in zip(chosen, seen.share, seen.stands, off_map, strict=True)
-                if share >= v.landmark_found and stands > _STANDS and chi2 < v.off_map
-            ]
+            good = [k for k, stands in zip(chosen, self._stand(some, fit, seen), strict=True) if stands]
             if problem := self._pair_flaw(seen):
-                if self._swapped(views, some, place.pose, place.shift_m[chosen], prior):
+                if self._swapped(views, some, start, chosen, prior):
                     return "left and right picture are swapped"
-                views, remark = (pictures.left, None), f"right camera not used: {problem}; "
+                views, remark = (views[0], None), f"right camera not used: {problem}; "
             elif len(good) < len(chosen):
-                if sum(place.length[good]) < v.remain * sum(place.length[first]):
-                    return f"{len(first) - len(good)} of {len(first)} landmarks are not where the others say"
-                chosen = good
+                if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
+                    return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks are not where the others say"
+                unseen = {k for k, share in zip(chosen, seen.share, strict=True) if np.isnan(share)}
+                chosen, asked = good, [k for k in asked if k not in unseen]
             elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
                 return f"the fit left the place that was found by {far:.0f} px"
             else:
-                kept = float(place.length[chosen].sum() / place.length[first].sum())
+                kept = float(place.length[chosen].sum() / place.length[asked].sum())
                 found = float(seen.share @ place.length[chosen])
                 middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
-                return pose_flaw(fit, prior) or Fitted(fit, chosen, remark, kept, min(seen.pictures), found, middles)
+                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), found, middles)
         return f"{remark}the landmarks do not agree"
 
-    def _chosen(self, place: Candidate) -> list[int]:
-        """The landmarks seen, those with most support, in their order."""
-        seen = place.support > self._config.landmark_share * np.maximum(place.length, 1.0)
-        order = np.argsort(-np.where(seen, place.support, -1.0), kind="stable")
-        return sorted(order[: min(self._most, int(seen.sum()))].tolist())
+    def _seen(self, place: Candidate) -> Mask:
+        """Landmarks (L,) that have votes."""
+        return np.asarray(place.support > self._config.landmark_share * np.maximum(place.length, 1.0))
+
+    def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
+        """Landmarks (L,) that the last look finds where the fit says, and not far off the map."""
+        v = self._config
+        return np.asarray((seen.share >= v.landmark_found) & (seen.stands > self._stands) & (_off_map(marks, fit) < v.off_map))
 
     def _pair_flaw(self, seen: Recheck) -> str:
         """Why the right picture does not belong to the left one; empty where it does."""
@@ -94,9 +158,10 @@ class Fitter:
             return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
         return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together" if abs(du) > limit else ""
 
-    def _swapped(self, views: Views, marks: list[Landmark], start: Pose, shift_m: Array, prior: Prior) -> bool:
+    def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
         """Whether the outlines lie in both pictures once they are taken the other way round."""
-        fit = estimate_pose(self._rig, views[::-1], marks, start, prior, self._wide, shift_m)  # off by twice the disparity
+        shift_m = start.shift_m[chosen]
+        fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
 
 
@@ -105,6 +170,11 @@ def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
     sigma = np.array([(m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m) for m in marks])
     error = fit.shift_m[:, : sigma.shape[1]]
     return np.asarray(np.sum(np.where(sigma > 0.0, error / np.maximum(sigma, 1e-9), 0.0) ** 2, axis=1))
+
+
+def _sigma_m(fit: PoseEstimate) -> float:
+    """How sure prior and pictures together are of the position: (tr P)^(1/2)."""
+    return math.sqrt(float(np.trace(fit.joint_covariance[:3, :3])))
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:

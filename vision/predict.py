@@ -1,6 +1,6 @@
 """Predict and verify: the main path in flight.
 
-    prior -> outlines in view -> coarse search (coarse.py) -> edges along normals, Gauss-Newton (pose.py) -> verify.py
+    prior -> outlines in view -> coarse search (coarse.py) -> edges along normals, Gauss-Newton (place.py, pose.py) -> verify.py
 
 No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, take part with what is
 left of them.
@@ -37,7 +37,7 @@ _MOST_TRIED = 3  # places that are fitted if they are nearly as good as the best
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """most_voting, most_fitted: landmarks, those with most outline in view first."""
+    """most_voting, most_fitted: landmarks, those with most outline in view first; others that stand join the fit."""
 
     coarse: CoarseConfig = CoarseConfig()
     verify: VerifyConfig = VerifyConfig()
@@ -65,9 +65,10 @@ class _Decided(NamedTuple):
 class PredictPath:
     """Pictures of one rig, looked at where the prior says."""
 
-    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig) -> None:
+    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float) -> None:
+        """gone: share of the map that is believed to stand no longer."""
         self._rig, self._config = rig, config
-        self._fitter = Fitter(rig, pose, config.verify, config.most_fitted)
+        self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
 
     def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
@@ -124,6 +125,7 @@ class PredictPath:
         if isinstance(outcome, str):
             return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
         at = next(k for k, one in enumerate(tried) if one is outcome)
+        outcome = self._fitter.joined(pictures, marks, places[at], outcome, prior)
         grade, reason = verify.grade(evidence, outcome, v)
         if grade == "sure" and at >= likely:
             grade, reason = "weak", "another place has more votes"

@@ -37,8 +37,9 @@ _FLOOR_PX = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
-    """share (L,) of each landmark's roof in view that lies where the fit says; pictures: the same of each picture that is there.
+    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
 
+    pictures: the same of each picture that is there.
     stands (L,): logarithm of how much likelier these pictures are if it stands than if it is gone (stands.py).
     apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
     """
@@ -74,7 +75,7 @@ def recheck(
     pictures = tuple(float(a.sum()) / max(float(b.sum()), 1.0) for a, b in zip(near, usable, strict=True))
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
     stands = log_likelihood_ratio(sums, edges.landmark, count)
-    return Recheck(np.asarray(found / np.maximum(given, 1)), stands, pictures, apart)
+    return Recheck(np.where(given > 0, found / np.maximum(given, 1), np.nan), stands, pictures, apart)
 
 
 def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:

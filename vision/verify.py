@@ -75,14 +75,15 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit; used: indices of its landmarks; remark: on a picture left out; kept: share of the outline that agreed.
+    """A fit; used: indices of its landmarks; asked: of all that the last look could see; remark: on a picture left out.
 
-    looked: share of it that the last look found, in the worse picture; found_px: length of outline that it found; middles (L, 2)
-    px: of all landmarks' roofs, from this pose.
+    kept: share of the outline of those asked that agreed; looked: share of it that the last look found, in the worse
+    picture; found_px: length of outline that it found; middles (L, 2) px: of all landmarks' roofs, from this pose.
     """
 
     pose: PoseEstimate
     used: list[int]
+    asked: list[int]
     remark: str
     kept: float
     looked: float

@@ -26,7 +26,7 @@ def place(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candi
 
 
 def fitted(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Fitted:
-    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6)
+    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
     fit = fitter.fit(Pictures(view.left, view.right, ""), list(marks), place(view, marks, east_m), drawn(view, 1))
     assert isinstance(fit, Fitted)
     return fit
