@@ -1,10 +1,12 @@
 """From a place of the coarse search to a fit."""
 
+import msgspec
 import numpy as np
+import pytest
 
 from models.landmarks import Landmark
 from models.messages import Array
-from tests.vision.test_predict import MARKS, RIG, View, drawn, whole
+from tests.vision.test_predict import MARKS, RIG, View, drawn, look_at, whole
 from vision.coarse import Candidate
 from vision.pictures import Pictures
 from vision.place import Fitter
@@ -58,3 +60,29 @@ def test_one_side_on_a_kerb_is_no_landmark() -> None:
         world = World(marks if stands else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
         pair = render_pair(world, RIG, view.p_n, view.R_nb, Conditions(), rng)
         assert fitted(View(*pair, view.p_n, view.R_nb, marks), marks).used == used
+
+
+@pytest.mark.parametrize(("grown_m", "joins"), [(0.6, True), (0.0, True), (None, False)])
+def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: float | None, joins: bool) -> None:
+    """Its sides are out of the first window's reach. One that is gone does not join, whatever its outline lies on."""
+    middle, outline = np.array(MARKS[2].centre_n), MARKS[2].outline_n
+    rough = msgspec.structs.replace(MARKS[2], outline_sigma_m=0.3)
+    marks, stands = (*MARKS[:2], rough), MARKS[:2]
+    if grown_m is not None:
+        axes = np.linalg.svd(outline - middle)[2]
+        sides = (outline - middle) @ axes.T
+        stands = (*stands, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
+    view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=stands)
+    fitter, pictures, prior = (
+        Fitter(RIG, PoseConfig(), VerifyConfig(), 2, 0.1),
+        Pictures(view.left, view.right, ""),
+        drawn(view, 1),
+    )
+    at, some = place(view, marks), list(marks)
+    at.support[2] = 25.0  # fewer votes than the others: not in the first fit
+    first = fitter.fit(pictures, some, at, prior)
+    assert isinstance(first, Fitted)
+    again = fitter.joined(pictures, some, at, first, prior)
+    assert (first.used, again.used) == ([0, 1], [0, 1, 2] if joins else [0, 1])
+    if grown_m is not None:
+        assert again.pose.shift_m[2, MapError.GROWTH] == pytest.approx(grown_m, abs=0.1)
