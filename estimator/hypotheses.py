@@ -23,6 +23,7 @@ cluster of consistent lies that is shorter does not win. (Multiple hypothesis tr
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -100,8 +101,7 @@ class Hypothesis:
         return min(max(stood_s, _LEAST_PATIENCE_S), most_s) / (1.0 + unaided_s / _TRUST_FADES_S)
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What the leading hypothesis made of a measurement; foreseen: by any."""
 
     seen: Innovation

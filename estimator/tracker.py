@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 
 from estimator import contradiction, initialise
 from estimator.contradiction import NO_CONTRADICTION
@@ -23,11 +24,13 @@ from estimator.sources.source import Aid, Phase, SourceState
 from models import imu
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
-from models.measurements import Measurement, PartialPose, Pose, Position
+from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
 _NEVER = -(2**62)
+_UNKNOWN = SourceState()
+_NO_RATE = np.zeros(3)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
@@ -165,18 +168,18 @@ class Tracker:
             return Decision(Reason.NO_ORIGIN, detail="give [map] origin to use GNSS beside fixes on a local map")
         if aid.alignment_only:
             return self._believe(aid, z)
-        state = self.sources.get(aid.topic, SourceState())
+        state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
             self.absolute |= {aid.topic}
-        gyro_b = self._gyro(samples)
+        gyro_b = self._gyro(samples) if isinstance(z, Velocity) else _NO_RATE  # no other measurement asks for it
         if self.hypotheses is None or not self.is_aligned:
             decision = self._align(aid, z, samples, gyro_b)
             if self.hypotheses is not None:
-                state = state._replace(fused_ns=aid.t_ns)
+                state = replace(state, fused_ns=aid.t_ns)
                 self._note_absolute(aid, z)
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
@@ -349,7 +352,7 @@ class Tracker:
     def _gyro(self, samples: ImuBuffer) -> Array:
         """The raw angular rate now, (3,)."""
         if not samples.count:
-            return np.zeros(3)
+            return _NO_RATE
         index = samples.first_after(self.t_ns)
         return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)[:3]
 

@@ -213,7 +213,7 @@ class _Comparison(NamedTuple):
 
 def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Comparison:
     """The score of one held fix."""
-    rows = np.arange(3) if isinstance(z, GnssFix) else np.flatnonzero(given_components(z.covariance))
+    rows = np.arange(3) if isinstance(z, GnssFix) else given_components(z.covariance).rows
     worst = _FALSE - float(_LOG_BOX[rows].sum())
     if estimate is None:
         return _Comparison(worst, false=True)

@@ -212,8 +212,8 @@ def _position(x: Array, z: Array, lever: Array) -> tuple[Array, Array]:
     """nu = z - p - R l;  H_p = I, H_theta = -R [l]x."""
     r = so3.matrix(x[_XQ:_XG])
     h = np.zeros((3, _N))
-    offset = r @ lever
-    h[:, _T:_G] = -(r @ so3.skew(lever))
+    offset = so3.applied(r, lever)
+    h[:, _T:_G] = -so3.product(r, so3.skew(lever))
     nu = np.empty(3)
     for i in range(3):
         h[i, _P + i] = 1.0
@@ -226,11 +226,11 @@ def _velocity(x: Array, z: Array, lever: Array, gyro: Array) -> tuple[Array, Arr
     """nu = z - v - R (w x l);  H_v = I, H_theta = -R [w x l]x, H_bg = R [l]x  (w = gyro - b_g)."""
     r = so3.matrix(x[_XQ:_XG])
     rate = gyro - x[_XG:_XA]
-    spin = so3.skew(rate) @ lever
+    spin = so3.applied(so3.skew(rate), lever)
     h = np.zeros((3, _N))
-    h[:, _T:_G] = -(r @ so3.skew(spin))
-    h[:, _G : _G + 3] = r @ so3.skew(lever)
-    offset = r @ spin
+    h[:, _T:_G] = -so3.product(r, so3.skew(spin))
+    h[:, _G : _G + 3] = so3.product(r, so3.skew(lever))
+    offset = so3.applied(r, spin)
     nu = np.empty(3)
     for i in range(3):
         h[i, _V + i] = 1.0
@@ -244,7 +244,7 @@ def _pose(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     r = so3.matrix(x[_XQ:_XG])
     nu, h = np.empty(6), np.zeros((6, _N))
     turn = so3.quat_log(so3.multiply(q, so3.conjugate(x[_XQ:_XG])))
-    h[3:, _T:_G] = so3.right_jacobian_inverse(turn) @ r
+    h[3:, _T:_G] = so3.product(so3.right_jacobian_inverse(turn), r)
     for i in range(3):
         h[i, _P + i] = 1.0
         nu[i] = z[i] - x[_XP + i]

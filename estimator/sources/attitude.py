@@ -4,10 +4,10 @@ It is taken once and never fused in flight: it rests on the same IMU, and often 
 repeat from message to message. Fused as white noise it would count all that twice.
 """
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.sources.pose import PoseConfig, given_components, pose_aid
 from estimator.sources.source import Aid, Refusal

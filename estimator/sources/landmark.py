@@ -3,9 +3,8 @@
 nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.sources.pose import FARTHEST_M, PoseConfig, given_components, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
@@ -22,7 +21,7 @@ def landmark_aid(fix: LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     """A fix as a measurement of what it measured."""
     if fix.directions is None:
         return pose_aid(fix, config)
-    directions = np.asarray(fix.directions, dtype=float)
+    directions = np.array(fix.directions, dtype=float, order="C")
     readings = np.zeros(directions.shape[:1]) if fix.readings is None else np.asarray(fix.readings, dtype=float)
     if refusal := _directions_refusal(directions, readings):
         return refusal

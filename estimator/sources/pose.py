@@ -27,12 +27,13 @@ from models.messages import Array, LandmarkFix, PoseFix, Reason
 from models.state import X
 
 _XYZ, _SIX = 3, 6
-_NOT_GIVEN = (9e4,) * 3 + (10.0,) * 3  # m^2, rad^2
+_NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 FARTHEST_M = 1e6
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
 _NOTHING = np.zeros((6, 6))
+_LEVEL = (1.0, 0.0, 0.0, 0.0)
 _unit = cache(np.eye)
 _ATTITUDES: dict[tuple[bool, ...], str] = {
     (True, True, True): "full",
@@ -87,19 +88,29 @@ class Given(NamedTuple):
 
 def given_components(cov: Array) -> Given:
     """What a fix of this covariance (6, 6) gives: a variance that is NaN, negative, >= 9e4 m^2 or >= 10 rad^2 is not given."""
-    variances = zip(cov.diagonal().tolist(), _NOT_GIVEN, strict=True)
-    return _given(tuple(0.0 <= variance < limit for variance, limit in variances))
+    return _given(_bits(cov, 0.0))
+
+
+@njit(cache=True)
+def _bits(cov: Array, least: float) -> int:
+    """Bit i: the variance of component i is not below the least and not so large that it says "not given"."""
+    bits = 0
+    for i in range(_SIX):
+        if least <= cov[i, i] < (_NOT_GIVEN_M2 if i < _XYZ else _NOT_GIVEN_RAD2):
+            bits |= 1 << i
+    return bits
 
 
 @cache
-def _given(mask: tuple[bool, ...]) -> Given:
+def _given(bits: int) -> Given:
+    mask = tuple(bool(bits >> i & 1) for i in range(_SIX))
     widths = [FALSE_POSITION_M] * _XYZ + [FALSE_ATTITUDE_RAD] * _XYZ
     return Given(np.array(mask), np.flatnonzero(mask), _ATTITUDES.get(mask[_XYZ:]), list(compress(widths, mask)))
 
 
 def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     """A fix as a measurement of the components it gives."""
-    covariance = np.asarray(fix.covariance, dtype=float)
+    covariance = np.array(fix.covariance, dtype=float, order="C")  # as compiled code wants it
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
     given = given_components(covariance)
@@ -135,16 +146,28 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
 
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:
     """Position and unit quaternion of a fix, zero and identity where they are not given."""
-    p_n = [x if there else 0.0 for x, there in zip(fix.p_n, given.mask.tolist()[:_XYZ], strict=True)]
-    q = fix.q_nb_wxyz if given.attitude != "none" else (1.0, 0.0, 0.0, 0.0)
-    norm = math.hypot(*q)
-    if not (all(map(math.isfinite, p_n)) and math.isfinite(norm)):
+    p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz if given.attitude != "none" else _LEVEL)
+    norm = _unit_pose(p_n, q, given.mask)
+    if math.isnan(norm):
         return Refusal(Reason.NOT_FINITE, "pose")
-    if max(map(abs, p_n)) > FARTHEST_M:
+    if max(abs(p_n[0]), abs(p_n[1]), abs(p_n[2])) > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    return np.array(p_n), np.array(q) / norm
+    return p_n, q
+
+
+@njit(cache=True)
+def _unit_pose(p_n: Array, q: Array, given: NDArray[np.bool_]) -> float:
+    """In place: p_n (3,), zero where it is not given, and q / |q|; |q|, or nan where any of them is not finite."""
+    for i in range(_XYZ):
+        if not given[i]:
+            p_n[i] = 0.0
+    if not (np.isfinite(p_n).all() and np.isfinite(q).all()):
+        return math.nan
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    q /= norm
+    return norm
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
@@ -157,14 +180,13 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
         return _tilted(fix.topic, config.tilt_deg) if config.tilt_deg > 0 else ()
     apart = isinstance(fix, LandmarkFix) and fix.landmark_errors is not None and len(fix.landmarks) <= _MOST_LANDMARKS
     rest = fix.covariance_rig if apart and isinstance(fix, LandmarkFix) else common
-    rest = _NOTHING if rest is None else np.asarray(rest, dtype=float)
+    rest = _NOTHING if rest is None else np.array(rest, dtype=float, order="C")
     if rest.shape != (6, 6) or not (root := symmetric_root(rest)).size:
         return Refusal(Reason.NOT_PSD, "common covariance")
-    unknown = [variance >= limit for variance, limit in zip(rest.diagonal().tolist(), _NOT_GIVEN, strict=True)]
-    if any(unknown):
-        if (given.mask & unknown).any():
+    if not (told := _given(_bits(rest, -math.inf))).whole:
+        if (given.mask & ~told.mask).any():
             return Refusal(Reason.IMPLAUSIBLE, "common covariance as large as that of what is not given")
-        root = symmetric_root(np.where(np.logical_or.outer(unknown, unknown), 0.0, rest))
+        root = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, root),) if root.any() else ()
     errors = fix.landmark_errors

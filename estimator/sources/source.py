@@ -7,7 +7,6 @@ The machine is a value in the tracker's checkpoint and reads times of validity o
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from hashlib import blake2b
 from typing import Annotated, NamedTuple
@@ -15,6 +14,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 from numba import njit
 
 from estimator.gating import cusum
@@ -48,8 +48,7 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cusum_limit: Annotated[float, Meta(gt=0, description="sigma: cumulated bias at which the source is found out")] = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Aid:
+class Aid(msgspec.Struct, frozen=True, eq=False):
     """A message that passed its checks, as a measurement.
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
@@ -83,8 +82,7 @@ class Aid:
         return self.receiver or self.topic
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SlowError:
+class SlowError(msgspec.Struct, frozen=True, eq=False):
     """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s [s].
 
     jacobian: d z / d s, (m, k), of all components of the measurement, or that of the state; None: s shifts the leading components
@@ -176,7 +174,7 @@ class Phase(StrEnum):
     ACTIVE = "active"
 
 
-class SourceState(NamedTuple):
+class SourceState(msgspec.Struct, frozen=True):
     """The machine of one source."""
 
     phase: Phase = Phase.STOPPED
@@ -208,13 +206,13 @@ class SourceState(NamedTuple):
 
         A drift is the source's only where another source vouches for the filter: alone, the filter may be what drifts.
         """
-        state = self._replace(fused_ns=t_ns) if fused else self
+        state = replace(self, fused_ns=t_ns) if fused else self
         if state.phase is Phase.STARTING:
-            return state._replace(passed=state.passed + 1 if passed else 0)
+            return replace(state, passed=state.passed + 1 if passed else 0)
         if rules.hold_s > 0 and fused and not alone:
             sums = cusum(state.sums, nu, sigma, rules.cusum_slack)
             found_out = max(sums) > rules.cusum_limit
             if state.phase is Phase.ACTIVE and found_out:
-                return state._replace(phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
-            return state._replace(sums=sums)
+                return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
+            return replace(state, sums=sums)
         return state
