@@ -236,9 +236,7 @@ class Fusion:
         old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
         old.propagate(samples, samples.first_after(last.t_ns), t_ns)
         delta = state.local(old.x, lead.x)
-        sigma = np.sqrt(np.diag(lead.cov)[: E.SIZE])
-        seen = slice(E.P.start, E.THETA.stop)  # a bias that is corrected moves nothing
-        return delta if (np.abs(delta[seen]) > self._config.estimator.reset_sigma * sigma[seen]).any() else None
+        return delta if state.has_moved(delta, lead.cov, self._config.estimator.reset_sigma) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""

@@ -36,6 +36,7 @@ from models.messages import Array
 from models.state import E, local
 
 _N = E.SIZE  # compiled code reads plain integers
+_OF_STATE = (slice(0, _N), slice(0, _N))  # of P
 MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
 _TAKE_OVER = 3.0  # ln: margin by which another must lead
@@ -130,9 +131,9 @@ class Hypotheses:
 
     def covariance(self) -> Array:
         """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
-        lead = self.lead
+        lead = self.members[0].filter
         if len(self.members) == 1:
-            return lead.cov.copy() if len(lead.cov) == E.SIZE else lead.cov[: E.SIZE, : E.SIZE].copy()
+            return lead.cov[_OF_STATE].copy()
         weights = [math.exp(m.weight + m.benefit) for m in self.members]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
         for weight, member in zip(weights, self.members, strict=True):

@@ -92,6 +92,15 @@ def local(x: Array, y: Array) -> Array:
     return dx
 
 
+@njit(cache=True)
+def has_moved(dx: Array, cov: Array, sigmas: float) -> bool:
+    """Whether dx (15,) is a move of more than so many standard deviations of P (n, n); a bias that is corrected moves nothing."""
+    moved = False
+    for i in range(_G):
+        moved = moved or abs(dx[i]) > sigmas * math.sqrt(cov[i, i])
+    return moved
+
+
 def carried(cov: Array, jacobian: Array) -> Array:
     """Covariance about a state whose attitude differs: J P J^T; jacobian (3, 3): of the one attitude error by the other."""
     out = cov.copy()

@@ -166,6 +166,12 @@ def test_euler_angles_are_finite_straight_up_and_down(pitch: float) -> None:
     assert abs(found - pitch) < 1e-7
 
 
+def test_products_are_those_of_matrices() -> None:
+    a, b = np.random.default_rng(9).normal(size=(2, 3, 3))
+    np.testing.assert_allclose(so3.product(a, b), a @ b, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(so3.applied(a, b[0]), a @ b[0], rtol=0, atol=1e-14)
+
+
 def test_normalise_keeps_the_direction() -> None:
     q = np.array([3.0, 0.0, -4.0, 0.0])
     np.testing.assert_allclose(so3.normalise(q), [0.6, 0.0, -0.8, 0.0], rtol=0, atol=EPS)

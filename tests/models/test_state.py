@@ -5,7 +5,7 @@ import pytest
 
 from models import so3
 from models.messages import Array
-from models.state import E, NavState, X, local, retract
+from models.state import E, NavState, X, has_moved, local, retract
 
 
 def _state(seed: int) -> Array:
@@ -100,3 +100,12 @@ def test_opposite_quaternions_are_no_error() -> None:
     y = x.copy()
     y[X.Q] = -x[X.Q]
     np.testing.assert_allclose(local(x, y), np.zeros(E.SIZE), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", E.NAMES)
+@pytest.mark.parametrize(("sigmas", "beyond"), [(4.9, False), (-4.9, False), (5.1, True), (-5.1, True)])
+def test_position_velocity_and_attitude_move_the_vehicle_and_biases_do_not(name: str, sigmas: float, beyond: bool) -> None:
+    i, cov = E.NAMES.index(name), np.diag(np.arange(1.0, E.SIZE + 4.0))
+    dx = np.zeros(E.SIZE)
+    dx[i] = sigmas * np.sqrt(cov[i, i])
+    assert has_moved(dx, cov, 5.0) is (beyond and i < E.BG.start)
