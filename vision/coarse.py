@@ -21,12 +21,13 @@ import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.motion import Motion, similarity
+from vision.motion import Motion
 from vision.pose import Pose
 from vision.rectify import Image
 from vision.reduced import Level, levels
@@ -36,6 +37,7 @@ from vision.visibility import MapError, Prisms
 from vision.voters import chromas, voters
 from vision.votes import vote
 
+Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced picture
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
@@ -97,6 +99,7 @@ class Search:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
         self.body, self.chroma = Prisms.of(landmarks), chromas(landmarks)
+        self.information = np.linalg.inv(np.asarray(motion.prior.covariance, dtype=float))
 
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
@@ -133,9 +136,9 @@ class Search:
 
     def _votes(self, size: int) -> int:
         """Of points, in the whole search of a picture reduced `size` times."""
-        grid = _grid(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
+        u, v, turns, scales = _halves(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
         points = max(self.config.points, _WIDE_POINTS * len(self.landmarks))
-        return len(grid.su) * len(grid.sv) * len(grid.others) * points
+        return (2 * u + 1) * (2 * v + 1) * (2 * turns + 1) * (2 * scales + 1) * points
 
     def _wide(self, stage: "_Stage") -> list[Array]:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
@@ -165,24 +168,46 @@ class Search:
         level, free = stage.level, stage.free + _SLACK
         half = steps + int(free.max())
         s = np.arange(-half, half + 1.0) * level.size
-        everywhere = np.ones((len(s), len(s)), dtype=np.bool_)
-        pose, prior = self.motion.pose(error), np.asarray(self.motion.prior.covariance, dtype=float)
+        pose = self.motion.pose(error)
         aimed = stage.aimed(pose)
-        votes, length = stage.vote(aimed, s, s, everywhere)
-        inner = _together(votes, everywhere, free)[half - steps : half + steps + 1, half - steps : half + steps + 1]
-        common = np.array(np.unravel_index(int(np.argmax(inner)), inner.shape)) + half - steps
-        places = own_places(votes, common, free)
-        k, (a, b) = np.arange(len(votes)), np.rint(places).astype(int).T
-        length = length[k, a, b]
-        support = votes[k, a, b] + self.config.expected * length
+        places, votes, length = _own(*stage.vote(aimed, s, s, np.ones((len(s), len(s)), dtype=np.bool_)), free, steps)
+        support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        found_px, place_px = (places - half) * level.size, _PLACE_PX * level.size
-        total, off_m = settled(stage.motions(aimed, pose), found_px, trusted, self.map_sigma, place_px, error, prior)
+        found_px, place_px, P = (places - half) * level.size, _PLACE_PX * level.size, self.motion.prior.covariance
+        total, off_m = settled(stage.motions(aimed, pose), found_px, trusted, self.map_sigma, place_px, error, P)
         shift_m = np.zeros((len(votes), len(MapError)))
         shift_m[:, :2] = off_m
-        chi2 = float(total @ np.linalg.solve(prior, total))
-        score = float(votes[k, a, b].sum()) * level.size - 0.5 * chi2
+        score = float(votes.sum()) * level.size - 0.5 * float(total @ self.information @ total)
         return Candidate(*self.motion.pose(total), total, shift_m, support * level.size, length * level.size, score)
+
+
+@njit(cache=True)
+def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Array, Array]:
+    """Each landmark's own place (L, 2), row and column to a fraction, and its votes and length (L,) there.
+
+    votes, length (L, U, U): of shifts about the middle; landmarks lie at most free (L,) from what is common to them.
+    """
+    places = own_places(votes, _common(votes, free, steps), free)
+    at, shown = np.empty(len(votes)), np.empty(len(votes))
+    for m in range(len(votes)):
+        a, b = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
+        at[m], shown[m] = votes[m, a, b], length[m, a, b]
+    return places, at, shown
+
+
+@njit(cache=True)
+def _common(votes: Array, free: Array, steps: int) -> Indices:
+    """Row and column (2,), at most `steps` from the middle, where the best votes within free (L,) have the largest sum."""
+    middle, best, common = votes.shape[1] // 2, -np.inf, np.empty(2, np.int64)
+    for a in range(middle - steps, middle + steps + 1):
+        for b in range(middle - steps, middle + steps + 1):
+            total = 0.0
+            for m in range(len(votes)):
+                radius = int(free[m])
+                total += np.max(votes[m, a - radius : a + radius + 1, b - radius : b + radius + 1])
+            if total > best:
+                best, common[0], common[1] = total, a, b
+    return common
 
 
 class _Stage:
@@ -224,12 +249,31 @@ class _Stage:
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
         assert self.voters is not None
-        aimed = self.aimed(self.motion.pose(self.motion.gain @ q))
-        px = self.level.camera.project(aimed[:, :3])
-        shown = self.level.camera.contains(px)
-        r = ((px + 0.5) * self.level.size - 0.5)[shown] - self.motion.middle - q[:2]
-        A = np.einsum("ni,nik->nk", aimed[shown, 9:], similarity(r))
-        return np.asarray(A.T @ A / max(len(A), 1))
+        aimed, c = self.aimed(self.motion.pose(self.motion.gain @ q)), self.level.camera
+        return np.asarray(
+            _across(aimed, np.array([c.fx, c.fy, c.cx, c.cy]), c.width, c.height, self.level.size, self.motion.middle + q[:2])
+        )
+
+
+@njit(cache=True)
+def _across(aimed: Array, camera: Array, width: int, height: int, size: int, middle: Array) -> Array:
+    """Mean of (n^T B)^T (n^T B) (4, 4) over the points in view; n: their normals, B (2, 4) = (I, turned r, r): similarity(r)."""
+    M, row, count = np.zeros((4, 4)), np.empty(4), 0
+    for i in range(len(aimed)):
+        x, y, z = aimed[i, 0], aimed[i, 1], aimed[i, 2]
+        if z <= 0.0:
+            continue
+        u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
+        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+            continue
+        ru, rv = (u + 0.5) * size - 0.5 - middle[0], (v + 0.5) * size - 0.5 - middle[1]
+        row[0], row[1] = aimed[i, 9], aimed[i, 10]
+        row[2], row[3] = row[1] * ru - row[0] * rv, row[0] * ru + row[1] * rv
+        count += 1
+        for j in range(4):
+            for k in range(4):
+                M[j, k] += row[j] * row[k]
+    return M / max(count, 1)
 
 
 def _best(places: list[Candidate], most: int) -> list[Candidate]:
@@ -277,13 +321,24 @@ class _Grid:
 
 def _grid(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> _Grid:
     """Steps of one pixel of the reduced picture, and turns and scales that move the outlines' ends by a pixel at most."""
-    reach = np.minimum(config.sigmas * np.sqrt(np.diag(motion.covariance)[:2]), limit_px)
-    su, sv = (np.arange(-n, n + 1.0) * step for n in np.ceil(reach / step).astype(int) + 1)
-    width, others = 2.0 * step / motion.radius, []
-    for half in (min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale):
-        n = math.ceil(max(half / width - 0.5, 0.0))
-        others.append(np.arange(-n, n + 1.0) * width)
-    return _Grid(su, sv, [(float(a), float(b)) for a in others[0] for b in others[1]], config.sigmas**2 + _OTHERS)
+    u, v, turn, scale = (np.arange(-n, n + 1.0) for n in _halves(motion, config, step, limit_px))
+    width = _width(motion, step)
+    others = [(float(a), float(b)) for a in turn * width for b in scale * width]
+    return _Grid(u * step, v * step, others, config.sigmas**2 + _OTHERS)
+
+
+def _halves(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> tuple[int, int, int, int]:
+    """How many steps to either side the grid has in shift u, v, in turn and in scale."""
+    sigma_u, sigma_v = math.sqrt(motion.covariance[0, 0]), math.sqrt(motion.covariance[1, 1])
+    u, v = (math.ceil(min(config.sigmas * sigma, limit_px) / step) + 1 for sigma in (sigma_u, sigma_v))
+    reach = min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale
+    turns, scales = (math.ceil(max(half / _width(motion, step) - 0.5, 0.0)) for half in reach)
+    return u, v, turns, scales
+
+
+def _width(motion: Motion, step: int) -> float:
+    """Of a step in turn [rad] and scale that moves the outlines' ends by two pixels of the reduced picture."""
+    return 2.0 * step / motion.radius
 
 
 def _peaks(score: Array) -> list[tuple[int, int]]:

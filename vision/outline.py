@@ -158,7 +158,8 @@ def roof_beside(
                 total += single[k]
                 count += 1.0
         shade = min(max(total / count, 1.0 / _SHADE), _SHADE) if count > 0.0 else 1.0
-        beside[i] = shade * colour[landmark[edge[i]]]
+        for c in range(channels):
+            beside[i, c] = shade * colour[landmark[edge[i]], c]
     return beside
 
 
@@ -217,15 +218,17 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
     mean, count = np.zeros((edges, size)), np.zeros(edges)
     for i in range(n):
         if usable[i]:
-            count[edge[i]] += 1.0
-            mean[edge[i]] += distance[i]
+            e = edge[i]
+            count[e] += 1.0
+            for j in range(size):
+                mean[e, j] += distance[i, j]
             for j in range(_BOX, last):
                 total = 0.0
                 for k in range(1, _BOX + 1):
                     total += distance[i, j + k] - distance[i, j - k]
                 response[i, j] = total / _BOX
-                vote[edge[i], j] += response[i, j]
-                square[edge[i], j] += response[i, j] ** 2
+                vote[e, j] += response[i, j]
+                square[e, j] += response[i, j] ** 2
     best = _elect(vote, square, mean, count)
     offsets = np.full(n, np.nan)
     for i in range(n):

@@ -25,6 +25,7 @@ _PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _WIDTHS = 0.5 * np.arange(4, 15)  # px, of strips that are tried,
 _STRIP_PLACES, _STRIP_BLUR = 7, 0.7  # at so many places of the first step, and how blurred [px]
+_START_BLUR = 0.8  # px, with which a step is sought first
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 
 
@@ -42,11 +43,15 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
     mean, square, count = np.zeros((edges, size)), np.zeros(edges), np.zeros(edges)
     for i in range(n):
         if usable[i]:
-            mean[edge[i]] += grey[i]
-            square[edge[i]] += np.sum((grey[i] - np.mean(grey[i])) ** 2)
-            count[edge[i]] += 1.0
+            e, own = edge[i], 0.0
+            for j in range(size):
+                mean[e, j] += grey[i, j]
+                own += grey[i, j] / size
+            for j in range(size):
+                square[e] += (grey[i, j] - own) ** 2
+            count[e] += 1.0
     place = (np.arange(size) - half) * step
-    columns = _strip_columns(place, farthest)
+    starts, strips = _steps(place, _starts(farthest), _START_BLUR), np.empty((0, 0, 0))
     rows = np.zeros((edges, 2, size))
     centre = np.full(edges, np.nan)
     for e in range(edges):
@@ -54,11 +59,13 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             continue
         second, g = gap[e], mean[e] / count[e]
         g -= np.mean(g)
-        x, variance, misfit = _fit_mean(place, g, second, farthest)
+        x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
         if second == 0.0 and misfit > _STRIP_MISFIT:
-            second = _strip(columns, g, misfit)
+            if not len(strips):
+                strips = _strip_columns(place, farthest)
+            second = _strip(strips, g, misfit)
             if second > 0.0:
-                x, variance, misfit = _fit_mean(place, g, second, farthest)
+                x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
         contrast = max(abs(x[1]), abs(x[2]))
         scatter = max(square[e] / count[e] - np.sum(g * g), 0.0) / (size - 1.0)  # of single profiles about their mean
         if (
@@ -180,10 +187,10 @@ def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: 
 
 
 @njit(cache=True)
-def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Array, float, float]:
+def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
     the mean squared misfit. Levenberg-Marquardt from the best of several places; the levels are always the best ones.
-    g: a mean profile without its own mean.
+    g: a mean profile without its own mean; starts: _steps() of a single step at these places.
     """
     size = place.shape[0]
     reach = place[size - 1]
@@ -191,14 +198,19 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
     weight = _unevenness(max(abs(across), 0.5 * (g.max() - g.min())))
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
     normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    cost = np.inf
-    for k in range(-4, 5):
-        value = _split(place, g, gap, weight, k * 0.25 * farthest, 0.8, trial, basis)
-        if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
-            cost = value
-            x[:] = trial
-    if cost == np.inf:
+    cost, places = np.inf, _starts(farthest)
+    if gap == 0.0:
+        cost = _split(place, g, gap, weight, places[_best_start(starts, g)], _START_BLUR, x, basis)
+    else:
+        for k in range(len(places)):
+            value = _split(place, g, gap, weight, places[k], _START_BLUR, trial, basis)
+            if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
+                cost = value
+                x[:] = trial
+    if cost == np.inf or x[1] == 0.0:
         return x, 0.0, 0.0
+    if gap > 0.0:
+        _basis(place, x[3], x[4], gap, basis)
     damping, fresh = 1e-3, True
     for _ in range(10):
         if fresh:
@@ -222,6 +234,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float) -> tuple[Arra
             damping *= 8.0
     if gap == 0.0:
         return x, 0.0, cost / size
+    _basis(place, x[3], x[4], gap, basis)
     _normal_equations(place, g, gap, weight, x, basis, normal, right)
     for k in range(5):
         normal[k, k] += 1e-9
@@ -238,16 +251,43 @@ def _unevenness(contrast: float) -> float:
 
 
 @njit(cache=True)
+def _starts(farthest: float) -> Array:
+    """Places (9,) from which a step is sought."""
+    return 0.25 * farthest * np.arange(-4.0, 5.0)
+
+
+@njit(cache=True)
+def _steps(place: Array, s0: Array, sigma: float) -> Array:
+    """Steps Phi((s - s0) / sigma) (P, S) at places s0 (P,), without their means."""
+    steps = np.empty((len(s0), len(place)))
+    for p in range(len(s0)):
+        for j in range(len(place)):
+            steps[p, j], _ = _normal((place[j] - s0[p]) / sigma)
+        steps[p] -= np.mean(steps[p])
+    return steps
+
+
+@njit(cache=True)
+def _best_start(starts: Array, g: Array) -> int:
+    """Which single step f of (P, S) leaves least of g: the one of the largest (f . g)^2 / f . f."""
+    best, found = 0.0, 0
+    for p in range(len(starts)):
+        inner = square = 0.0
+        for j in range(len(g)):
+            inner += starts[p, j] * g[j]
+            square += starts[p, j] * starts[p, j]
+        if inner * inner > best * square:
+            best, found = inner * inner / square, p
+    return found
+
+
+@njit(cache=True)
 def _strip_columns(place: Array, farthest: float) -> Array:
-    """Steps f (1 + W, P, S) without their means: the first one at P places, then the second one for each of W widths."""
+    """_steps (1 + W, P, S): the first one at P places, then the second one for each of W widths."""
     columns = np.empty((1 + len(_WIDTHS), _STRIP_PLACES, place.shape[0]))
+    first = farthest * (2.0 * np.arange(_STRIP_PLACES) / (_STRIP_PLACES - 1) - 1.0)
     for w in range(columns.shape[0]):
-        width = _WIDTHS[w - 1] if w > 0 else 0.0
-        for p in range(_STRIP_PLACES):
-            s0 = (2.0 * p / (_STRIP_PLACES - 1) - 1.0) * farthest + width
-            for j in range(place.shape[0]):
-                columns[w, p, j], _ = _normal((place[j] - s0) / _STRIP_BLUR)
-            columns[w, p] -= np.mean(columns[w, p])
+        columns[w] = _steps(place, first + (_WIDTHS[w - 1] if w > 0 else 0.0), _STRIP_BLUR)
     return columns
 
 
@@ -277,8 +317,7 @@ def _strip(columns: Array, g: Array, misfit: float) -> float:
 def _normal_equations(
     place: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
 ) -> None:
-    """Lower half of J^T J, and J^T r at x = (a, c1, c2, s0, sigma)."""
-    _basis(place, x[3], x[4], gap, basis)
+    """Lower half of J^T J, and J^T r at x = (a, c1, c2, s0, sigma), with _basis() there."""
     normal[:] = 0.0
     right[:] = 0.0
     row = np.empty(5)

@@ -160,15 +160,17 @@ def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
     count = len(outline)
     outward, mitre, corners = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     for j in range(count):
-        dn, de = outline[(j + 1) % count] - outline[j]
+        after = (j + 1) % count
+        dn, de = outline[after, 0] - outline[j, 0], outline[after, 1] - outline[j, 1]
         length = np.sqrt(dn * dn + de * de)
         outward[j, 0], outward[j, 1] = -de / length, dn / length
     for j in range(count):
-        before = outward[j - 1 if j > 0 else count - 1]
-        mitre[j] = (before + outward[j]) / max(1.0 + np.sum(before * outward[j]), 0.2)
-        corners[j] = outline[j] + shift[_GROWTH] * mitre[j]
-        corners[j, 0] += shift[_NORTH]
-        corners[j, 1] += shift[_EAST]
+        before = j - 1 if j > 0 else count - 1
+        cosine = outward[before, 0] * outward[j, 0] + outward[before, 1] * outward[j, 1]
+        for k in range(2):
+            mitre[j, k] = (outward[before, k] + outward[j, k]) / max(1.0 + cosine, 0.2)
+        corners[j, 0] = outline[j, 0] + shift[_GROWTH] * mitre[j, 0] + shift[_NORTH]
+        corners[j, 1] = outline[j, 1] + shift[_GROWTH] * mitre[j, 1] + shift[_EAST]
     return corners, mitre, outward
 
 
@@ -217,6 +219,7 @@ def hide(
 @njit(cache=True)
 def _hidden_by(points: Array, p_c: Array, outline: Array, roof_d: float, result: NDArray[np.bool_]) -> None:
     count = outline.shape[0]
+    south, north, west, east = outline[:, 0].min(), outline[:, 0].max(), outline[:, 1].min(), outline[:, 1].max()
     for i in range(points.shape[0]):
         depth = points[i, 2] - roof_d
         if result[i] or depth <= 1e-9 or p_c[2] >= roof_d:
@@ -224,6 +227,8 @@ def _hidden_by(points: Array, p_c: Array, outline: Array, roof_d: float, result:
         share = depth / (points[i, 2] - p_c[2])
         n0, e0 = points[i, 0], points[i, 1]
         dn, de = share * (p_c[0] - n0), share * (p_c[1] - e0)  # from the point to where its sight leaves the roof's height
+        if max(n0, n0 + dn) < south or min(n0, n0 + dn) > north or max(e0, e0 + de) < west or min(e0, e0 + de) > east:
+            continue
         length = np.sqrt(dn * dn + de * de)
         if length <= _BACK_M:
             continue

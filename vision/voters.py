@@ -15,15 +15,16 @@ from models.landmarks import Landmark
 from models.messages import Array
 from vision.motion import enlarged
 from vision.pose import Pose
-from vision.sensitivity import Eye, Samples, edge_gaps, ends_px, sample_edges, view
-from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
+from vision.sensitivity import Eye, edge_gaps, ends_px, sample_edges, view
+from vision.visibility import Kind, Prisms, visible_edges
 from vision.votes import aim
 
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 _GAP_PX, _UPRIGHT_PX, _EDGE_PX = 1.5, 3.0, 2.0  # nearer feet of walls, shorter corners, shorter edges are left out
 _CHAIN_PX = 8.0  # shorter edges are joined with their neighbours,
 _BEND = 0.5  # unless they turn by more than 60 degrees (cosine)
-_UPRIGHT = int(Kind.UPRIGHT)
+_ROOF, _BASE, _UPRIGHT = int(Kind.ROOF), int(Kind.BASE), int(Kind.UPRIGHT)  # compiled code reads plain integers
 _MOST_ON_EDGE = 24
 _LEAST = 4
 _LEAST_CHROMA = 30.0  # grey values; a paler map colour has no side
@@ -64,25 +65,58 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
     if len(samples.t) > most:
         samples = sample_edges(edges, eye, *pose, len(samples.t) / most, _MOST_ON_EDGE)
     seen = view(edges, samples, eye, *pose, body)
-    gap = np.abs(edge_gaps(edges, samples, seen, eye, *pose))
-    length, direction = _in_picture(edges, eye, pose)
-    chain = chains(edges.landmark, edges.kind, length, direction)
-    total = np.bincount(chain, length)[chain]
-    wanted = (total > np.where(edges.kind == Kind.UPRIGHT, _UPRIGHT_PX, _EDGE_PX)) & ((edges.kind != Kind.BASE) | (gap > _GAP_PX))
-    chosen = seen.usable & eye.camera.contains(seen.px) & wanted[samples.edge]
-    if chosen.sum() < _LEAST:
+    rows, first, ids, length = _chosen(
+        edges.landmark, edges.kind, ends_px(edges, eye, pose), edge_gaps(edges, samples, seen, eye, *pose), samples.edge, seen.px,
+        seen.usable, eye.camera.width, eye.camera.height,
+    )  # fmt: skip
+    if len(rows) < _LEAST:
         return None
-    count = np.bincount(chain[samples.edge], minlength=len(total))
-    apart = np.bincount(chain, length, len(total)) / np.maximum(count, 1)
-    return _chosen(edges, samples, chosen, chain, apart, body, chroma, p_nk)
+    edge, mark = samples.edge[rows], edges.landmark[ids]
+    sided = chroma[mark] * (edges.kind[ids] == _ROOF)[:, None]
+    return Voters(
+        samples.points_n[rows], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], first, mark, length, sided,
+        body.base_d - body.height_m - p_nk[2],
+    )  # fmt: skip
 
 
-def _in_picture(edges: ModelEdges, eye: Eye, pose: Pose) -> tuple[Array, Array]:
-    """Length (E,) px and direction (E, 2) of the edges in the picture; 0 where an end is behind the camera."""
-    ends = ends_px(edges, eye, pose)
-    step = np.nan_to_num(ends[len(edges.kind) :] - ends[: len(edges.kind)])
-    length = np.linalg.norm(step, axis=1)
-    return length, step / np.maximum(length, 1e-9)[:, None]
+@njit(cache=True)
+def _chosen(
+    landmark: Indices, kind: Indices, ends: Array, gap: Array, edge: Indices, px: Array, usable: Mask, width: int, height: int
+) -> tuple[Indices, Indices, Indices, Array]:
+    """The samples (N,) that vote, chain by chain; from where on (C + 1,) those of each chain stand, its first edge (C,), and the
+    length (C,) px that one of its samples stands for.
+
+    ends (2 E, 2) px, starts first; gap (E,) px to an edge's partner; edge (S,), px (S, 2) and usable (S,): of all samples.
+    """
+    edges = len(kind)
+    size, direction = np.zeros(edges), np.zeros((edges, 2))
+    for e in range(edges):
+        du, dv = ends[edges + e, 0] - ends[e, 0], ends[edges + e, 1] - ends[e, 1]
+        if np.isfinite(du) and np.isfinite(dv):  # else an end is behind the camera
+            size[e] = np.sqrt(du * du + dv * dv)
+            direction[e, 0], direction[e, 1] = du / max(size[e], 1e-9), dv / max(size[e], 1e-9)
+    chain = chains(landmark, kind, size, direction)
+    total, count = np.zeros(edges), np.zeros(edges)
+    for e in range(edges):
+        total[chain[e]] += size[e]
+    for i in range(len(edge)):
+        count[chain[edge[i]]] += 1.0
+    rows, first, ids = np.empty(len(edge), np.int64), np.empty(edges + 1, np.int64), np.empty(edges, np.int64)
+    length, n, found = np.empty(edges), 0, 0
+    for i in range(len(edge)):
+        e = edge[i]
+        large = total[chain[e]] > (_UPRIGHT_PX if kind[e] == _UPRIGHT else _EDGE_PX)
+        apart = kind[e] != _BASE or abs(gap[e]) > _GAP_PX
+        inside = -0.5 <= px[i, 0] <= width - 0.5 and -0.5 <= px[i, 1] <= height - 0.5
+        if not (usable[i] and large and apart and inside):
+            continue
+        if n == 0 or chain[e] != chain[edge[rows[n - 1]]]:
+            first[found], ids[found], length[found] = n, e, total[chain[e]] / count[chain[e]]
+            found += 1
+        rows[n] = i
+        n += 1
+    first[found] = n
+    return rows[:n].copy(), first[: found + 1].copy(), ids[:found].copy(), length[:found].copy()
 
 
 @njit(cache=True)
@@ -103,22 +137,6 @@ def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) ->
         total += length[e]
         chain[e] = chain[e - 1] + 1 if new and e > 0 else chain[max(e - 1, 0)]
     return chain
-
-
-def _chosen(
-    edges: ModelEdges, samples: Samples, chosen: NDArray[np.bool_], chain: Indices, length: Array,
-    body: Prisms, chroma: Array, p_nk: Array,
-) -> Voters:  # fmt: skip
-    edge = samples.edge[chosen]
-    chain_ids, first = np.unique(chain[edge], return_index=True)
-    ids = edge[first]
-    mark = edges.landmark[ids]
-    sided = chroma[mark] * (edges.kind[ids] == Kind.ROOF)[:, None]
-    depth = body.base_d - body.height_m - p_nk[2]
-    return Voters(
-        samples.points_n[chosen], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], np.append(first, len(edge)),
-        mark, length[chain_ids], sided, depth,
-    )  # fmt: skip
 
 
 def chromas(landmarks: Sequence[Landmark]) -> Array:
