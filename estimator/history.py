@@ -132,7 +132,9 @@ class History:
 
     def _go_through(self, to_ns: int, most: int | None = None) -> None:
         """Move the tracker to `to_ns`, or through as many measurements as may be at most."""
-        wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
+        wanted = 0
+        if self._next < len(self._orders):  # seldom
+            wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
         for _ in range(wanted if most is None else min(wanted, most)):
             entry = self._entries[self._next]
             self._propagate(entry.aid.t_ns)
