@@ -137,10 +137,12 @@ def right_jacobian_inverse(r: Array) -> Array:
     """J_r^-1(r): log(exp(r) exp(d)) = r + J_r^-1(r) d + O(d^2)   (Sola 2017, eq. 184)."""
     angle = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     w = skew(r)
-    if angle < 1e-5:
-        return np.eye(3) + 0.5 * w
-    c = 1.0 / (angle * angle) - (1.0 + math.cos(angle)) / (2.0 * angle * math.sin(angle))
-    return np.eye(3) + 0.5 * w + c * product(w, w)
+    square = product(w, w)
+    c = 0.0 if angle < 1e-5 else 1.0 / (angle * angle) - (1.0 + math.cos(angle)) / (2.0 * angle * math.sin(angle))
+    for i in range(3):
+        for j in range(3):
+            w[i, j] = (1.0 if i == j else 0.0) + 0.5 * w[i, j] + c * square[i, j]
+    return w
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> Array:

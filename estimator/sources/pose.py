@@ -78,7 +78,7 @@ class Given(NamedTuple):
     mask: NDArray[np.bool_]
     rows: NDArray[np.intp]
     attitude: str | None
-    widths: list[float]
+    widths: tuple[float, ...]
 
     @property
     def whole(self) -> bool:
@@ -105,7 +105,7 @@ def _bits(cov: Array, least: float) -> int:
 def _given(bits: int) -> Given:
     mask = tuple(bool(bits >> i & 1) for i in range(_SIX))
     widths = [FALSE_POSITION_M] * _XYZ + [FALSE_ATTITUDE_RAD] * _XYZ
-    return Given(np.array(mask), np.flatnonzero(mask), _ATTITUDES.get(mask[_XYZ:]), list(compress(widths, mask)))
+    return Given(np.array(mask), np.flatnonzero(mask), _ATTITUDES.get(mask[_XYZ:]), tuple(compress(widths, mask)))
 
 
 def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
@@ -189,14 +189,29 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
         root = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, root),) if root.any() else ()
-    errors = fix.landmark_errors
+    errors = np.array(fix.landmark_errors, dtype=float, order="C")
     fits = errors.ndim == 3 and errors.shape[:2] == (len(fix.landmarks), 6) and errors.shape[2] <= _MOST_ERRORS
-    if not fits or not np.abs(errors).max(initial=0.0) < _LARGEST_ERROR:
+    largest = _largest(errors).tolist() if fits else [math.nan]
+    if not all(size < _LARGEST_ERROR for size in largest):
         return Refusal(Reason.MALFORMED, "errors of the landmarks")
-    blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved in zip(fix.landmarks, errors, strict=True) if moved.any()]
+    each = zip(fix.landmarks, errors, largest, strict=True)
+    blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved, size in each if size > 0.0]
     if root.any():
         blocks.append(_on_the_body(f"{fix.topic}.rig", root, np.array(fix.q_nb_wxyz)))
     return tuple(blocks)
+
+
+@njit(cache=True)
+def _largest(errors: Array) -> Array:
+    """The largest magnitude in each errors[j] of (m, 6, k), inf where one is not finite; (m,)."""
+    largest = np.zeros(errors.shape[0])
+    for j in range(errors.shape[0]):
+        for i in range(errors.shape[1]):
+            for k in range(errors.shape[2]):
+                size = abs(errors[j, i, k])
+                if not size <= largest[j]:
+                    largest[j] = size if math.isfinite(size) else math.inf
+    return largest
 
 
 @cache
@@ -217,9 +232,15 @@ def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
 
 def _on_the_body(block: str, root: Array, q_nb: Array) -> SlowError:
     """Six errors of what is mounted on the body, which turn with it: R_x R_z^T L R_z, where L was told at the attitude R_z."""
-    back = so3.conjugate(so3.normalise(q_nb))
-    still = np.ascontiguousarray(_turned(back, _turned(back, root).T))
+    still = _turned_back(so3.normalise(q_nb), root)
     return SlowError(block, _unit(_SIX), math.inf, lambda x: _turned(x[X.Q], still))
+
+
+@njit(cache=True)
+def _turned_back(q: Array, root: Array) -> Array:
+    """T^T L T (6, 6), T = diag(R, R), of a symmetric L."""
+    back = so3.conjugate(q)
+    return _turned(back, _turned(back, root).T.copy())
 
 
 @njit(cache=True)

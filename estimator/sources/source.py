@@ -6,8 +6,10 @@ The machine is a value in the tracker's checkpoint and reads times of validity o
 """
 
 import math
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from enum import StrEnum
+from functools import cache
 from hashlib import blake2b
 from typing import Annotated, NamedTuple
 
@@ -23,6 +25,7 @@ from models.measurements import Measurement
 from models.messages import Array, Reason
 
 _NEVER = -(2**62)
+_FLOAT = struct.Struct("=d")
 
 
 class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -112,14 +115,19 @@ class Refusal(NamedTuple):
 FALSE_POSITION_M, FALSE_ATTITUDE_RAD, FALSE_VELOCITY_M_S = 50.0, 1.0, 30.0
 
 
-def log_false(rules: SourceRules, half_widths: list[float]) -> float:
+def log_false(rules: SourceRules, half_widths: Sequence[float]) -> float:
     """ln(share x density) of a false reading, uniform in a box of these half widths."""
-    return math.log(rules.false_share) - sum(math.log(2.0 * w) for w in half_widths)
+    return _log_uniform(rules.false_share, tuple(half_widths))
+
+
+@cache
+def _log_uniform(share: float, half_widths: tuple[float, ...]) -> float:
+    return math.log(share) - sum(math.log(2.0 * w) for w in half_widths)
 
 
 def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[int, str, str, bytes]:
     """Where a measurement stands among all: by time, then kind, topic and content, so that arrival plays no part."""
-    raw = b"".join(c if isinstance(c, bytes) else np.float64(c).tobytes() for c in content)
+    raw = b"".join([c if isinstance(c, bytes) else _FLOAT.pack(c) for c in content])
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
 
 
