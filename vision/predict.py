@@ -132,10 +132,15 @@ class PredictPath:
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 
     def _believed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """What is weak waits until the next picture agrees."""
-        if found.grade == "weak" and not self._waiting.agrees(found.fitted.pose, t_ns, prior):
-            return _Refused("waiting", f"{found.reason}: the next picture must agree")
-        return _Refused("no_pose", found.reason) if found.grade == "refused" else found
+        """What is weak, or not what the picture before showed, waits until the next one agrees."""
+        if found.grade == "refused":
+            return _Refused("no_pose", found.reason)
+        doubtful = found.grade == "weak" or self._waiting.holds(t_ns)
+        if doubtful and not self._waiting.agrees(found.fitted.pose, t_ns, prior):
+            return _Refused(
+                "waiting", f"{found.reason or 'the picture before showed another place'}: the next picture must agree"
+            )
+        return found
 
     def _trusted(self, place: Candidate) -> Mask:
         """Landmarks (L,) that count as seen."""

@@ -4,7 +4,8 @@
     rival   = (score of another place) / score          where it is high, both are fitted, and found outlines compared
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
 
-A place with little to be seen is held until the next picture shows the same error of the prior.
+A place with little to be seen is held until the next picture shows the same error of the prior. Where that one shows another
+error, one of the two is wrong, however sure the second looks by itself: it waits for a third.
 """
 
 from collections.abc import Sequence
@@ -148,12 +149,17 @@ class Waiting:
         """Forget: a fix was made, or nothing was found."""
         self._held = None
 
+    def holds(self, t_ns: int) -> bool:
+        """Whether a picture not long before t_ns showed a weak place."""
+        return self._held is not None and 0 < t_ns - self._held.t_ns <= self._config.memory_s * 1e9
+
     def agrees(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> bool:
         """Whether the place held before shows the same error of the prior; this one is held from now on."""
         error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
         now = _Held(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy())
-        before, self._held = self._held, now
-        if before is None or not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+        before = self._held if self.holds(t_ns) else None
+        self._held = now
+        if before is None:
             return False
         drift = np.maximum(now.prior - before.prior, 0.0)
         drift[:3] += self._config.drift_m**2

@@ -281,6 +281,17 @@ def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
     assert_right(one.process(view.left, view.right, 3 * 10**8, other), view)
 
 
+def test_a_sure_place_that_does_not_agree_with_the_weak_one_before_waits_too() -> None:
+    """One of the two is wrong: here the second, since its prior moved and the vehicle did not."""
+    view, weak, sure = whole(), doubting(), pipeline(MARKS)
+    prior = drawn(view, 1)
+    other = replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0]))
+    sure._predict._waiting = weak._predict._waiting
+    for then, outcome in ((other, "waiting"), (prior, "fixed")):
+        weak.process(view.left, view.right, 10**8, prior)
+        assert sure.process(view.left, view.right, 2 * 10**8, then).report.outcome == outcome
+
+
 def test_swapped_pictures_give_no_fix() -> None:
     view = look_at(MARKS, np.array([0.0, 0.0, -25.0]))
     narrow = drawn(view, 1, 0.3 * SIGMA)
