@@ -211,11 +211,12 @@ class Fusion:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
-            bias = lead.x[X.BG].tolist()
+            nav = lead.x.copy()
+            bias = nav[X.BG].tolist()
             self._published = Estimate(
                 t_ns,
                 arrived_ns,
-                lead.x.copy(),
+                nav,
                 tracker.hypotheses.covariance(),
                 (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
                 tracker.mode(self._history.samples.newest_ns, t_ns),
@@ -224,7 +225,8 @@ class Fusion:
                 tracker.place,
             )
             out.append(self._published)
-        out += [self._aid_status(entry) for entry in changed]
+        if changed:
+            out += [self._aid_status(entry) for entry in changed]
         if self._next_health_ns is None or t_ns >= self._next_health_ns:
             self._next_health_ns = t_ns + self._health_period_ns
             out.append(self._health(tracker, t_ns, arrived_ns))

@@ -372,6 +372,6 @@ class Tracker:
         self.last_absolute_ns = aid.t_ns
         if aid.geodetic and self.hypotheses is not None:
             lead = self.hypotheses.lead
-            sigma = math.sqrt(z.noise.diagonal()[: _XYZ - 1].max())
-            speed = math.hypot(*lead.x[X.V].tolist()) + math.sqrt(lead.cov.diagonal()[E.V].sum())
+            sigma = math.sqrt(max(z.noise.diagonal().tolist()[: _XYZ - 1]))
+            speed = math.hypot(*lead.x[X.V].tolist()) + math.sqrt(sum(lead.cov.diagonal()[E.V].tolist()))
             self.anchor = GnssAnchor(aid.geodetic, aid.t_ns, sigma, speed)
