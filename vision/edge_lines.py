@@ -85,6 +85,7 @@ def _fit_lines(
 @njit(cache=True)
 def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit: Array, weight: Array, residual: Array) -> bool:
     """Tukey's biweight, its scale by MAD, from a least-absolute start; weight must be 0 or 1."""
+    values = np.empty(stop - start)
     for step in range(_ROUNDS):
         s0 = s1 = s2 = y0 = y1 = 0.0
         for i in range(start, stop):
@@ -103,7 +104,6 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
         unit[0, 1] = unit[1, 0] = -s1 / det
         line[0] = (s2 * y0 - s1 * y1) / det
         line[1] = (s0 * y1 - s1 * y0) / det
-        values = np.empty(stop - start)
         count = 0
         for i in range(start, stop):
             if not math.isnan(r[i]):

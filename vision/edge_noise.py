@@ -15,6 +15,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 from numpy.typing import NDArray
 
 from models.messages import Array
@@ -22,6 +23,8 @@ from vision.edge_lines import EdgeLines
 from vision.visibility import Kind
 
 Indices = NDArray[np.int64]
+_BASE, _UPRIGHT = int(Kind.BASE), int(Kind.UPRIGHT)
+_TRUSTED = 0.3  # weight from which a point tells of correlations
 
 
 class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,8 +61,7 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
         covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + common[k][:, :, None] * np.eye(2)
     if pictures == 2:
         rho = _correlation(lines[0], lines[1], edge, scatter, config)
-        shared = np.zeros((edges, 2, 2))
-        np.add.at(shared, edge, lines[0].gain[:, :, None] * lines[1].gain[:, None, :])
+        shared = _shared(lines[0].gain, lines[1].gain, edge, edges)
         cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared
         cross += config.both * np.sqrt(common[0] * common[1])[:, :, None] * np.eye(2)
         covariance[:, 0, :, 1, :] = cross
@@ -69,7 +71,7 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
 
 def _common(scatter: Array, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
     """Variances (E, 2) of the offset and the tilt that all points of an edge share."""
-    base, upright = kind == Kind.BASE, kind == Kind.UPRIGHT
+    base, upright = kind == _BASE, kind == _UPRIGHT
     offset = config.offset_px**2 + (config.offset_share * scatter) ** 2 + opened
     offset += config.base_px**2 * base + config.upright_px**2 * upright
     tilt = (
@@ -92,22 +94,41 @@ def _scatter(lines: EdgeLines, config: NoiseConfig) -> Array:
 
 def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
     """tau of the pooled correlation of neighbours; a fitted line takes about 2 / n of it away, so that is given back."""
-    product = square = 0.0
-    taken = 0.0
-    for k, one in enumerate(lines):
-        z = np.where(one.weight > 0.3, one.residual / scatter[k][edge], 0.0)
-        pair = (edge[1:] == edge[:-1]) & (one.weight[1:] > 0.3) & (one.weight[:-1] > 0.3)
-        product += float(np.sum((z[1:] * z[:-1])[pair]))
-        square += float(np.sum(0.5 * (z[1:] ** 2 + z[:-1] ** 2)[pair]))
-        taken += float(np.sum((2.0 / np.maximum(one.points, 3.0))[edge[1:]][pair]))
-    rho = (product + taken + config.points * config.neighbours) / (square + config.points)
-    rho = min(max(rho, 0.0), 0.8)
+    product, square = np.sum(
+        [_neighbours(one.residual, one.weight, one.points, edge, s) for one, s in zip(lines, scatter, strict=True)], axis=0
+    )
+    rho = (product + config.points * config.neighbours) / (square + config.points)
+    rho = min(max(float(rho), 0.0), 0.8)
     return (1.0 + rho) / (1.0 - rho)
+
+
+@njit(cache=True)
+def _neighbours(residual: Array, weight: Array, points: Array, edge: Indices, scatter: Array) -> tuple[float, float]:
+    """Sums of z_i z_i+1 + 2 / n and of (z_i^2 + z_i+1^2) / 2, z = residual / scatter, over neighbours on an edge of n points."""
+    product = square = 0.0
+    for i in range(1, len(edge)):
+        e = edge[i]
+        if edge[i - 1] == e and weight[i] > _TRUSTED and weight[i - 1] > _TRUSTED:
+            before, here = residual[i - 1] / scatter[e], residual[i] / scatter[e]
+            product += before * here + 2.0 / max(points[e], 3.0)
+            square += 0.5 * (before * before + here * here)
+    return product, square
+
+
+@njit(cache=True)
+def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
+    """G_l^T G_r (E, 2, 2) of the gains (N, 2) of the same points in two pictures."""
+    total = np.zeros((edges, 2, 2))
+    for i in range(len(edge)):
+        for a in range(2):
+            for b in range(2):
+                total[edge[i], a, b] += left[i, a] * right[i, b]
+    return total
 
 
 def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
     """rho, pooled over the points seen in both pictures."""
-    both = (left.weight > 0.3) & (right.weight > 0.3)
+    both = (left.weight > _TRUSTED) & (right.weight > _TRUSTED)
     a, b = (left.residual / scatter[0][edge])[both], (right.residual / scatter[1][edge])[both]
     power = 0.5 * float(a @ a + b @ b)
     rho = (float(a @ b) + config.points * config.correlation) / (power + config.points)

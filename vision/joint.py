@@ -134,7 +134,7 @@ def _step(
         for m in range(POSE):
             whole[k, m] += information[k, m]
             eta[k] -= information[k, m] * delta[m]
-    solution = np.linalg.solve(whole, eta).astype(np.float64)
+    solution = _solved(whole, eta)
     change = solution.copy()
     change[POSE:] -= present
     residual = z.copy()
@@ -143,6 +143,21 @@ def _step(
             for k in range(columns):
                 residual[e, i] -= A[e, i, k] * change[k]
     return solution, omega, residual
+
+
+@njit(cache=True)
+def _solved(S: Array, b: Array) -> Array:
+    """S^-1 b of a symmetric positive definite S = L L^T."""
+    low, x = np.linalg.cholesky(S), b.copy()
+    for i in range(len(x)):
+        for k in range(i):
+            x[i] -= low[i, k] * x[k]
+        x[i] /= low[i, i]
+    for i in range(len(x) - 1, -1, -1):
+        x[i] /= low[i, i]
+        for k in range(i):
+            x[k] -= low[i, k] * x[i]
+    return x
 
 
 @njit(cache=True)

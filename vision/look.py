@@ -21,7 +21,19 @@ from models.messages import Array
 from vision import outline, step_fit
 from vision.edge_lines import EdgeLines, compress, fit_lines
 from vision.joint import POSE
-from vision.sensitivity import MAPPED_FROM, EdgeView, Eye, Samples, derivatives, edge_gaps, ends_px, eyes, sample_edges, view
+from vision.sensitivity import (
+    MAPPED_FROM,
+    EdgeView,
+    Eye,
+    Mount,
+    Samples,
+    derivatives,
+    edge_gaps,
+    ends_px,
+    eyes,
+    sample_edges,
+    view,
+)
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 
 Image = NDArray[np.uint8]
@@ -85,27 +97,21 @@ class Scene:
         self.map_column[self.map_used] = np.arange(len(self.map_used))
         self.rig_roots = _rig_roots(rig)
 
-    def moved_rig(self, bc: Array, rc: Array) -> StereoRig:
+    def moved_rig(self, bc: Array, rc: Array) -> Mount:
         """The rig with errors of its camera poses, in units of their own standard deviations."""
-        if not bc.any() and not rc.any():
-            return self.rig
+        rig = self.rig
         on_body, between = (
             root @ error if error.size else np.zeros(6) for root, error in zip(self.rig_roots[:2], (bc, rc), strict=True)
         )
-        return msgspec.structs.replace(
-            self.rig,
-            p_bc=self.rig.p_bc + on_body[:3],
-            R_bc=so3.matrix(so3.quat_exp(on_body[3:])) @ self.rig.R_bc,
-            t_rc=self.rig.t_rc + between[:3],
-            R_rc=so3.matrix(so3.quat_exp(between[3:])) @ self.rig.R_rc,
-        )
+        R_bc, R_rc = (so3.matrix(so3.quat_exp(error[3:])) @ R for error, R in ((on_body, rig.R_bc), (between, rig.R_rc)))
+        return Mount(rig.left, rig.right, R_rc, rig.t_rc + between[:3], R_bc, rig.p_bc + on_body[:3])
 
     def look(
         self,
         p_n: Array,
         R_nb: Array,
         shift_m: Array,
-        rig: StereoRig,
+        rig: Mount,
         config: LookConfig,
         search_px: int = 0,
         farthest_px: float = 0.0,

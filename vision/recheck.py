@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import StereoRig
@@ -33,6 +34,7 @@ _ROUNDS = 4
 _TUKEY = 4.7
 _CORRELATED = 4.0  # neighbouring points on an edge are not independent
 _FLOOR_PX = 0.2
+_REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is told worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,23 +81,35 @@ def recheck(
 
 
 def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:
-    """(du, dv) and a standard deviation of both, robustly (Huber, then Tukey)."""
-    good = np.isfinite(difference)
-    d, n = difference[good], normal[good]
-    if len(d) < _LEAST:
-        return None
-    weight: Array = np.ones(len(d))
-    scale = 1.0
-    shift: Array = np.zeros(2)
-    for k in range(_ROUNDS):
-        A = (n * weight[:, None]).T @ n + 1e-3 * np.eye(2)
-        shift = np.linalg.solve(A, n.T @ (weight * d)).astype(np.float64)
-        z: Array = np.abs(d - n @ shift)
-        scale = max(1.4826 * float(np.median(z)), _FLOOR_PX)
-        z /= scale
-        weight = 1.0 / np.maximum(z, 1.0) if k < _ROUNDS // 2 else np.maximum(1.0 - (z / _TUKEY) ** 2, 0.0) ** 2
-    A = (n * weight[:, None]).T @ n
-    if np.linalg.eigvalsh(A)[0] < 2.0:
-        return None
-    sigma = scale * math.sqrt(_CORRELATED * float(np.linalg.inv(A).diagonal().max()))
-    return float(shift[0]), float(shift[1]), sigma
+    """(du, dv) and a standard deviation of both; None where the points (N,), NaN where there is no offset, tell too little."""
+    du, dv, sigma = _common_shift(difference, normal)
+    return None if math.isnan(sigma) else (du, dv, sigma)
+
+
+@njit(cache=True)
+def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float]:
+    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if untold."""
+    good = np.flatnonzero(np.isfinite(difference))
+    if len(good) < _LEAST:
+        return 0.0, 0.0, np.nan
+    weight, z = np.ones(len(good)), np.empty(len(good))
+    du = dv = scale = uu = uv = vv = 0.0
+    for k in range(_ROUNDS + 1):
+        uu = uv = vv = bu = bv = 0.0
+        for i in range(len(good)):
+            nu, nv, d, w = normal[good[i], 0], normal[good[i], 1], difference[good[i]], weight[i]
+            uu, uv, vv = uu + w * nu * nu, uv + w * nu * nv, vv + w * nv * nv
+            bu, bv = bu + w * nu * d, bv + w * nv * d
+        if k == _ROUNDS:
+            break
+        a, c = uu + _REGULAR, vv + _REGULAR
+        du, dv = (c * bu - uv * bv) / (a * c - uv * uv), (a * bv - uv * bu) / (a * c - uv * uv)
+        for i in range(len(good)):
+            z[i] = abs(difference[good[i]] - normal[good[i], 0] * du - normal[good[i], 1] * dv)
+        scale = max(1.4826 * np.median(z), _FLOOR_PX)
+        for i in range(len(good)):
+            r = z[i] / scale
+            weight[i] = 1.0 / max(r, 1.0) if k < _ROUNDS // 2 else max(1.0 - (r / _TUKEY) ** 2, 0.0) ** 2
+    if 0.5 * (uu + vv) - math.hypot(0.5 * (uu - vv), uv) < _LEAST_INFORMATION:
+        return 0.0, 0.0, np.nan
+    return du, dv, scale * math.sqrt(_CORRELATED * max(uu, vv) / (uu * vv - uv * uv))

@@ -12,6 +12,7 @@ all that else may be wrong.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -66,7 +67,18 @@ class Eye:
         return p_n + R_nb @ self.p_bk, R_nb @ self.R_kb.T
 
 
-def eyes(rig: StereoRig) -> tuple[Eye, Eye]:
+class Mount(NamedTuple):
+    """Two cameras on a body as a StereoRig has them, moved by what its covariances speak of."""
+
+    left: CameraModel
+    right: CameraModel
+    R_rc: Array
+    t_rc: Array
+    R_bc: Array
+    p_bc: Array
+
+
+def eyes(rig: StereoRig | Mount) -> tuple[Eye, Eye]:
     """Left and right camera of a rig."""
     R_rb = rig.R_rc @ rig.R_bc.T
     return (
@@ -288,7 +300,7 @@ class Derivatives:
 
 
 def derivatives(
-    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig, p_n: Array, R_nb: Array, *,
+    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig | Mount, p_n: Array, R_nb: Array, *,
     with_own: bool = True,
 ) -> Derivatives:  # fmt: skip
     """All that moves the samples along their normals in this picture; own is empty (0, 0) where it is not wanted."""

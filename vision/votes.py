@@ -36,28 +36,27 @@ def vote(
     rows, columns = field.shape[0], field.shape[1]
     support = np.zeros((marks, len(su), len(sv)))
     seen = np.zeros((marks, len(su), len(sv)))
-    fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5
-    row = np.empty((len(aimed), 8))  # the points at one shift in u: x_c, its step in v, normal
-    for i in range(len(aimed)):
-        for k in range(3):
-            row[i, 3 + k] = aimed[i, 6 + k]
-        row[i, 6], row[i, 7] = aimed[i, 9], aimed[i, 10]
-    for a in range(len(su)):
-        for i in range(len(aimed)):
+    scale, cx, cy = np.array([camera[0], camera[1], 1.0]), camera[2] + 0.5, camera[3] + 0.5
+    row = np.empty((int(np.max(np.diff(first))), 8))  # an edge's points at one shift in u: K x_c, its step in v, normal
+    for e in range(len(mark)):  # edge by edge: what it meets of the field stays in the cache
+        points, m = first[e + 1] - first[e], mark[e]
+        for i in range(points):
             for k in range(3):
-                row[i, k] = aimed[i, k] + su[a] * aimed[i, 3 + k]
-        for b in range(len(sv)):
-            if not inside[a, b]:
-                continue
-            t = sv[b]
-            for e in range(len(mark)):
+                row[i, 3 + k] = scale[k] * aimed[first[e] + i, 6 + k]
+            row[i, 6], row[i, 7] = aimed[first[e] + i, 9], aimed[first[e] + i, 10]
+        for a in range(len(su)):
+            for i in range(points):
+                for k in range(3):
+                    row[i, k] = scale[k] * (aimed[first[e] + i, k] + su[a] * aimed[first[e] + i, 3 + k])
+            for b in range(len(sv)):
+                if not inside[a, b]:
+                    continue
+                t = sv[b]
                 g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
                 own, own_total = 0.0, 0.0
-                for i in range(first[e], first[e + 1]):
+                for i in range(points):
                     z = row[i, 2] + t * row[i, 5]
-                    scale = 1.0 / z
-                    u = fx * scale * (row[i, 0] + t * row[i, 3]) + cx
-                    v = fy * scale * (row[i, 1] + t * row[i, 4]) + cy
+                    u, v = (row[i, 0] + t * row[i, 3]) / z + cx, (row[i, 1] + t * row[i, 4]) / z + cy
                     if not (z > 0.0 and u >= 1.0 and v >= 1.0 and u < columns - 1.0 and v < rows - 1.0):
                         continue
                     here = field[int(v), int(u)]
@@ -74,7 +73,7 @@ def vote(
                     count += 1
                 if count < _LEAST_POINTS:
                     continue
-                m, n = mark[e], count * length[e]
+                n = count * length[e]
                 share = (g0 * g0 + g1 * g1 + g2 * g2 - own) / (total * total - own_total)
                 if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0 and share > 0.0:
                     share *= _WRONG_SIDE
