@@ -21,7 +21,7 @@ from estimator.sources.source import (
     log_false,
     order,
 )
-from models import so3
+from models import jacobi, so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Reason
 from models.state import X
@@ -263,8 +263,8 @@ def symmetric_root(covariance: Array) -> Array:
     k = covariance.shape[0]
     if not np.isfinite(covariance).all():
         return np.empty((0, 0))
-    values, vectors = np.linalg.eigh(covariance)
-    if values[0] < -_ROUNDING * max(np.trace(covariance), 0.0):
+    values, vectors = jacobi.eigen(covariance)
+    if values.min() < -_ROUNDING * max(np.trace(covariance), 0.0):
         return np.empty((0, 0))
     root = np.zeros((k, k))
     for line in range(k):
