@@ -181,22 +181,23 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     apart = isinstance(fix, LandmarkFix) and fix.landmark_errors is not None and len(fix.landmarks) <= _MOST_LANDMARKS
     rest = fix.covariance_rig if apart and isinstance(fix, LandmarkFix) else common
     rest = _NOTHING if rest is None else np.array(rest, dtype=float, order="C")
-    if rest.shape != (6, 6) or not (root := symmetric_root(rest)).size:
+    root, largest = symmetric_root(rest) if rest.shape == (6, 6) else (rest, math.nan)
+    if math.isnan(largest):
         return Refusal(Reason.NOT_PSD, "common covariance")
     if not (told := _given(_bits(rest, -math.inf))).whole:
         if (given.mask & ~told.mask).any():
             return Refusal(Reason.IMPLAUSIBLE, "common covariance as large as that of what is not given")
-        root = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
+        root, largest = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
-        return (_steady(fix.topic, root),) if root.any() else ()
+        return (_steady(fix.topic, root),) if largest > 0.0 else ()
     errors = np.array(fix.landmark_errors, dtype=float, order="C")
     fits = errors.ndim == 3 and errors.shape[:2] == (len(fix.landmarks), 6) and errors.shape[2] <= _MOST_ERRORS
-    largest = _largest(errors).tolist() if fits else [math.nan]
-    if not all(size < _LARGEST_ERROR for size in largest):
+    sizes = _largest(errors).tolist() if fits else [math.inf]
+    if max(sizes, default=0.0) >= _LARGEST_ERROR:
         return Refusal(Reason.MALFORMED, "errors of the landmarks")
-    each = zip(fix.landmarks, errors, largest, strict=True)
+    each = zip(fix.landmarks, errors, sizes, strict=True)
     blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved, size in each if size > 0.0]
-    if root.any():
+    if largest > 0.0:
         blocks.append(_on_the_body(f"{fix.topic}.rig", root, np.array(fix.q_nb_wxyz)))
     return tuple(blocks)
 
@@ -227,7 +228,7 @@ def _steady(block: str, moved: Array) -> SlowError:
 
 def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
     """Six errors that the next fix still has: light and texture of the same edges; covariance (6, 6): the fix's own."""
-    return SlowError(f"{topic}.look", _unit(_SIX), config.lasting_s, symmetric_root(covariance * config.lasting_share))
+    return SlowError(f"{topic}.look", _unit(_SIX), config.lasting_s, symmetric_root(covariance * config.lasting_share)[0])
 
 
 def _on_the_body(block: str, root: Array, q_nb: Array) -> SlowError:
@@ -255,21 +256,21 @@ def _turned(q: Array, m: Array) -> Array:
 
 
 @njit(cache=True)
-def symmetric_root(covariance: Array) -> Array:
-    """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), empty where C is no covariance (NaN, negative).
+def symmetric_root(covariance: Array) -> tuple[Array, float]:
+    """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), and the largest variance, nan where C is no covariance (NaN, negative).
 
     Unlike Cholesky's it changes little when C does, and C may be singular.
     """
     k = covariance.shape[0]
+    root = np.zeros((k, k))
     if not np.isfinite(covariance).all():
-        return np.empty((0, 0))
+        return root, math.nan
     values, vectors = jacobi.eigen(covariance)
     if values.min() < -_ROUNDING * max(np.trace(covariance), 0.0):
-        return np.empty((0, 0))
-    root = np.zeros((k, k))
+        return root, math.nan
     for line in range(k):
         scale = math.sqrt(max(values[line], 0.0))
         for i in range(k):
             for j in range(k):
                 root[i, j] += vectors[i, line] * scale * vectors[j, line]
-    return root
+    return root, values.max()
