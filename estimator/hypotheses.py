@@ -233,6 +233,9 @@ class Hypotheses:
 
     def _rank(self, t_ns: int) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""
+        if len(self.members) == 1:  # most of the time
+            self.members[0].weight = 0.0
+            return
         lead, *others = self.members
         best = max(others, key=lambda m: m.weight, default=lead)
         if best.weight > lead.weight + _TAKE_OVER:
