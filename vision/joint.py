@@ -103,27 +103,26 @@ def _step(
     """
     edges, rows, columns = A.shape
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
-    WA, some = np.empty((rows, columns)), np.empty(columns, np.int64)
+    own, WA, some = np.empty((columns, rows)), np.empty((columns, rows)), np.empty(columns, np.int64)
     for e in range(edges):
         if weight[e] == 0.0 or not W[e].any():
             continue
-        count = _used_columns(A[e], some)
+        count, target = _used_columns(A[e], some), z[e].copy()
         for i in range(rows):
-            target = z[e, i]
             for k in range(len(present)):
-                target += A[e, i, POSE + k] * present[k]
-            for c in range(count):
-                WA[i, c] = 0.0
+                target[i] += A[e, i, POSE + k] * present[k]
+        for c in range(count):
+            for i in range(rows):
+                own[c, i], WA[c, i] = A[e, i, some[c]], 0.0
                 for j in range(rows):
-                    WA[i, c] += W[e, i, j] * A[e, j, some[c]]
-                WA[i, c] *= weight[e]
-                eta[some[c]] += WA[i, c] * target
-        for i in range(rows):
-            for c in range(count):
-                a = WA[i, c]
-                if a != 0.0:
-                    for d in range(c, count):
-                        omega[some[c], some[d]] += a * A[e, i, some[d]]
+                    WA[c, i] += weight[e] * W[e, i, j] * A[e, j, some[c]]
+                eta[some[c]] += WA[c, i] * target[i]
+        for c in range(count):
+            for d in range(c, count):
+                total = 0.0
+                for i in range(rows):
+                    total += WA[c, i] * own[d, i]
+                omega[some[c], some[d]] += total
     for k in range(columns):
         for m in range(k):
             omega[k, m] = omega[m, k]

@@ -97,9 +97,11 @@ class Scene:
         self.map_column[self.map_used] = np.arange(len(self.map_used))
         self.rig_roots = _rig_roots(rig)
 
-    def moved_rig(self, bc: Array, rc: Array) -> Mount:
+    def moved_rig(self, bc: Array, rc: Array) -> StereoRig | Mount:
         """The rig with errors of its camera poses, in units of their own standard deviations."""
         rig = self.rig
+        if not (bc.any() or rc.any()):
+            return rig
         on_body, between = (
             root @ error if error.size else np.zeros(6) for root, error in zip(self.rig_roots[:2], (bc, rc), strict=True)
         )
@@ -111,7 +113,7 @@ class Scene:
         p_n: Array,
         R_nb: Array,
         shift_m: Array,
-        rig: Mount,
+        rig: StereoRig | Mount,
         config: LookConfig,
         search_px: int = 0,
         farthest_px: float = 0.0,
@@ -208,7 +210,7 @@ def _root(covariance: Array | None) -> Array:
         return np.zeros((0, 0))
     values, vectors = np.linalg.eigh(covariance)
     keep = values > 1e-14 * max(values[-1], 1e-300)
-    root: Array = vectors[:, keep] * np.sqrt(values[keep])
+    root: Array = np.ascontiguousarray(vectors[:, keep] * np.sqrt(values[keep]))
     return root
 
 

@@ -104,8 +104,7 @@ def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Arra
 
 def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
     """Where the ends of the edges are in the picture (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
-    p_nk, R_nk = eye.pose(*pose)
-    return eye.camera.project((np.concatenate((edges.start_n, edges.end_n)) - p_nk) @ R_nk)
+    return eye.camera.project(_in_camera(np.concatenate((edges.start_n, edges.end_n)), *eye.pose(*pose)))
 
 
 @lru_cache(maxsize=8)
@@ -144,6 +143,15 @@ def _cut(start: Array, end: Array, p_nk: Array, R_nk: Array, borders: Array) -> 
             begin[k] += part[e, 0] * along
             over[k] -= (1.0 - part[e, 1]) * along
     return part, ends_c
+
+
+@njit(cache=True)
+def _in_camera(points: Array, p_nk: Array, R_nk: Array) -> Array:
+    """x_c (N, 3) of points (N, 3)."""
+    x_c = np.empty((len(points), 3))
+    for i in range(len(points)):
+        _into(points[i], p_nk, R_nk, x_c[i])
+    return x_c
 
 
 @njit(cache=True)
@@ -186,7 +194,7 @@ def view(
     """The samples as `eye` sees them."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     p_nk, R_nk = eye.pose(p_n, R_nb)
-    x_c = (samples.points_n - p_nk) @ R_nk
+    x_c = _in_camera(samples.points_n, p_nk, R_nk)
     px = eye.camera.project(x_c)
     normal, row_c, usable = _viewed(
         px, eye.camera.project_jacobian(x_c), samples.points_n, samples.edge, edges.start_n, edges.end_n, p_nk, R_nk,
