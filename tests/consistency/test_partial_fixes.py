@@ -4,7 +4,6 @@ Vision is played by its own equations: the joint optimum of prior and picture, l
 point is in body axes, which is exactly the same from every place on a sphere about it.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +75,7 @@ def _fuse(fix: LandmarkFix, prior: Prior, *, bends: bool = True) -> Eskf:
     assert isinstance(z, PartialPose)
     eskf = Eskf(0, prior.x.copy(), prior.cov.copy(), CONSTANTS)
     seen = innovation(eskf, aid, z, np.zeros(3))
-    eskf.update(seen if bends else replace(seen, noise=z.noise))  # the control takes the linear model for the truth
+    eskf.update(seen if bends else seen._replace(noise=z.noise))  # the control takes the linear model for the truth
     return eskf
 
 
