@@ -95,7 +95,7 @@ def given_components(cov: Array) -> Given:
 def _bits(cov: Array, least: float) -> int:
     """Bit i: the variance of component i is not below the least and not so large that it says "not given"."""
     bits = 0
-    for i in range(_SIX):
+    for i in range(min(_SIX, cov.shape[0])):
         if least <= cov[i, i] < (_NOT_GIVEN_M2 if i < _XYZ else _NOT_GIVEN_RAD2):
             bits |= 1 << i
     return bits
