@@ -8,7 +8,6 @@ from msgspec.structs import replace
 
 from estimator.sources.pose import FARTHEST_M, PoseConfig, given_components, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
-from models import jacobi
 from models.measurements import DIRECTION_SCALE, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 
@@ -87,8 +86,7 @@ def _directions_refusal(directions: Array, readings: Array) -> Refusal | None:
 
 def _fixes_place(directions: Array) -> bool:
     """Whether the position is known where the attitude is."""
-    position = directions[:, :3]
-    return len(directions) >= 3 and bool(jacobi.eigen(position.T @ position)[0].min() > _FIXES_PLACE**2)
+    return len(directions) >= 3 and bool(np.linalg.svd(directions[:, :3], compute_uv=False)[-1] > _FIXES_PLACE)
 
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:

@@ -21,7 +21,7 @@ from estimator.sources.source import (
     log_false,
     order,
 )
-from models import jacobi, so3
+from models import so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Reason
 from models.state import X
@@ -265,7 +265,7 @@ def symmetric_root(covariance: Array) -> tuple[Array, float]:
     root = np.zeros((k, k))
     if not np.isfinite(covariance).all():
         return root, math.nan
-    values, vectors = jacobi.eigen(covariance)
+    values, vectors = np.linalg.eigh(covariance)
     if values.min() < -_ROUNDING * max(np.trace(covariance), 0.0):
         return root, math.nan
     for line in range(k):
