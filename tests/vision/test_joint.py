@@ -46,3 +46,23 @@ def test_a_weightless_edge_is_as_if_not_there() -> None:
     there = solve(System(system.z[some], system.A[some], system.R[some], system.W[some]), np.zeros(5), np.eye(6), np.zeros(6))
     np.testing.assert_allclose(here.dx, there.dx)
     assert distances(less, here.residual)[2] == 0.0
+
+
+def test_weights_are_the_inverse_of_what_was_found() -> None:
+    system, found = make(np.random.default_rng(3))
+    for R, W, some in zip(system.R, system.W, found, strict=True):
+        expected = np.zeros_like(R)
+        expected[np.ix_(some, some)] = np.linalg.inv(R[np.ix_(some, some)])
+        np.testing.assert_allclose(W, expected, atol=1e-12)
+
+
+def test_columns_that_are_zero_change_nothing() -> None:
+    """Each edge depends on some of the nuisances only: as dense as written, and as in the normal equations."""
+    rng = np.random.default_rng(4)
+    system, _ = make(rng)
+    system.A[:4, :, 8:] = 0.0
+    got = solve(system, np.zeros(5), np.eye(6), np.zeros(6))
+    omega = np.einsum("eik,eij,ejm->km", system.A, system.W, system.A) + np.diag([0.0] * 6 + [1.0] * 5)
+    eta = np.einsum("eik,eij,ej->k", system.A, system.W, system.z)
+    np.testing.assert_allclose(got.omega, omega, atol=1e-12)
+    np.testing.assert_allclose(got.dx, np.linalg.solve(omega + np.diag([1.0] * 6 + [0.0] * 5), eta)[:6])
