@@ -91,9 +91,9 @@ class PredictPath:
         candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)
         found = self._decide(pictures, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
-        said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
         found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
+            said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
                 self._waiting.clear()
             report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
