@@ -176,6 +176,16 @@ def estimate_pose(
     scene = Scene(rig, views, landmarks)
     if not landmarks or all(image is None for image in scene.images):
         return NoPose("no_picture" if landmarks else "too_few_edges")
+    try:
+        return _decided(scene, start, prior, shift_m, config, landmarks)
+    except np.linalg.LinAlgError as error:
+        return NoPose("diverged", f"the equations cannot be solved: {error}")
+
+
+def _decided(
+    scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, config: PoseConfig, landmarks: Sequence[Landmark]
+) -> PoseEstimate | NoPose:
+    """The pose from a start, or another one that shows the same pictures better; none where nothing decides between them."""
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found

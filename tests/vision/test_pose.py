@@ -280,6 +280,13 @@ def test_nothing_to_look_at(view: Flight) -> None:
     assert isinstance(estimate_pose(view.rig, view.pictures, [], near(view), view.prior), NoPose)
 
 
+def test_a_prior_that_is_none_is_no_pose_and_no_exception(view: Flight) -> None:
+    singular = with_changes(view.prior, covariance=np.diag([1.0, 1.0, 0.0, 0.01, 0.01, 0.01]))
+    found = estimate_pose(view.rig, view.pictures, view.landmarks, near(view), singular)
+    assert isinstance(found, NoPose)
+    assert found.reason == "diverged"
+
+
 def test_a_start_elsewhere_is_no_confident_wrong_pose(view: Flight) -> None:
     """20 m off the outlines fall on grass."""
     p, turn = near(view)
