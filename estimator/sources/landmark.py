@@ -6,12 +6,11 @@ nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, 
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.sources.pose import FARTHEST_M, PoseConfig, given_components, lasting, pose_aid, pose_of, slow_errors_of
+from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
 from models.measurements import DIRECTION_SCALE, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 
-_ALL = given_components(np.zeros((6, 6)))
 _ROUNDING = 1e-6  # of the directions' products
 _LARGEST = 1e12  # m^2 or rad^2: no variance is larger
 _FIXES_PLACE = 0.05  # smallest gain from position to reading with which, the attitude known, the position is known
@@ -38,7 +37,7 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
     noise = directions @ covariance @ directions.T
     if refusal := covariance_refusal(noise):
         return refusal
-    pose, slow_errors = pose_of(fix, _ALL), slow_errors_of(fix, _ALL, config)
+    pose, slow_errors = pose_of(fix, WHOLE), slow_errors_of(fix, WHOLE, config)
     if isinstance(pose, Refusal):
         return pose
     if isinstance(slow_errors, Refusal):

@@ -108,6 +108,9 @@ def _given(bits: int) -> Given:
     return Given(np.array(mask), np.flatnonzero(mask), _ATTITUDES.get(mask[_XYZ:]), tuple(compress(widths, mask)))
 
 
+WHOLE = _given((1 << _SIX) - 1)
+
+
 def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     """A fix as a measurement of the components it gives."""
     covariance = np.array(fix.covariance, dtype=float, order="C")  # as compiled code wants it
