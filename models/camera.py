@@ -90,12 +90,8 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
         return inside
 
 
-class StereoRig(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """Two cameras on a body: x_r = R_rc @ x_c + t_rc (c = left, r = right camera), x_b = R_bc @ x_c + p_bc.
-
-    Covariances (6, 6) in order x y z rx ry rz, m^2 and rad^2, about the axes of the frame left of the name (r, b):
-    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp.
-    """
+class Mount(msgspec.Struct, frozen=True, eq=False):
+    """Two cameras on a body: x_r = R_rc @ x_c + t_rc (c = left, r = right camera), x_b = R_bc @ x_c + p_bc; not checked."""
 
     left: CameraModel
     right: CameraModel
@@ -103,6 +99,15 @@ class StereoRig(msgspec.Struct, frozen=True, eq=False, dict=True):
     t_rc: Array
     R_bc: Array
     p_bc: Array
+
+
+class StereoRig(Mount, frozen=True, eq=False, dict=True):
+    """A mount as calibrated, checked, and how sure that is.
+
+    Covariances (6, 6) in order x y z rx ry rz, m^2 and rad^2, about the axes of the frame left of the name (r, b):
+    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp.
+    """
+
     covariance_rc: Array | None = None
     covariance_bc: Array | None = None
     time_offset_s: float = 0.0

@@ -10,7 +10,7 @@ from models.messages import Array
 
 @njit(cache=True)
 def factor(s: Array, low: Array) -> bool:
-    """Fill the lower triangle of low (m, m) with L of S (m, m); False where S is not positive definite."""
+    """Fill the lower triangle of low (m, m), which may be S itself, with L of S; False where S (m, m) is not positive definite."""
     for i in range(s.shape[0]):
         for j in range(i + 1):
             total = s[i, j]
@@ -34,6 +34,19 @@ def forward(low: Array, b: Array) -> None:
                 b[i, j] -= low[i, k] * b[k, j]
         for j in range(b.shape[1]):
             b[i, j] /= low[i, i]
+
+
+@njit(cache=True)
+def substitute(low: Array, b: Array) -> None:
+    """b (m,) <- S^-1 b = L^-T L^-1 b, in place."""
+    for i in range(b.shape[0]):
+        for k in range(i):
+            b[i] -= low[i, k] * b[k]
+        b[i] /= low[i, i]
+    for i in range(b.shape[0] - 1, -1, -1):
+        for k in range(i + 1, b.shape[0]):
+            b[i] -= low[k, i] * b[k]
+        b[i] /= low[i, i]
 
 
 @njit(cache=True)

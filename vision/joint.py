@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import cholesky
 from models.messages import Array
 
 POSE = 6
@@ -133,7 +134,10 @@ def _step(
         for m in range(POSE):
             whole[k, m] += information[k, m]
             eta[k] -= information[k, m] * delta[m]
-    solution = _solved(whole, eta)
+    if not cholesky.factor(whole, whole):
+        raise np.linalg.LinAlgError("the normal equations are not positive definite")
+    solution = eta.copy()
+    cholesky.substitute(whole, solution)
     change = solution.copy()
     change[POSE:] -= present
     residual = z.copy()
@@ -142,21 +146,6 @@ def _step(
             for k in range(columns):
                 residual[e, i] -= A[e, i, k] * change[k]
     return solution, omega, residual
-
-
-@njit(cache=True)
-def _solved(S: Array, b: Array) -> Array:
-    """S^-1 b of a symmetric positive definite S = L L^T."""
-    low, x = np.linalg.cholesky(S), b.copy()
-    for i in range(len(x)):
-        for k in range(i):
-            x[i] -= low[i, k] * x[k]
-        x[i] /= low[i, i]
-    for i in range(len(x) - 1, -1, -1):
-        x[i] /= low[i, i]
-        for k in range(i):
-            x[k] -= low[i, k] * x[i]
-    return x
 
 
 @njit(cache=True)
@@ -174,26 +163,14 @@ def _used_columns(A: Array, some: NDArray[np.int64]) -> int:
 
 @njit(cache=True)
 def _inverse(R: Array, found: NDArray[np.bool_]) -> Array:
-    """R^-1 (E, M, M) of the numbers that were found (E, M), 0 elsewhere: Gauss and Jordan, R being positive definite."""
-    edges, rows = found.shape
-    inverse, left = np.zeros((edges, rows, rows)), np.empty((rows, rows))
-    for e in range(edges):
-        left[:] = R[e]
-        for k in range(rows):
-            inverse[e, k, k] = 1.0 if found[e, k] else 0.0
-        for k in range(rows):
-            if not found[e, k]:
-                continue
-            pivot = left[k, k]
-            for j in range(rows):
-                left[k, j] /= pivot
-                inverse[e, k, j] /= pivot
-            for i in range(rows):
-                if i != k and found[e, i]:
-                    factor = left[i, k]
-                    for j in range(rows):
-                        left[i, j] -= factor * left[k, j]
-                        inverse[e, i, j] -= factor * inverse[e, k, j]
+    """R^-1 (E, M, M) of the numbers that were found (E, M), 0 elsewhere."""
+    inverse = np.zeros(R.shape)
+    for e in range(len(R)):
+        some = np.flatnonzero(found[e])
+        of_some = cholesky.inverse(R[e][some][:, some])
+        for i in range(len(some)):
+            for j in range(len(some)):
+                inverse[e, some[i], some[j]] = of_some[i, j]
     return inverse
 
 

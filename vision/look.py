@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
-from models.camera import StereoRig
+from models.camera import Mount, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from vision import outline, step_fit
@@ -25,7 +25,6 @@ from vision.sensitivity import (
     MAPPED_FROM,
     EdgeView,
     Eye,
-    Mount,
     Samples,
     derivatives,
     edge_gaps,
@@ -97,7 +96,7 @@ class Scene:
         self.map_column[self.map_used] = np.arange(len(self.map_used))
         self.rig_roots = _rig_roots(rig)
 
-    def moved_rig(self, bc: Array, rc: Array) -> StereoRig | Mount:
+    def moved_rig(self, bc: Array, rc: Array) -> Mount:
         """The rig with errors of its camera poses, in units of their own standard deviations."""
         rig = self.rig
         if not (bc.any() or rc.any()):
@@ -113,7 +112,7 @@ class Scene:
         p_n: Array,
         R_nb: Array,
         shift_m: Array,
-        rig: StereoRig | Mount,
+        rig: Mount,
         config: LookConfig,
         search_px: int = 0,
         farthest_px: float = 0.0,

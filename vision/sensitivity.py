@@ -12,13 +12,12 @@ all that else may be wrong.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models.camera import CameraModel, StereoRig
+from models.camera import CameraModel, Mount
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.visibility import ModelEdges, Prisms, hide
@@ -67,18 +66,7 @@ class Eye:
         return p_n + R_nb @ self.p_bk, R_nb @ self.R_kb.T
 
 
-class Mount(NamedTuple):
-    """Two cameras on a body as a StereoRig has them, moved by what its covariances speak of."""
-
-    left: CameraModel
-    right: CameraModel
-    R_rc: Array
-    t_rc: Array
-    R_bc: Array
-    p_bc: Array
-
-
-def eyes(rig: StereoRig | Mount) -> tuple[Eye, Eye]:
+def eyes(rig: Mount) -> tuple[Eye, Eye]:
     """Left and right camera of a rig."""
     R_rb = rig.R_rc @ rig.R_bc.T
     return (
@@ -308,7 +296,7 @@ class Derivatives:
 
 
 def derivatives(
-    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: StereoRig | Mount, p_n: Array, R_nb: Array, *,
+    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: Mount, p_n: Array, R_nb: Array, *,
     with_own: bool = True,
 ) -> Derivatives:  # fmt: skip
     """All that moves the samples along their normals in this picture; own is empty (0, 0) where it is not wanted."""

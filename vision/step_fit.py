@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import cholesky
 from models.messages import Array
 
 Indices = NDArray[np.int64]
@@ -121,33 +122,6 @@ def _basis(place: Array, s0: float, sigma: float, gap: float, basis: Array) -> N
 
 
 @njit(cache=True)
-def _solve(matrix: Array, right: Array, size: int, x: Array) -> bool:
-    """x of matrix x = right for a small positive definite matrix, in place by Cholesky; False where it is not."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if total <= 0.0:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(size):
-        total = right[i]
-        for k in range(i):
-            total -= matrix[i, k] * x[k]
-        x[i] = total / matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        total = x[i]
-        for k in range(i + 1, size):
-            total -= matrix[k, i] * x[k]
-        x[i] = total / matrix[i, i]
-    return True
-
-
-@njit(cache=True)
 def _levels(gg: float, g1: float, g2: float, a11: float, a12: float, a22: float, weight: float) -> tuple[float, float, float]:
     """Least |g - c1 f1 - c2 f2|^2 + weight (c1 - c2)^2, and c1, c2, from the inner products of g, f1, f2."""
     b11, b12, b22 = a11 + weight, a12 - weight, a22 + weight
@@ -218,8 +192,10 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
         room[:] = normal
         for k in range(5):
             room[k, k] += damping * normal[k, k] + 1e-9
-        if not _solve(room, right, 5, step):
+        if not cholesky.factor(room, room):
             break
+        step[:] = right
+        cholesky.substitute(room, step)
         s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
         value = _split(place, g, gap, weight, s0, sigma, trial, basis)
         fresh = value < cost
@@ -238,10 +214,12 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
     _normal_equations(place, g, gap, weight, x, basis, normal, right)
     for k in range(5):
         normal[k, k] += 1e-9
-    right[:] = 0.0
-    right[3] = 1.0
-    found = _solve(normal, right, 5, step)
-    return x, (max(cost / max(size - 5, 1), 1.0) * step[3] if found else np.inf), cost / size
+    if not cholesky.factor(normal, normal):
+        return x, np.inf, cost / size
+    step[:] = 0.0
+    step[3] = 1.0
+    cholesky.substitute(normal, step)
+    return x, max(cost / max(size - 5, 1), 1.0) * step[3], cost / size
 
 
 @njit(cache=True)
@@ -354,18 +332,16 @@ def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
         for k in range(3):
             scale[k] += jacobian[j, k] ** 2
     scale = np.sqrt(scale) + 1e-12
-    normal, room = np.zeros((3, 3)), np.zeros((3, 3))
+    normal = np.zeros((3, 3))
     for j in range(size):
         for k in range(3):
             for m in range(3):
                 normal[k, m] += jacobian[j, k] * jacobian[j, m] / (scale[k] * scale[m])
-    gain, shift = np.empty(3), np.empty(3)
-    room[:] = normal
-    found = _solve(room, np.array([0.0, 1.0, 0.0]), 3, gain)
-    if not found or room[2, 2] < 3e-3 or room[1, 1] < 3e-3:
+    if not cholesky.factor(normal, normal) or normal[2, 2] < 3e-3 or normal[1, 1] < 3e-3:
         return False
-    room[:] = normal
-    _solve(room, np.array([0.0, 0.0, 1.0]), 3, shift)
+    gain, shift = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    cholesky.substitute(normal, gain)
+    cholesky.substitute(normal, shift)
     for j in range(size):
         rows[0, j] = rows[1, j] = 0.0
         for k in range(3):

@@ -40,6 +40,15 @@ def test_forward_solves_with_the_factor(m: int) -> None:
 
 
 @pytest.mark.parametrize("m", [1, 3, 6])
+def test_substitution_solves_in_the_place_of_matrix_and_right_hand_side(m: int) -> None:
+    s, b = _definite(m), np.random.default_rng(1).normal(size=m)
+    low, x = s.copy(), b.copy()
+    assert cholesky.factor(low, low)
+    cholesky.substitute(low, x)
+    np.testing.assert_allclose(s @ x, b, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("m", [1, 3, 6])
 def test_inverse_is_exactly_symmetric(m: int) -> None:
     s = _definite(m)
     inverse = cholesky.inverse(s)
