@@ -10,7 +10,7 @@ from models.messages import Array
 
 @njit(cache=True)
 def factor(s: Array, low: Array) -> bool:
-    """Fill the lower triangle of low (m, m), which may be S itself, with L of S; False where S (m, m) is not positive definite."""
+    """Fill the lower triangle of low, which may be S itself, with L of S (m, m); False where S is not positive definite."""
     for i in range(s.shape[0]):
         for j in range(i + 1):
             total = s[i, j]
