@@ -236,7 +236,7 @@ def _transition_rows(phi: Array, m: Array, out: Array) -> None:
 
 @njit(cache=True)
 def _covariance(p: Array, phi: Array, rows: Array) -> None:
-    """P <- Phi P Phi^T, in place, exactly symmetric; p: (15, >= 15), zero in the columns beyond; scratch: rows (9, like p)."""
+    """P <- Phi P Phi^T, in place; p: (15, >= 15) rows of P, exactly symmetric in the 15; scratch: rows (9, like p)."""
     _transition_rows(phi, p, rows)
     for i in range(_G):
         for j in range(i, _G):
@@ -246,8 +246,9 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
             p[i, j] = total
             p[j, i] = total
         for j in range(_G, _N):
-            p[i, j] = rows[i, j]
             p[j, i] = rows[i, j]
+        for j in range(_G, p.shape[1]):
+            p[i, j] = rows[i, j]
 
 
 @njit(cache=True, inline="always")
@@ -264,10 +265,10 @@ def _add_noise(p: Array, h: float, gyro: float, accel: float, gyro_walk: float, 
 
 
 @njit(cache=True)
-def _gauss_markov(cov: Array, cross: Array, h: float, tau: Array, psd: Array) -> None:
+def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> None:
     """Slow errors: c1 = exp(-h/tau) c + n, Q = q tau/2 (1 - exp(-2 h/tau)); Q = q h where tau is infinite.
 
-    cov (n, n): their own covariance behind the 15; cross (15, >= n - 15): what the 15 have in common with them.
+    cov (n, n): their own covariance behind the 15; p (15, >= n): what the 15 have in common with them, in the same columns.
     """
     n, last, stays = cov.shape[0], 0.0, 1.0
     for k in range(tau.shape[0]):
@@ -278,7 +279,7 @@ def _gauss_markov(cov: Array, cross: Array, h: float, tau: Array, psd: Array) ->
         if tau[k] != last:  # most are of the same kind
             last, stays = tau[k], math.exp(-h / tau[k])
         for j in range(_N):
-            cross[j, k] *= stays
+            p[j, i] *= stays
         for j in range(_N, n):
             cov[i, j] *= stays
             cov[j, i] *= stays
@@ -340,12 +341,23 @@ def _step(
 
 
 @njit(cache=True)
-def _padded(m: Array) -> Array:
-    """m (15, k) with columns of zeros behind it, so that rows fill vector registers and leave no rest to be done one by one."""
-    k = m.shape[1]
-    wide = np.zeros((_N, -(-k // _LANES) * _LANES))
-    wide[:, :k] = m
-    return wide
+def _of_state(cov: Array) -> Array:
+    """The first 15 rows of P (n, n), and columns of zeros behind them: they fill vector registers, no rest is done one by one."""
+    n = cov.shape[0]
+    p = np.zeros((_N, -(-n // _LANES) * _LANES))
+    for i in range(_N):
+        for j in range(n):
+            p[i, j] = cov[i, j]
+    return p
+
+
+@njit(cache=True)
+def _into(cov: Array, p: Array) -> None:
+    """The other way: rows and columns of the 15 in P (n, n) from p (15, >= n)."""
+    for i in range(_N):
+        for j in range(cov.shape[0]):
+            cov[i, j] = p[i, j]
+            cov[j, i] = p[i, j]
 
 
 @njit(cache=True)
@@ -362,8 +374,8 @@ def propagate(
     A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
     """
     n = cov.shape[0]
-    p, cross = _padded(cov[:_N, :_N]), _padded(cov[:_N, _N:])
-    rows, cross_rows = np.empty((_G, p.shape[1])), np.empty((_G, cross.shape[1]))
+    p = _of_state(cov)
+    rows = np.empty((_G, p.shape[1]))
     rotations, ends, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.zeros((_G, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
@@ -378,14 +390,11 @@ def propagate(
             accel = c[_C_ACCEL_PSD] + sampling.density(known[i], 1, span, c[_C_ACCEL_PSD])
             _add_noise(p, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         if n > _N:
-            _transition_rows(phi, cross, cross_rows)
-            cross[:_G] = cross_rows
-            _gauss_markov(cov, cross, h, tau, psd)
+            _gauss_markov(cov, p, h, tau, psd)
         from_ns = end
         if i < count and end == t_ns[i]:
             i += 1
-    cov[:_N, :_N], cov[:_N, _N:] = p[:, :_N], cross[:, : n - _N]
-    cov[_N:, :_N] = cov[:_N, _N:].T
+    _into(cov, p)
     return sound(x, cov)
 
 
