@@ -72,6 +72,17 @@ def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int)
 
 
 @njit(cache=True)
+def put(
+    t_ns: NDArray[np.int64], u: Array, known: Array, k: int, end: int, stamp_ns: int,
+    p: float, q: float, r: float, x: float, y: float, z: float,
+) -> None:  # fmt: skip
+    """Sample k is (p q r), rad/s, and (x y z), m/s^2, at stamp_ns; `learn` from there to `end`."""
+    t_ns[k] = stamp_ns
+    u[k, 0], u[k, 1], u[k, 2], u[k, 3], u[k, 4], u[k, 5] = p, q, r, x, y, z
+    learn(t_ns, u, known, k, end)
+
+
+@njit(cache=True)
 def density(known: Array, sensor: int, span_s: float, psd: float) -> float:
     """Density of what a line over span_s leaves out; known: (SIZE,), sensor: 0 gyroscope, 1 accelerometer, psd: its q."""
     h, m = known[0], known[1 + LEVELS * sensor : 1 + LEVELS * (sensor + 1)]
