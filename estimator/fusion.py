@@ -183,7 +183,9 @@ class Fusion:
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
-            lead_ns = max(lead_ns, quickest_ns - max(0, message.arrived_ns - noted_ns) // 10)
+            if message.arrived_ns > noted_ns:
+                quickest_ns -= (message.arrived_ns - noted_ns) // 10
+            lead_ns = max(lead_ns, quickest_ns)
         self._lead = lead_ns, message.arrived_ns
 
     def _future(self, message: Input) -> Refusal | None:

@@ -132,19 +132,21 @@ class History:
 
     def _go_through(self, to_ns: int, most: int | None = None) -> None:
         """Move the tracker to `to_ns`, or through as many measurements as may be at most."""
-        wanted = 0
-        if self._next < len(self._orders):  # seldom
-            wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
+        if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
+            self._propagate(to_ns)
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._checkpoint()
+
+    def _take(self, to_ns: int, most: int | None) -> bool:
+        """Let the tracker process what waits up to `to_ns`, as many as may be; whether that is all of it."""
+        wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
         for _ in range(wanted if most is None else min(wanted, most)):
             entry = self._entries[self._next]
             self._propagate(entry.aid.t_ns)
             self._decide(entry, self.tracker.process(entry.aid, self.samples))
             self._next += 1
             self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples: what comes later need not redo it
-        if most is None or wanted <= most:
-            self._propagate(to_ns)
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
-            self._checkpoint()
+        return most is None or wanted <= most
 
     def _propagate(self, to_ns: int) -> None:
         """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
