@@ -11,6 +11,7 @@ from models.messages import GnssFix, GnssVelocity, ImuSample, Input, LandmarkFix
 _STEP_NS = 5_000_000
 _PLACE = (47.0, 8.0, 400.0)
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
+_NOT_GIVEN: tuple[list[int], ...] = ([], [3, 4], [5])  # of x y z rx ry rz: nothing; roll and pitch; yaw
 
 
 def warm_up() -> None:
@@ -30,12 +31,18 @@ def _flight() -> list[Input]:
         messages.append(ImuSample(t_ns, t_ns, (0.0, 0.0, 1e-3 * (k % 7)), (1e-2 * (k % 5), 0.0, -9.81)))
         if k % 20 == 0:
             validity_ns = max(_STEP_NS, t_ns - 10 * _STEP_NS)
-            messages.append(PoseFix(validity_ns, t_ns, (0.0, 0.0, 0.0), _LEVEL, np.eye(6) * 1e-2))
+            messages.append(_pose_fix(validity_ns, t_ns, _NOT_GIVEN[k // 20 % len(_NOT_GIVEN)]))
             messages.append(_landmark_fix(validity_ns, t_ns, in_part=k % 40 == 0))
             messages.append(GnssFix(t_ns, t_ns, *_PLACE, np.eye(3)))
             messages.append(GnssVelocity(t_ns, t_ns, (0.0, 0.0, 0.0), np.eye(3)))
     end_ns = messages[-1].t_ns + 300_000_000
     return [*messages, Tick(end_ns, end_ns)]
+
+
+def _pose_fix(validity_ns: int, arrived_ns: int, not_given: list[int]) -> PoseFix:
+    covariance = np.eye(6) * 1e-2
+    covariance[not_given, not_given] = np.nan
+    return PoseFix(validity_ns, arrived_ns, (0.0, 0.0, 0.0), _LEVEL, covariance)
 
 
 def _landmark_fix(validity_ns: int, arrived_ns: int, *, in_part: bool) -> LandmarkFix:
