@@ -32,7 +32,7 @@ class ErrorStateKalman:
         if nu.shape != (m,) or h.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):
             raise ValueError(f"shapes do not fit: nu {nu.shape}, H {h.shape}, R {noise.shape}, P {cov.shape}, n = {n}")
         kalman = self._filter
-        kalman.x, kalman.P = self._zero, cov
-        kalman.update(nu, noise, h)
+        kalman.x, kalman.P, kalman.R = self._zero, cov, noise
+        kalman.update(nu, H=h)
         cholesky.symmetrise(kalman.P)
         return kalman.x, kalman.P, kalman.K
