@@ -34,10 +34,14 @@ def vote(
     marks: L; floor: of a gradient, so that smooth places have no direction.
     """
     rows, columns = field.shape[0], field.shape[1]
+    pixels = field.reshape(rows * columns, field.shape[2])
     support = np.zeros((marks, len(su), len(sv)))
     seen = np.zeros((marks, len(su), len(sv)))
     scale, cx, cy = np.array([camera[0], camera[1], 1.0]), camera[2] + 0.5, camera[3] + 0.5
-    row = np.empty((int(np.max(np.diff(first))), 8))  # an edge's points at one shift in u: K x_c, its step in v, normal
+    most = int(np.max(np.diff(first)))
+    row = np.empty((most, 8))  # an edge's points at one shift in u: K x_c, its step in v, normal;
+    at = np.empty((most, len(sv)), np.int32)  # and the pixels they meet at each shift in v
+    begin, end = _between(inside)
     for e in range(len(mark)):  # edge by edge: what it meets of the field stays in the cache
         points, m = first[e + 1] - first[e], mark[e]
         for i in range(points):
@@ -48,18 +52,16 @@ def vote(
             for i in range(points):
                 for k in range(3):
                     row[i, k] = scale[k] * (aimed[first[e] + i, k] + su[a] * aimed[first[e] + i, 3 + k])
-            for b in range(len(sv)):
+                _pixels_met(row[i], sv[begin[a] : end[a]], cx, cy, rows, columns, at[i, begin[a] : end[a]])
+            for b in range(begin[a], end[a]):
                 if not inside[a, b]:
                     continue
-                t = sv[b]
                 g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
                 own, own_total = 0.0, 0.0
                 for i in range(points):
-                    z = row[i, 2] + t * row[i, 5]
-                    u, v = (row[i, 0] + t * row[i, 3]) / z + cx, (row[i, 1] + t * row[i, 4]) / z + cy
-                    if not (z > 0.0 and u >= 1.0 and v >= 1.0 and u < columns - 1.0 and v < rows - 1.0):
+                    if at[i, b] < 0:
                         continue
-                    here = field[int(v), int(u)]
+                    here = pixels[np.uint64(at[i, b])]
                     if here[6] < 0.0:
                         continue
                     nu, nv, size = row[i, 6], row[i, 7], here[6] + floor
@@ -80,6 +82,33 @@ def vote(
                 support[m, a, b] += n * share
                 seen[m, a, b] += n
     return support, seen
+
+
+@njit(cache=True)
+def _between(inside: Mask) -> tuple[Indices, Indices]:
+    """The first column of each row of inside (U, V) that is set, and the one after the last."""
+    begin, end = np.zeros(len(inside), np.int64), np.zeros(len(inside), np.int64)
+    for a in range(len(inside)):
+        some = np.flatnonzero(inside[a])
+        if len(some):
+            begin[a], end[a] = some[0], some[-1] + 1
+    return begin, end
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _pixels_met(row: Array, sv: Array, cx: float, cy: float, rows: int, columns: int, at: NDArray[np.int32]) -> None:
+    """Number at (V,) of the pixel that a point meets at shifts sv (V,), -1 outside: K (x_c + sv d x_c) = row.
+
+    Without a branch, so that it is done for several shifts at once.
+    """
+    x, y, z0, dx, dy, dz = row[0], row[1], row[2], row[3], row[4], row[5]
+    right, bottom = columns - 1.0, rows - 1.0
+    for b in range(len(sv)):
+        z = z0 + sv[b] * dz
+        u, v = (x + sv[b] * dx) / z + cx, (y + sv[b] * dy) / z + cy
+        met = (z > 0.0) & (u >= 1.0) & (v >= 1.0) & (u < right) & (v < bottom)
+        pixel = np.int32(v) * np.int32(columns) + np.int32(u)
+        at[b] = pixel if met else np.int32(-1)
 
 
 @njit(cache=True)
