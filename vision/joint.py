@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from models import cholesky
 from models.messages import Array
 
+Indices = NDArray[np.int64]
 POSE = 6
 _REWEIGHTED, _HUBER_ROUNDS = 4, 2
 _TUKEY = 5.0  # in units of the median edge's distance
@@ -57,7 +58,7 @@ class Solution:
 
 def solve(system: System, present: Array, information: Array, delta: Array) -> Solution:
     """Gauss-Newton step; present: (P,) nu_0; information (6, 6) of the prior, delta = x (-) x0."""
-    solution, omega, residual = _step(system.A, system.W, system.z, present, information, delta, np.ones(len(system.z)))
+    solution, omega, residual = _step(system.A, system.W, system.z, present, information, delta)
     return Solution(solution[:POSE], solution[POSE:], omega, residual)
 
 
@@ -72,58 +73,93 @@ def solve_robustly(system: System, present: Array, information: Array, delta: Ar
 
 @njit(cache=True)
 def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
-    edges, rows = z.shape
-    weight, ratio = np.ones(edges), np.zeros(edges)
-    numbers = np.array([np.count_nonzero(np.diag(W[e])) for e in range(edges)])
-    solution, omega, residual = _step(A, W, z, present, information, delta, weight)
+    found, rows = _found(W), z.shape[1]
+    weight, ratio = np.ones(len(found)), np.empty(len(found))
+    numbers = np.array([np.count_nonzero(np.diag(W[e])) for e in found])
+    told, right, column, count = _told(A, W, z, present, found)
+    solution, omega = _solved(told, right, column, count, present, information, delta, weight)
     for k in range(_REWEIGHTED):
-        for e in range(edges):
-            total = 0.0
+        residual = _residual(A, z, present, solution, found, column, count)
+        for f in range(len(found)):
+            e, total = found[f], 0.0
             for i in range(rows):
                 for j in range(rows):
                     total += residual[e, i] * W[e, i, j] * residual[e, j]
-            ratio[e] = np.sqrt(2.0 * max(total, 0.0) / max(numbers[e], 1))
-        scale = max(1.4826 * np.median(ratio[numbers > 0]), _LEAST_SCALE)
-        for e in range(edges):
-            r = ratio[e] / scale
+            ratio[f] = np.sqrt(2.0 * max(total, 0.0) / numbers[f])
+        scale = max(1.4826 * np.median(ratio), _LEAST_SCALE)
+        for f in range(len(found)):
+            r = ratio[f] / scale
             if k < _HUBER_ROUNDS:
-                weight[e] = 1.0 / max(r, 1.0)
+                weight[f] = 1.0 / max(r, 1.0)
             else:
-                weight[e] = (1.0 - (r / _TUKEY) ** 2) ** 2 if r < _TUKEY else 0.0
-        solution, omega, residual = _step(A, W, z, present, information, delta, weight)
-    return solution, omega, residual
+                weight[f] = (1.0 - (r / _TUKEY) ** 2) ** 2 if r < _TUKEY else 0.0
+        solution, omega = _solved(told, right, column, count, present, information, delta, weight)
+    return solution, omega, _residual(A, z, present, solution, found, column, count)
 
 
 @njit(cache=True)
-def _step(
-    A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array, weight: Array
-) -> tuple[Array, Array, Array]:
-    """Pose and nuisances (6 + P,), information without the pose's prior, and residuals (E, M) after the step.
+def _step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
+    found = _found(W)
+    told, right, column, count = _told(A, W, z, present, found)
+    solution, omega = _solved(told, right, column, count, present, information, delta, np.ones(len(found)))
+    return solution, omega, _residual(A, z, present, solution, found, column, count)
 
-    An edge depends on the map errors of its own landmark only: columns that are 0 are left out of its sums.
+
+@njit(cache=True)
+def _found(W: Array) -> Indices:
+    """The edges (F,) that carry information."""
+    return np.array([e for e in range(len(W)) if W[e].any()], dtype=np.int64)
+
+
+@njit(cache=True)
+def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple[Array, Array, Indices, Indices]:
+    """A_e^T W_e A_e (F, S, S) and A_e^T W_e (z_e + N_e nu_0) (F, S) of the edges found, in those columns (F, S) of A that are not
+    0, and how many these are (F,): an edge depends on the map errors of its own landmark only.
     """
-    edges, rows, columns = A.shape
-    omega, eta = np.zeros((columns, columns)), np.zeros(columns)
-    own, WA, some = np.empty((columns, rows)), np.empty((columns, rows)), np.empty(columns, np.int64)
-    for e in range(edges):
-        if weight[e] == 0.0 or not W[e].any():
-            continue
-        count, target = _used_columns(A[e], some), z[e].copy()
-        for i in range(rows):
-            for k in range(len(present)):
-                target[i] += A[e, i, POSE + k] * present[k]
-        for c in range(count):
+    rows, columns = A.shape[1], A.shape[2]
+    column, count, most = np.empty((len(found), columns), np.int64), np.zeros(len(found), np.int64), 0
+    for f in range(len(found)):
+        for k in range(columns):
             for i in range(rows):
-                own[c, i], WA[c, i] = A[e, i, some[c]], 0.0
-                for j in range(rows):
-                    WA[c, i] += weight[e] * W[e, i, j] * A[e, j, some[c]]
-                eta[some[c]] += WA[c, i] * target[i]
-        for c in range(count):
-            for d in range(c, count):
-                total = 0.0
-                for i in range(rows):
-                    total += WA[c, i] * own[d, i]
-                omega[some[c], some[d]] += total
+                if A[found[f], i, k] != 0.0:
+                    column[f, count[f]] = k
+                    count[f] += 1
+                    break
+        most = max(most, count[f])
+    told, right = np.zeros((len(found), most, most)), np.zeros((len(found), most))
+    own, WA, target = np.empty((rows, most)), np.empty((rows, most)), np.empty(rows)
+    for f in range(len(found)):
+        e = found[f]
+        target[:], WA[:] = z[e], 0.0
+        for i in range(rows):
+            for c in range(count[f]):
+                own[i, c] = A[e, i, column[f, c]]
+                if column[f, c] >= POSE:
+                    target[i] += own[i, c] * present[column[f, c] - POSE]
+        for i in range(rows):
+            for j in range(rows):
+                for c in range(count[f]):
+                    WA[i, c] += W[e, i, j] * own[j, c]
+        for i in range(rows):
+            for c in range(count[f]):
+                right[f, c] += WA[i, c] * target[i]
+                for d in range(count[f]):
+                    told[f, c, d] += WA[i, c] * own[i, d]
+    return told, right, column[:, :most].copy(), count
+
+
+@njit(cache=True)
+def _solved(
+    told: Array, right: Array, column: Indices, count: Indices, present: Array, information: Array, delta: Array, weight: Array
+) -> tuple[Array, Array]:
+    """Pose and nuisances (6 + P,), and information without the pose's prior; weight (F,) of the edges found."""
+    columns = POSE + len(present)
+    omega, eta = np.zeros((columns, columns)), np.zeros(columns)
+    for f in range(len(told)):
+        for c in range(count[f]):
+            eta[column[f, c]] += weight[f] * right[f, c]
+            for d in range(c, count[f]):
+                omega[column[f, c], column[f, d]] += weight[f] * told[f, c, d]
     for k in range(columns):
         for m in range(k):
             omega[k, m] = omega[m, k]
@@ -136,29 +172,20 @@ def _step(
             eta[k] -= information[k, m] * delta[m]
     if not cholesky.factor(whole, whole):
         raise np.linalg.LinAlgError("the normal equations are not positive definite")
-    solution = eta.copy()
-    cholesky.substitute(whole, solution)
-    change = solution.copy()
-    change[POSE:] -= present
-    residual = z.copy()
-    for e in range(edges):
-        for i in range(rows):
-            for k in range(columns):
-                residual[e, i] -= A[e, i, k] * change[k]
-    return solution, omega, residual
+    cholesky.substitute(whole, eta)
+    return eta, omega
 
 
 @njit(cache=True)
-def _used_columns(A: Array, some: NDArray[np.int64]) -> int:
-    """Write which columns of A (M, C) are not 0, rising, into some; how many they are."""
-    count = 0
-    for k in range(A.shape[1]):
-        for i in range(A.shape[0]):
-            if A[i, k] != 0.0:
-                some[count] = k
-                count += 1
-                break
-    return count
+def _residual(A: Array, z: Array, present: Array, solution: Array, found: Indices, column: Indices, count: Indices) -> Array:
+    """Residuals (E, M) after the step; of edges that carry no information z."""
+    change, residual = solution.copy(), z.copy()
+    change[POSE:] -= present
+    for f in range(len(found)):
+        for i in range(A.shape[1]):
+            for c in range(count[f]):
+                residual[found[f], i] -= A[found[f], i, column[f, c]] * change[column[f, c]]
+    return residual
 
 
 @njit(cache=True)
