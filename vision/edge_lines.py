@@ -112,7 +112,7 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
                 count += 1
         if step == _ROUNDS - 1:
             return True
-        scale = max(1.4826 * np.median(values[:count]) * math.sqrt(count / max(count - 2.0, 1.0)), _FLOOR_PX)
+        scale = max(1.4826 * _median(values[:count]) * math.sqrt(count / max(count - 2.0, 1.0)), _FLOOR_PX)
         for i in range(start, stop):
             if not math.isnan(r[i]):
                 z = abs(residual[i]) / scale
@@ -121,6 +121,19 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
                 else:
                     weight[i] = (1.0 - (z / _TUKEY) ** 2) ** 2 if z < _TUKEY else 0.0
     return True
+
+
+@njit(cache=True)
+def _median(few: Array) -> float:
+    """Of a few values (N,), which are sorted by it."""
+    n = len(few)
+    for i in range(1, n):
+        value, j = few[i], i
+        while j > 0 and few[j - 1] > value:
+            few[j] = few[j - 1]
+            j -= 1
+        few[j] = value
+    return float(0.5 * (few[(n - 1) // 2] + few[n // 2]))
 
 
 @njit(cache=True)

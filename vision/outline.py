@@ -84,10 +84,11 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
         if usable[i]:
             e = edge[i]
             count[e] += third
-            for c in range(channels):
-                for j in range(size):
-                    bright[e, c] += values[i, j, c] >= _CLIPPED
-                for j in range(third):
+            for j in range(size):
+                for c in range(channels):
+                    bright[e, c] += 1.0 if values[i, j, c] >= _CLIPPED else 0.0
+            for j in range(third):
+                for c in range(channels):
                     sums[e, 0, c] += values[i, j, c]
                     sums[e, 1, c] += values[i, third + j, c]
                     sums[e, 2, c] += values[i, size - 1 - j, c]
@@ -104,9 +105,12 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
         direction[e] = d / norm if norm > 0.0 else np.full(channels, 1.0 / math.sqrt(channels))
     result = np.zeros((n, size))
     for i in range(n):
-        for j in range(size):
-            for c in range(channels):
-                result[i, j] += values[i, j, c] * direction[edge[i], c]
+        if usable[i]:
+            for j in range(size):
+                total = 0.0
+                for c in range(channels):
+                    total += values[i, j, c] * direction[edge[i], c]
+                result[i, j] = total
     return result, clipped
 
 
@@ -287,16 +291,14 @@ def crossed(px: Array, normal: Array, edge: Indices, partner: Indices, start: Ar
     n, edges = px.shape[0], start.shape[0]
     result = np.zeros(n, dtype=np.bool_)
     for i in range(n):
+        u, v, nu, nv = px[i, 0], px[i, 1], normal[i, 0], normal[i, 1]
         for e in range(edges):
-            if e == edge[i] or e == partner[edge[i]]:
-                continue
-            au, av = start[e, 0] - px[i, 0], start[e, 1] - px[i, 1]
-            bu, bv = end[e, 0] - px[i, 0], end[e, 1] - px[i, 1]
-            side_a, side_b = normal[i, 0] * av - normal[i, 1] * au, normal[i, 0] * bv - normal[i, 1] * bu
-            if (side_a > 0.0) == (side_b > 0.0):
+            au, av, bu, bv = start[e, 0] - u, start[e, 1] - v, end[e, 0] - u, end[e, 1] - v
+            side_a, side_b = nu * av - nv * au, nu * bv - nv * bu
+            if (side_a > 0.0) == (side_b > 0.0) or e == edge[i] or e == partner[edge[i]]:
                 continue
             s = side_a / (side_a - side_b)
-            along = (au + s * (bu - au)) * normal[i, 0] + (av + s * (bv - av)) * normal[i, 1]
+            along = (au + s * (bu - au)) * nu + (av + s * (bv - av)) * nv
             if abs(along) < reach:
                 result[i] = True
                 break

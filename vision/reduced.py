@@ -41,7 +41,7 @@ class Level:
     def typical(self) -> float:
         """Median length of the gradient, of some thousand pixels."""
         step = max(2, math.isqrt(self._made.size * _TILE**2 // _SAMPLE))
-        return float(np.median(_lengths(self._picture, self._unseen, step)))
+        return float(_median_length(self._picture, self._unseen, step))
 
     def whole(self) -> Field:
         """All of the field."""
@@ -132,8 +132,8 @@ def _gradient(
 
 
 @njit(cache=True)
-def _lengths(picture: Image, unseen: Mask, step: int) -> NDArray[np.float32]:
-    """Lengths of the gradient at every step-th pixel of every step-th row."""
+def _median_length(picture: Image, unseen: Mask, step: int) -> float:
+    """Median length of the gradient at every step-th pixel of every step-th row."""
     rows, columns, channels = picture.shape
     lengths = np.empty(((rows + step - 1) // step, (columns + step - 1) // step), dtype=np.float32)
     for y in range(0, rows, step):
@@ -145,7 +145,7 @@ def _lengths(picture: Image, unseen: Mask, step: int) -> NDArray[np.float32]:
                 du, dv = _gradient(picture, above, y, below, before, x, after, c)
                 square += du * du + dv * dv
             lengths[y // step, x // step] = _UNSEEN if unseen[y, x] else np.sqrt(square)
-    return lengths
+    return float(np.median(lengths))
 
 
 @lru_cache(maxsize=16)
