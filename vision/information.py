@@ -67,12 +67,12 @@ class Measured:
         limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
         floor = self._floor()
         limited[:POSE, :POSE] += floor
-        inverse = np.linalg.inv(limited)
+        inverse = np.linalg.solve(limited, np.eye(size, POSE))  # its first columns
         every = system.A.reshape(-1, size)
-        gain = system.W @ (every @ inverse[:, :POSE]).reshape(*system.z.shape, POSE) / factor  # G^T (E, M, 6)
+        gain = system.W @ (every @ inverse).reshape(*system.z.shape, POSE) / factor  # G^T (E, M, 6)
         gains = gain.reshape(-1, POSE)
         noise = factor * gains.T @ (system.R @ gain).reshape(-1, POSE)
-        image = noise + (inverse[:POSE, :POSE] @ floor) @ inverse[:POSE, :POSE]
+        image = noise + (inverse[:POSE] @ floor) @ inverse[:POSE]
         moved = gains.T @ every[:, POSE:]
         if self.rank == POSE:
             return image, moved

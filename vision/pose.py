@@ -19,8 +19,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 
-from models import so3
+from models import cholesky, so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
@@ -109,7 +110,7 @@ class _Fit:
         self.scene, self.prior = scene, prior
         self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
         self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-        self.information = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
+        self.information = cholesky.inverse(np.ascontiguousarray(prior.covariance, dtype=np.float64))
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
         self.bc, self.rc = (np.zeros(root.shape[1]) for root in scene.rig_roots[:2])
@@ -189,7 +190,7 @@ def _decided(
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found
-    information = np.linalg.inv(np.asarray(prior.covariance, dtype=float))
+    information = cholesky.inverse(np.ascontiguousarray(prior.covariance, dtype=np.float64))
     for other in alternatives(found.joint_p_n, found.joint_R_nb, landmarks):
         if not _may_be(other, found, prior, information, config):
             continue
@@ -349,8 +350,15 @@ def _symmetric(matrix: Array) -> Array:
 
 def difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
     """x (-) x0 = (p - p0, log(R R0^T)), (6,)."""
-    turn = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
-    return np.concatenate((p_n - p0_n, turn))
+    return np.asarray(_difference(*(np.ascontiguousarray(part, dtype=np.float64) for part in (p_n, R_nb, p0_n, q0_nb))))
+
+
+@njit(cache=True)
+def _difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
+    off = np.empty(6)
+    off[:3] = p_n - p0_n
+    off[3:] = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    return off
 
 
 def retract(p_n: Array, q_nb: Array, step: Array) -> Pose:

@@ -103,8 +103,7 @@ def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:
 
 def squared_distance(p_n: Array, R_nb: Array, of_p_n: Array, of_q: Array, covariance: Array) -> float:
     """Squared Mahalanobis distance of two poses."""
-    turn = so3.quat_log(so3.multiply(so3.from_matrix(np.ascontiguousarray(R_nb)), so3.conjugate(np.ascontiguousarray(of_q))))
-    e = np.concatenate((p_n - of_p_n, turn))
+    e = difference(p_n, R_nb, of_p_n, of_q)
     return float(e @ np.linalg.solve(covariance, e))
 
 

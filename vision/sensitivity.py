@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import so3
 from models.camera import CameraModel, Mount
 from models.landmarks import Landmark
 from models.messages import Array
@@ -63,14 +64,26 @@ class Eye:
 
     def pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
         """Place p_nk (3,) and axes R_nk (3, 3) at a pose of the body."""
-        return p_n + R_nb @ self.p_bk, R_nb @ self.R_kb.T
+        placed: tuple[Array, Array] = _placed(np.ascontiguousarray(p_n), np.ascontiguousarray(R_nb), self.p_bk, self.R_kb)
+        return placed
 
 
+@njit(cache=True)
+def _placed(p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array) -> tuple[Array, Array]:
+    """p + R p_bk, R R_kb^T."""
+    R_nk = np.empty((3, 3))
+    for i in range(3):
+        for k in range(3):
+            R_nk[i, k] = R_nb[i, 0] * R_kb[k, 0] + R_nb[i, 1] * R_kb[k, 1] + R_nb[i, 2] * R_kb[k, 2]
+    return p_n + so3.applied(R_nb, p_bk), R_nk
+
+
+@lru_cache(maxsize=8)
 def eyes(rig: Mount) -> tuple[Eye, Eye]:
     """Left and right camera of a rig."""
     R_rb = rig.R_rc @ rig.R_bc.T
     return (
-        Eye(rig.left, rig.R_bc.T, rig.p_bc, right=False),
+        Eye(rig.left, np.ascontiguousarray(rig.R_bc.T), rig.p_bc, right=False),
         Eye(rig.right, R_rb, rig.p_bc - R_rb.T @ rig.t_rc, right=True),
     )
 
@@ -119,7 +132,8 @@ def _cut(start: Array, end: Array, p_nk: Array, R_nk: Array, borders: Array) -> 
         _into(start[e], p_nk, R_nk, begin)
         _into(end[e], p_nk, R_nk, over)
         for b in range(len(borders)):
-            first, last = np.dot(borders[b], begin), np.dot(borders[b], over)
+            first = borders[b, 0] * begin[0] + borders[b, 1] * begin[1] + borders[b, 2] * begin[2]
+            last = borders[b, 0] * over[0] + borders[b, 1] * over[1] + borders[b, 2] * over[2]
             if first < 0.0 and last < 0.0:
                 part[e, 1] = -1.0
             elif first < 0.0:
@@ -205,7 +219,7 @@ def _viewed(
             for m in range(3):
                 direction[k] += (end[edge[i], m] - start[edge[i], m]) * R_nk[m, k]
         _normal_row(jacobian[i], direction, normal[i], row[i])
-        unseen[i] = not (np.isfinite(px[i]).all() and np.isfinite(row[i]).all())
+        unseen[i] = not np.isfinite(px[i, 0] + px[i, 1] + row[i, 0] + row[i, 1] + row[i, 2])
     hide(points, p_nk, vertices, offsets, base_d, height, unseen)
     return normal, row, ~unseen
 

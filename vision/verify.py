@@ -107,7 +107,7 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
     if not fits:
         return str(tried[0])
     best = max(fits, key=lambda one: one.found_px)
-    for other in fits:
+    for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
         if apart > config.moved_px and other.found_px > config.rival * best.found_px:
             return f"another place, {apart:.0f} px off, fits {other.found_px / best.found_px:.0%} as well"
