@@ -1,23 +1,24 @@
 """Late and shuffled fixes: is anything lost for its age or order, and is the final state that of punctual fixes, to the bit?
 
 Delays are drawn anew for each fix from 0 to 5 s, so that fixes overtake each other; the same values arrive punctually in the run
-that is compared. Gates are on.
+that is compared. Gates are on. What comes late is worked in behind the outputs, so the IMU goes on for a while after the flight.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import msgspec
 
 from benchmarks.campaign_flights import IMU_HZ
 from estimator.fusion import Fusion, FusionConfig
-from models.messages import AidStatus, Estimate, Reason
+from models.messages import AidStatus, Estimate, ImuSample, Input, Reason
 from models.sim.aids import PoseFixes
 from models.sim.scenario import Scenario, Simulation, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing
 
 DELAY_S = (0.0, 5.0)
+WORKED_IN_S = 2.0
 DURATIONS_S = {0.05: 200.0, 0.5: 60.0, 5.0: 25.0, 30.0: 6.0}  # by the rate of the fixes, Hz
 
 
@@ -81,13 +82,21 @@ def final(simulation: Simulation) -> tuple[Estimate | None, list[Reason]]:
     fusion = Fusion(FusionConfig(imu=simulation.imu_noise, origin=origin.lla if origin else None))
     last: Estimate | None = None
     reasons: dict[tuple[int, str, str], Reason] = {}
-    for message in simulation.messages:
+    for message in (*simulation.messages, *_afterwards(simulation)):
         for output in fusion.handle(message):
             if isinstance(output, Estimate):
                 last = output
             elif isinstance(output, AidStatus):
                 reasons[output.t_ns, output.topic, output.kind] = output.reason
     return last, list(reasons.values())
+
+
+def _afterwards(simulation: Simulation) -> Iterator[Input]:
+    """The last IMU sample again and again, after everything has arrived."""
+    last = max((m for m in simulation.messages if isinstance(m, ImuSample)), key=lambda m: m.t_ns)
+    arrived_ns, step_ns = max(m.arrived_ns for m in simulation.messages), round(1e9 / IMU_HZ)
+    for k in range(1, round(WORKED_IN_S * IMU_HZ)):
+        yield ImuSample(last.t_ns + k * step_ns, arrived_ns + k * step_ns, last.gyro_b, last.accel_b)
 
 
 def judge(name: str, runs: Sequence[Orders]) -> OrderResult:
