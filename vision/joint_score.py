@@ -44,7 +44,7 @@ def summit(score: Array, su: Array, sv: Array, apart_px: float) -> Summit:
     return Summit(np.array([su[a], sv[b]]), float(score[a, b]), float(score[a, b]) / second)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 def _sums(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> tuple[Array, Array]:
     """Sum of c_i, and the number of points in view (U, V)."""
     rows, columns = field.shape[0], field.shape[1]

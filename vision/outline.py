@@ -29,7 +29,7 @@ _BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float, width: int, usable: Mask) -> Array:
     """Values (N, 2 half + 1, C) of picture (H, W, C) at px + s normal, s = -half step ... half step; bilinear.
 

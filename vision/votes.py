@@ -21,7 +21,7 @@ _WRONG_SIDE = 0.3  # what is left of an edge's vote if the map's colour is on th
 _LEAST_POINTS = 2  # in view that make an edge
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 def vote(
     field: Field, camera: Array, aimed: Array, first: Indices, mark: Indices, length: Array, chroma: Array, marks: int,
     floor: float, su: Array, sv: Array, inside: Mask,
@@ -95,7 +95,7 @@ def _between(inside: Mask) -> tuple[Indices, Indices]:
     return begin, end
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _pixels_met(row: Array, sv: Array, cx: float, cy: float, rows: int, columns: int, at: NDArray[np.int32]) -> None:
     """Number at (V,) of the pixel that a point meets at shifts sv (V,), -1 outside: K (x_c + sv d x_c) = row.
 
