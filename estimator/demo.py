@@ -3,7 +3,9 @@
 GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
 """
 
-from collections.abc import Callable
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from importlib import resources
 from pathlib import Path
 
@@ -79,7 +81,22 @@ def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> Non
         pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
         text = flight_pictures.configuration(simulation, "map.geojson", "rig.yaml")
     (folder / "demo.toml").write_text(text, encoding="utf-8")
-    simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
+    with _vision_compiled() if pictures else nullcontext():
+        simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
+
+
+@contextmanager
+def _vision_compiled() -> Iterator[None]:
+    """Meanwhile another process compiles the kernels of vision, if nobody has yet: the first time that takes a minute or two."""
+    from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415
+
+    process = multiprocessing.get_context("spawn").Process(target=warm_up, daemon=True)
+    process.start()
+    try:
+        yield
+        process.join()
+    finally:
+        process.terminate()
 
 
 def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:
