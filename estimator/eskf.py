@@ -107,11 +107,9 @@ class Eskf:
         self.slow = self.slow.moved(by)
 
     def widen(self, factor: float) -> None:
-        """P <- P + (f^2 - 1) P_pvt: position, velocity and attitude are `factor` times less certain than they claimed.
-
-        The error that they are given is one of their own: what contradicts them then tells little of the biases.
-        """
-        self.cov[:_G, :_G] *= factor**2
+        """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
+        self.cov[:_G] *= factor
+        self.cov[:, :_G] *= factor
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""
