@@ -6,14 +6,16 @@ small: the covariance is made of process noise, and an error of a factor of two 
 
 from functools import cache
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.campaign_flights import Flight, flight
 from benchmarks.campaign_runs import BLOCKS, PARTS, run
 from benchmarks.campaign_statistics import Consistency, Result, judge, pooled_ratio
 from logs.metrics import chi2_band
 from models import sampling
-from models.messages import Reason
+from models.messages import Array, Reason
 from models.sim.aids import PoseFixes
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
@@ -76,10 +78,14 @@ def test_true_fixes_are_fused(name: str) -> None:
     assert result.internal == 0
 
 
+def put_and_not_learn(t_ns: NDArray[np.int64], u: Array, known: Array, k: int, end: int, stamp_ns: int, *row: float) -> None:
+    t_ns[k], u[k] = stamp_ns, row
+
+
 @pytest.mark.parametrize(("process_scale", "side"), [(0.5, 1), (2.0, -1)])
 def test_a_filter_with_wrong_process_noise_is_found_out(process_scale: float, side: int, monkeypatch: pytest.MonkeyPatch) -> None:
     # GIVEN a filter whose process noise is half, or twice, the true one, and which does not measure the rest on its samples
-    monkeypatch.setattr(sampling, "learn", lambda *_: None)
+    monkeypatch.setattr(sampling, "put", put_and_not_learn)
     result = flown("multirotor", process_scale)
     # THEN cells leave their band, on the side that tells which it is
     found = [cell for cell in result.consistency if beyond(cell)]
