@@ -78,7 +78,7 @@ def test_true_fixes_are_fused(name: str) -> None:
     assert result.internal == 0
 
 
-def put_and_not_learn(t_ns: NDArray[np.int64], u: Array, known: Array, k: int, end: int, stamp_ns: int, *row: float) -> None:
+def put_and_not_learn(t_ns: NDArray[np.int64], u: Array, _: Array, k: int, __: int, stamp_ns: int, *row: float) -> None:
     t_ns[k], u[k] = stamp_ns, row
 
 
