@@ -24,7 +24,6 @@ from msgspec import Meta
 from numba import njit
 from numpy.typing import NDArray
 
-from models import cholesky
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
@@ -100,7 +99,7 @@ class Search:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
         self.body, self.chroma = Prisms.of(landmarks), chromas(landmarks)
-        self.information = cholesky.inverse(np.ascontiguousarray(motion.prior.covariance, dtype=np.float64))
+        self.information = motion.prior.information
 
     def candidates(self, picture: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from models import so3
+from models import cholesky, so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision.assignment import SCALE, STATES, Expected, Hypotheses, search
@@ -34,6 +34,11 @@ class Prior:
     def R_nb(self) -> Array:
         """Rotation matrix body -> n, (3, 3)."""
         return so3.matrix(self.q_nb_wxyz)
+
+    @property
+    def information(self) -> Array:
+        """P^-1 (6, 6), worked out at each call."""
+        return cholesky.inverse(np.ascontiguousarray(self.covariance, dtype=np.float64))
 
     def moved(self, x: Array) -> tuple[Array, Array]:
         """(p_n, q_nb_wxyz) after the error x = (dp, dtheta, ...): p + dp, exp(dtheta) q."""

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 from numba import njit
 
-from models import cholesky, so3
+from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
@@ -110,7 +110,7 @@ class _Fit:
         self.scene, self.prior = scene, prior
         self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
         self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
-        self.information = cholesky.inverse(np.ascontiguousarray(prior.covariance, dtype=np.float64))
+        self.information = prior.information
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
         self.bc, self.rc = (np.zeros(root.shape[1]) for root in scene.rig_roots[:2])
@@ -190,7 +190,7 @@ def _decided(
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found
-    information = cholesky.inverse(np.ascontiguousarray(prior.covariance, dtype=np.float64))
+    information = prior.information
     for other in alternatives(found.joint_p_n, found.joint_R_nb, landmarks):
         if not _may_be(other, found, prior, information, config):
             continue
