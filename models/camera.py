@@ -55,26 +55,26 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @cached_property
-    def _parameters(self) -> Array:
+    def parameters(self) -> Array:
         """fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 and the largest s that is projected, for the kernels."""
         distortion = self.distortion + (0.0,) * (8 - len(self.distortion))
         return np.array([self.fx, self.fy, self.cx, self.cy, *distortion, _fold(distortion)])
 
     def project(self, x_c: Array) -> Array:
         """Pixels (N, 2) of points x_c (N, 3) [m]; NaN behind the camera, and so far aside that the lens model folds back."""
-        return _project(_points(x_c, 3), self._parameters)
+        return project(_points(x_c, 3), self.parameters)
 
     def project_jacobian(self, x_c: Array) -> Array:
         """d(u, v) / d(x_c): (N, 2, 3) [px/m]; NaN where project is."""
-        return _project_jacobian(_points(x_c, 3), self._parameters)
+        return project_jacobian(_points(x_c, 3), self.parameters)
 
     def parameter_jacobian(self, x_c: Array) -> Array:
         """d(u, v) / d(fx, fy, cx, cy, *distortion): (N, 2, 4 + n), the order of `covariance`; NaN where project is."""
-        return _parameter_jacobian(_points(x_c, 3), self._parameters)[:, :, : 4 + len(self.distortion)]
+        return parameter_jacobian(_points(x_c, 3), self.parameters)[:, :, : 4 + len(self.distortion)]
 
     def undistort(self, px: Array) -> Array:
         """Normalised plane coordinates (x/z, y/z) (N, 2) of pixels (N, 2): project's inverse; NaN where there is none."""
-        return _undistort(_points(px, 2), self._parameters)
+        return _undistort(_points(px, 2), self.parameters)
 
     def ray(self, px: Array) -> Array:
         """Unit direction (N, 3) in c of the points that pixels (N, 2) show."""
@@ -182,7 +182,8 @@ def _distort(a: float, b: float, k: Array) -> tuple[float, float, float, float, 
 
 
 @njit(cache=True)
-def _project(x_c: Array, k: Array) -> Array:
+def project(x_c: Array, k: Array) -> Array:
+    """CameraModel.project of points x_c (N, 3), k: its parameters; for other kernels, as the next two."""
     px = np.full((x_c.shape[0], 2), np.nan)
     for i in range(x_c.shape[0]):
         if x_c[i, 2] > 0.0:
@@ -194,7 +195,8 @@ def _project(x_c: Array, k: Array) -> Array:
 
 
 @njit(cache=True)
-def _project_jacobian(x_c: Array, k: Array) -> Array:
+def project_jacobian(x_c: Array, k: Array) -> Array:
+    """CameraModel.project_jacobian (N, 2, 3)."""
     jacobian = np.full((x_c.shape[0], 2, 3), np.nan)
     for i in range(x_c.shape[0]):
         z = x_c[i, 2]
@@ -210,7 +212,8 @@ def _project_jacobian(x_c: Array, k: Array) -> Array:
 
 
 @njit(cache=True)
-def _parameter_jacobian(x_c: Array, k: Array) -> Array:
+def parameter_jacobian(x_c: Array, k: Array) -> Array:
+    """CameraModel.parameter_jacobian with all eight coefficients (N, 2, 12)."""
     jacobian = np.full((x_c.shape[0], 2, 12), np.nan)
     for i in range(x_c.shape[0]):
         if x_c[i, 2] > 0.0:

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
-from models.camera import CameraModel, Mount
+from models.camera import CameraModel, Mount, parameter_jacobian, project, project_jacobian
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.visibility import ModelEdges, Prisms, hide
@@ -64,8 +64,12 @@ class Eye:
 
     def pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
         """Place p_nk (3,) and axes R_nk (3, 3) at a pose of the body."""
-        placed: tuple[Array, Array] = _placed(np.ascontiguousarray(p_n), np.ascontiguousarray(R_nb), self.p_bk, self.R_kb)
+        placed: tuple[Array, Array] = _placed(*self.stand(p_n, R_nb))
         return placed
+
+    def stand(self, p_n: Array, R_nb: Array) -> tuple[Array, Array, Array, Array]:
+        """p_n, R_nb, p_bk, R_kb, from which kernels tell the pose."""
+        return np.ascontiguousarray(p_n), np.ascontiguousarray(R_nb), self.p_bk, self.R_kb
 
 
 @njit(cache=True)
@@ -92,9 +96,20 @@ def sample_edges(
     edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
 ) -> Samples:
     """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the picture, at most `most` on one."""
-    part, ends_c = _cut(edges.start_n, edges.end_n, *eye.pose(p_n, R_nb), _borders(eye.camera))
-    chosen = np.ones(len(part), dtype=np.bool_) if wanted is None else wanted
-    return Samples(*_sample(edges.start_n, edges.end_n, part, eye.camera.project(ends_c), spacing_px, most, chosen))
+    chosen = np.ones(len(edges.kind), dtype=np.bool_) if wanted is None else wanted
+    camera, borders = eye.camera.parameters, _borders(eye.camera)
+    return Samples(*_sampled(edges.start_n, edges.end_n, *eye.stand(p_n, R_nb), camera, borders, spacing_px, most, chosen))
+
+
+@njit(cache=True)
+def _sampled(
+    start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array, borders: Array, spacing: float,
+    most: int, wanted: Mask,
+) -> tuple[Array, Array, Indices, Array]:  # fmt: skip
+    """The fields of Samples."""
+    p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
+    part, ends_c = _cut(start, end, p_nk, R_nk, borders)
+    return _spread(start, end, part, project(ends_c, camera), spacing, most, wanted)
 
 
 def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Array]) -> Array:
@@ -105,7 +120,13 @@ def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Arra
 
 def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
     """Where the ends of the edges are in the picture (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
-    return eye.camera.project(_in_camera(np.concatenate((edges.start_n, edges.end_n)), *eye.pose(*pose)))
+    return np.asarray(_ends(edges.start_n, edges.end_n, *eye.stand(*pose), eye.camera.parameters))
+
+
+@njit(cache=True)
+def _ends(start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array) -> Array:
+    p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
+    return project(_in_camera(np.concatenate((start, end)), p_nk, R_nk), camera)
 
 
 @lru_cache(maxsize=8)
@@ -165,9 +186,10 @@ def _into(X: Array, p_nk: Array, R_nk: Array, x_c: Array) -> None:
 
 
 @njit(cache=True)
-def _sample(
+def _spread(
     start: Array, end: Array, part: Array, ends_px: Array, spacing: float, most: int, wanted: Mask
 ) -> tuple[Array, Array, Indices, Array]:
+    """The fields of Samples, on the parts (E, 2) of edges whose ends lie at ends_px (2 E, 2)."""
     count = len(start)
     points, place, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
     tau = np.empty(count * most)
@@ -195,22 +217,21 @@ def view(
 ) -> EdgeView:
     """The samples as `eye` sees them."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
-    p_nk, R_nk = eye.pose(p_n, R_nb)
-    x_c = _in_camera(samples.points_n, p_nk, R_nk)
-    px = eye.camera.project(x_c)
-    normal, row_c, usable = _viewed(
-        px, eye.camera.project_jacobian(x_c), samples.points_n, samples.edge, edges.start_n, edges.end_n, p_nk, R_nk,
+    return EdgeView(*_viewed(
+        samples.points_n, samples.edge, edges.start_n, edges.end_n, *eye.stand(p_n, R_nb), eye.camera.parameters,
         prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m,
-    )  # fmt: skip
-    return EdgeView(px, normal, row_c, x_c, usable)
+    ))  # fmt: skip
 
 
 @njit(cache=True)
 def _viewed(
-    px: Array, jacobian: Array, points: Array, edge: Indices, start: Array, end: Array, p_nk: Array, R_nk: Array,
+    points: Array, edge: Indices, start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array,
     vertices: Array, offsets: Indices, base_d: Array, height: Array,
-) -> tuple[Array, Array, Mask]:  # fmt: skip
-    """normal, row_c and usable of an EdgeView."""
+) -> tuple[Array, Array, Array, Array, Mask]:  # fmt: skip
+    """The fields of EdgeView."""
+    p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
+    x_c = _in_camera(points, p_nk, R_nk)
+    px, jacobian = project(x_c, camera), project_jacobian(x_c, camera)
     n, direction = len(edge), np.empty(3)
     normal, row, unseen = np.empty((n, 2)), np.empty((n, 3)), np.zeros(n, np.bool_)
     for i in range(n):
@@ -221,7 +242,7 @@ def _viewed(
         _normal_row(jacobian[i], direction, normal[i], row[i])
         unseen[i] = not np.isfinite(px[i, 0] + px[i, 1] + row[i, 0] + row[i, 1] + row[i, 2])
     hide(points, p_nk, vertices, offsets, base_d, height, unseen)
-    return normal, row, ~unseen
+    return px, normal, row, x_c, ~unseen
 
 
 @njit(cache=True)
@@ -237,13 +258,21 @@ def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) ->
 
 def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n: Array, R_nb: Array) -> Array:
     """Distance (E,) px along the normal, outwards, from each edge to its partner, the mean over its points; 0 without partner."""
-    rows, x_c, direction = _on_partners(
-        edges.start_n, edges.end_n, edges.partner, samples.edge, samples.t, *eye.pose(p_n, R_nb)
-    )  # fmt: skip
-    if not len(rows):
-        return np.zeros(len(edges.kind))
-    px, jacobian = eye.camera.project(x_c), eye.camera.project_jacobian(x_c)
-    return np.asarray(_gaps(rows, px, jacobian, direction, seen.px, seen.normal, samples.edge, len(edges.kind)))
+    return np.asarray(_partners_off(
+        edges.start_n, edges.end_n, edges.partner, samples.edge, samples.t, *eye.stand(p_n, R_nb), eye.camera.parameters, seen.px,
+        seen.normal,
+    ))  # fmt: skip
+
+
+@njit(cache=True)
+def _partners_off(
+    start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array,
+    camera: Array, own_px: Array, own_normal: Array,
+) -> Array:  # fmt: skip
+    """edge_gaps of the samples' edge (N,), place t (N,), pixels and normals (N, 2)."""
+    p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
+    rows, x_c, direction = _on_partners(start, end, partner, edge, t, p_nk, R_nk)
+    return _gaps(rows, project(x_c, camera), project_jacobian(x_c, camera), direction, own_px, own_normal, edge, len(start))
 
 
 @njit(cache=True)
@@ -313,29 +342,37 @@ def derivatives(
     edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: Mount, p_n: Array, R_nb: Array, *,
     with_own: bool = True,
 ) -> Derivatives:  # fmt: skip
-    """All that moves the samples along their normals in this picture; own is empty (0, 0) where it is not wanted."""
-    lever_b = eye.p_bk - rig.p_bc
-    rows = _derivative_rows(
-        seen.row_c, seen.x_c, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end, p_n, R_nb @ eye.R_kb.T,
-        np.ascontiguousarray(eye.R_kb.T), lever_b, rig.t_rc, eye.right,
-    )  # fmt: skip
-    own = _along(seen.normal, eye.camera.parameter_jacobian(seen.x_c)) if with_own else np.zeros((0, 0))
-    return Derivatives(rows, own)
+    """All that moves the samples along their normals in this picture; own is empty (N, 0) where it is not wanted."""
+    own = 4 + len(eye.camera.distortion) if with_own else 0
+    return Derivatives(*_derivatives(
+        seen.row_c, seen.x_c, seen.normal, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end,
+        *eye.stand(p_n, R_nb), eye.camera.parameters, own, rig.p_bc, rig.t_rc, eye.right,
+    ))  # fmt: skip
 
 
 @njit(cache=True)
-def _along(normal: Array, jacobian: Array) -> Array:
-    """n^T J (N, P) of normals (N, 2) and Jacobians (N, 2, P)."""
-    n, columns = len(normal), jacobian.shape[2]
-    rows = np.empty((n, columns))
-    for i in range(n):
+def _derivatives(
+    row_c: Array, x_c: Array, normal: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array,
+    R_nb: Array, p_bk: Array, R_kb: Array, camera: Array, own: int, p_bc: Array, t_rc: Array, right: bool,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The fields of Derivatives, by `own` of the camera's parameters."""
+    _, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
+    rows = _rows(row_c, x_c, points, t, edge, map_start, map_end, p_n, R_nk, R_kb.T, p_bk - p_bc, t_rc, right)
+    return rows, _along(normal, parameter_jacobian(x_c, camera), own) if own else np.empty((len(normal), 0))
+
+
+@njit(cache=True)
+def _along(normal: Array, jacobian: Array, columns: int) -> Array:
+    """n^T J (N, P) of normals (N, 2) and the first P columns of Jacobians (N, 2, ...)."""
+    rows = np.empty((len(normal), columns))
+    for i in range(len(normal)):
         for k in range(columns):
             rows[i, k] = normal[i, 0] * jacobian[i, 0, k] + normal[i, 1] * jacobian[i, 1, k]
     return rows
 
 
 @njit(cache=True)
-def _derivative_rows(
+def _rows(
     row_c: Array, x_c: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array, R_nk: Array,
     R_bk: Array, lever_b: Array, t_rc: Array, right: bool,
 ) -> Array:  # fmt: skip
