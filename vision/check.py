@@ -1,8 +1,10 @@
 """Is this a picture at all? Said before any stage works on it: a reason, or None where nothing is wrong."""
 
+import math
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
@@ -12,6 +14,7 @@ _DARK = 10.0  # of 255: night without a light
 _BRIGHT = 247.0
 _FLAT = 2.0  # standard deviation: no object, only noise
 _FEW_COUNTS = 8.0  # of 65535
+_SATURATED = 252.0
 _SATURATED_PART = 0.6  # of the pixels
 _LOST_PART = 0.04  # of the rows, one after the other without any change: a decoder's filling
 _STEP = 12  # every twelfth pixel tells
@@ -44,7 +47,7 @@ def pair_flaw(left: Image, right: Image) -> str | None:
 
 
 def _brightness_flaw(image: Image) -> str | None:
-    sample = image[::_STEP, ::_STEP]
+    sample = np.ascontiguousarray(image[::_STEP, ::_STEP])
     ranks = sample.size // 100, sample.size - 1 - sample.size // 100
     low, high = np.partition(sample, ranks, axis=None)[list(ranks)].astype(float).tolist()
     if image.dtype == np.uint16:  # which part of its range a thermal camera uses is its own affair
@@ -53,11 +56,26 @@ def _brightness_flaw(image: Image) -> str | None:
         return "black"
     if low > _BRIGHT:
         return "white"
-    grey = sample if sample.ndim == 2 else sample.mean(axis=2)
-    if grey.std() < _FLAT:
+    sigma, saturated = _spread(sample.reshape(sample.shape[0] * sample.shape[1], -1))
+    if sigma < _FLAT:
         return "flat: no contrast"
-    saturated = float(np.mean(grey >= 252.0))
     return f"saturated: {saturated:.0%} of the pixels" if saturated > _SATURATED_PART else None
+
+
+@njit(cache=True)
+def _spread(sample: Image) -> tuple[float, float]:
+    """Standard deviation of the grey values, the means of the channels, of pixels (N, C); the share of them that is saturated."""
+    total = square = saturated = 0.0
+    for i in range(len(sample)):
+        grey = 0.0
+        for c in range(sample.shape[1]):
+            grey += sample[i, c]
+        grey /= sample.shape[1]
+        total += grey
+        square += grey * grey
+        saturated += grey >= _SATURATED
+    count = len(sample)
+    return math.sqrt(max(square - total * total / count, 0.0) / count), saturated / count
 
 
 def _torn_flaw(image: Image) -> str | None:

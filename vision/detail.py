@@ -9,6 +9,7 @@ import math
 
 import msgspec
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models import outline as polygon
@@ -33,19 +34,21 @@ def as_seen(mark: Landmark, px_per_m: float) -> Landmark:
     return msgspec.structs.replace(mark, outline_n=_grown(outline, polygon.area(mark.outline_n)))
 
 
+@njit(cache=True)
 def _drop(outline: Array, px_per_m: float) -> NDArray[np.bool_]:
     """Corners (K,) that go in this round, never two side by side."""
-    side = np.roll(outline, -1, axis=0) - outline
-    length = np.linalg.norm(side, axis=1)
-    before, l_before = np.roll(side, 1, axis=0), np.roll(length, 1)
-    cosine = np.sum(before * side, axis=1) / np.maximum(length * l_before, 1e-9)
-    chord = np.linalg.norm(before + side, axis=1)
-    aside = np.abs(before[:, 0] * side[:, 1] - before[:, 1] * side[:, 0]) / np.maximum(chord, 1e-9)
-    may = (np.minimum(length, l_before) * px_per_m < _SHORT_PX) & (cosine > _BEND) & (aside * px_per_m < 2.0 * _ASIDE_PX)
-    for k in range(len(may)):
-        may[k] &= not may[k - 1] if k else True
-    may[-1] &= not may[0]
-    return np.asarray(may)
+    count = len(outline)
+    may = np.zeros(count, np.bool_)
+    for k in range(count):
+        if may[k - 1] or (k == count - 1 and may[0]):
+            continue
+        bn, be = outline[k, 0] - outline[k - 1, 0], outline[k, 1] - outline[k - 1, 1]  # the side before the corner
+        an, ae = outline[(k + 1) % count, 0] - outline[k, 0], outline[(k + 1) % count, 1] - outline[k, 1]  # and after it
+        before, after, chord = math.hypot(bn, be), math.hypot(an, ae), math.hypot(bn + an, be + ae)
+        turns = (bn * an + be * ae) / max(before * after, 1e-9) <= _BEND
+        aside = abs(bn * ae - be * an) / max(chord, 1e-9)
+        may[k] = not turns and min(before, after) * px_per_m < _SHORT_PX and aside * px_per_m < 2.0 * _ASIDE_PX
+    return may
 
 
 def _grown(outline: Array, area: float) -> Array:

@@ -24,7 +24,9 @@ from vision.sensitivity import eyes, sample_edges, view
 from vision.stands import across, log_likelihood_ratio
 from vision.visibility import Kind, visible_edges
 
+Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+_ROOF = int(Kind.ROOF)
 _HALF_PX = 8
 _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
 _OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared,
@@ -60,24 +62,39 @@ def recheck(
     pose = fit.joint_p_n, fit.joint_R_nb
     shown = [(eye, image) for eye, image in zip(eyes(rig), scene.images, strict=True) if image is not None]
     prisms, edges = scene.prisms.moved(fit.shift_m), visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
-    samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == Kind.ROOF)
-    mark, count = edges.landmark[samples.edge], len(landmarks)
+    samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF)
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
-    near, usable, offsets, normals, sums = [], [], [], [], []
-    for eye, image in shown:
+    found, given = np.zeros((2, len(shown), len(landmarks)))
+    offsets, normals, sums = [], [], []
+    for k, (eye, image) in enumerate(shown):
         seen = view(edges, samples, eye, *pose, prisms)
         offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
-        slack = _OF_MAP * outline_sigma[mark] * eye.camera.fx / np.maximum(seen.x_c[:, 2], 1e-3)
-        near.append(good & (np.abs(offset) < np.minimum(np.hypot(_NEAR_PX, slack), _FARTHEST_PX)))
-        usable.append(good)
+        _count(offset, good, seen.x_c, samples.edge, edges.landmark, eye.camera.fx * outline_sigma, found[k], given[k])
         offsets.append(offset)
         normals.append(seen.normal)
         sums.append(across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable))
-    found, given = (sum(np.bincount(mark[one], minlength=count) for one in ones) for ones in (near, usable))
-    pictures = tuple(float(a.sum()) / max(float(b.sum()), 1.0) for a, b in zip(near, usable, strict=True))
+    pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
-    stands = log_likelihood_ratio(sums, edges.landmark, count)
-    return Recheck(np.where(given > 0, found / np.maximum(given, 1), np.nan), stands, pictures, apart)
+    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks))
+    found, given = found.sum(axis=0), given.sum(axis=0)
+    return Recheck(np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), stands, pictures, apart)
+
+
+@njit(cache=True)
+def _count(
+    offset: Array, usable: Mask, x_c: Array, edge: Indices, landmark: Indices, sigma: Array, found: Array, given: Array
+) -> None:
+    """Count usable points of each landmark in given (L,), and in found (L,) those whose offset (N,) px is near enough.
+
+    x_c (N, 3) m in the camera; edge (N,), landmark (E,); sigma (L,) of the map's outline, px m.
+    """
+    for i in range(len(offset)):
+        if usable[i]:
+            m = landmark[edge[i]]
+            slack = _OF_MAP * sigma[m] / max(x_c[i, 2], 1e-3)
+            given[m] += 1.0
+            if abs(offset[i]) < min(math.hypot(_NEAR_PX, slack), _FARTHEST_PX):
+                found[m] += 1.0
 
 
 def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:

@@ -58,12 +58,22 @@ def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int) -
 
     Pictures of one pair show the same texture, so their points count once.
     """
-    points = np.sum([one[:, -1] for one in sums], axis=0)
-    shown = np.maximum(np.sum([one[:, -1] > 0.0 for one in sums], axis=0), 1)
-    a = np.linalg.norm(np.sum([one[:, :-1] for one in sums], axis=0), axis=1) / np.maximum(points, 1.0)
-    n = points / shown
-    edge = a / np.maximum(n, 1.0) ** 0.5 * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
-    chance = math.sqrt(2.0 / math.pi) * np.exp(-(a**2) * n)
-    ratio = ((1.0 - _HIDDEN) * edge + _HIDDEN * chance) / (_ELSEWHERE * edge + (1.0 - _ELSEWHERE) * chance)
-    told = np.where(n >= _LEAST_POINTS, np.log(ratio), 0.0)
-    return np.bincount(landmark, told, landmarks).astype(np.float64)
+    shown = np.sum([one[:, -1] > 0.0 for one in sums], axis=0)
+    return np.asarray(_log_ratio(np.sum(sums, axis=0), shown, landmark, landmarks))
+
+
+@njit(cache=True)
+def _log_ratio(total: Array, shown: Indices, landmark: Indices, landmarks: int) -> Array:
+    """log LR (L,) of the sum (E, C + 1) over all pictures, each edge in shown (E,) of them."""
+    told = np.zeros(landmarks)
+    for e in range(len(total)):
+        points = total[e, -1]
+        n = points / max(shown[e], 1)
+        if n >= _LEAST_POINTS:
+            a = math.sqrt(np.sum(total[e, :-1] ** 2)) / points
+            edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
+            chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
+            told[landmark[e]] += math.log(
+                ((1.0 - _HIDDEN) * edge + _HIDDEN * chance) / (_ELSEWHERE * edge + (1.0 - _ELSEWHERE) * chance)
+            )
+    return told
