@@ -49,12 +49,10 @@ def round_landmarks(vertices: Array, offsets: NDArray[np.int64]) -> list[tuple[i
 
 def alternatives(p_n: Array, R_nb: Array, landmarks: Sequence[Landmark]) -> list[tuple[Array, Array]]:
     """Poses (p_n, R_nb) that may look the same."""
-    centre = np.array(
-        [*np.mean([mark.centre_n for mark in landmarks], axis=0), float(np.mean([mark.roof_d for mark in landmarks]))]
-    )
+    centre = np.array([(*mark.centre_n, mark.roof_d) for mark in landmarks]).mean(axis=0)
     turned_p, turned_R = centre + _HALF_TURN @ (p_n - centre), _HALF_TURN @ R_nb
     sight = centre - turned_p
-    mirrored_R = so3.matrix(so3.quat_exp(math.pi * sight / np.linalg.norm(sight))) @ turned_R
+    mirrored_R = so3.matrix(so3.quat_exp(math.pi * sight / math.sqrt(sight @ sight))) @ turned_R
     quarters = [(centre + Z @ (p_n - centre), Z @ R_nb) for Z in (_QUARTER_TURN, _QUARTER_TURN.T)]
     return [(turned_p, turned_R), (turned_p, mirrored_R), *quarters]
 

@@ -25,6 +25,7 @@ from vision.sensitivity import Eye, part_in_view
 _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
 
 _LEAST = 3  # points that tell how the picture moves
+_LEAST_SQUARE = 1e-9  # px^2, of what is moved
 _ASIDE = 0.1  # of the picture's width: what lies farther outside does not count
 
 
@@ -81,7 +82,8 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
     middle = px.mean(axis=0)
     r = px - middle
     D = moved(pinhole.camera, x_c, points - p_n, R_nk)
-    J = np.linalg.lstsq(similarity(r).reshape(-1, 4), D.reshape(-1, 6), rcond=None)[0].astype(np.float64)
+    B = similarity(r).reshape(-1, 4)
+    J = B.T @ D.reshape(-1, 6) / np.maximum(np.sum(B**2, axis=0), _LEAST_SQUARE)[:, None]  # its columns are orthogonal
     P = np.asarray(prior.covariance, dtype=float)
     Q = J @ P @ J.T + np.diag(_FLOOR)
     radius = max(1.3 * math.sqrt(float(np.mean(np.sum(r**2, axis=1)))), 1.0)
