@@ -127,24 +127,28 @@ class Scene:
         spacing = config.spacing_px * (1.0 if farthest_px == config.farthest_px[-1] else _COARSE)
         samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
         count, with_rig = len(edges.kind), not search_px
-        lines, opened, points = list[EdgeLines](), list[Array](), 0.0
+        lines, points = list[EdgeLines](), 0
+        line_all, found, opened = (
+            np.empty((count, len(shown), 2)),
+            np.empty((count, len(shown)), np.bool_),
+            np.empty((len(shown), count)),
+        )
         A = np.zeros((count, len(shown), 2, POSE + len(self.map_used) + with_rig * sum(r.shape[1] for r in self.rig_roots)))
         for k, (eye, image) in enumerate(shown):
             seen = view(edges, samples, eye, p_n, R_nb, prisms)
             if search_px:
-                offsets, usable, variance = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
+                offsets, usable, opened[k] = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
             else:
-                offsets, usable, variance = _fit(image, edges, samples, seen, (p_n, R_nb), eye, config.fit_half_px, farthest_px)
+                offsets, usable, opened[k] = _fit(image, edges, samples, seen, (p_n, R_nb), eye, config.fit_half_px, farthest_px)
             line = fit_lines(offsets, samples.tau, samples.edge, count, config.least_points)
             d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb, with_own=with_rig)
             roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
             _dependence(A[:, k], line.gain, d.rows, d.own, samples.edge, edges.landmark, self.map_sigma, self.map_column, *roots)
             lines.append(line)
-            opened.append(variance)
-            points += float(usable.sum())
-        share = sum(float(line.points.sum()) for line in lines) / max(points, 1.0)
-        line_all, found = np.stack([line.line for line in lines], axis=1), np.stack([line.found for line in lines], axis=1)
-        return Look(edges, samples, lines, line_all, found, A, np.array(opened), share)
+            line_all[:, k], found[:, k] = line.line, line.found
+            points += int(np.count_nonzero(usable))
+        share = sum(float(line.points.sum()) for line in lines) / max(points, 1)
+        return Look(edges, samples, lines, line_all, found, A, opened, share)
 
     def _roots(self, *, right: bool) -> tuple[Array, Array, Array, int]:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""

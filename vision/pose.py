@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 from numba import njit
+from numpy.typing import NDArray
 
 from models import so3
 from models.camera import StereoRig
@@ -32,6 +33,7 @@ from vision.information import Measured
 from vision.joint import POSE, Solution, System, distances, solve, solve_robustly
 from vision.look import Image, Look, LookConfig, Scene
 
+Mask = NDArray[np.bool_]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _NEAR, _MOST = 0.5, 0.8  # of the first fit's reach: if most offsets are below, no further search is needed
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
@@ -154,14 +156,20 @@ class _Fit:
     def move(self, step: Solution) -> None:
         """Retract: p + dp, exp(dtheta) R, and the errors of map and camera poses as solved for."""
         self.p_n = self.p_n + step.dx[:3]
-        turned = so3.multiply(so3.quat_exp(step.dx[3:]), so3.from_matrix(self.R_nb))
-        self.R_nb = so3.matrix(so3.normalise(turned))
+        self.R_nb = _turned(self.R_nb, step.dx[3:])
         used = self.scene.map_used
         flat = self.shift_m.ravel()
         flat[used] = step.nuisance[: len(used)] * self.scene.map_sigma.ravel()[used]
         self.shift_m = flat.reshape(self.shift_m.shape)
         if len(step.nuisance) > len(used):
-            self.bc, self.rc, _ = np.split(step.nuisance[len(used) :], np.cumsum([len(self.bc), len(self.rc)]))
+            of_rig, count = step.nuisance[len(used) :], len(self.bc)
+            self.bc, self.rc = of_rig[:count], of_rig[count : count + len(self.rc)]
+
+
+@njit(cache=True)
+def _turned(R: Array, dtheta: Array) -> Array:
+    """exp(dtheta) R."""
+    return so3.matrix(so3.normalise(so3.multiply(so3.quat_exp(dtheta), so3.from_matrix(R))))
 
 
 def estimate_pose(
@@ -249,8 +257,18 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
 
 def _bend_px(seen: Look, dx: Array) -> float:
     """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
-    px_m = float(np.linalg.norm(seen.H[:, :, 0, :3][seen.found], axis=1).max())
-    return 0.5 * px_m * float(np.linalg.norm(so3.skew(dx[3:]) @ dx[:3]))
+    return float(_bent(seen.A, seen.found, dx))
+
+
+@njit(cache=True)
+def _bent(A: Array, found: Mask, dx: Array) -> float:
+    """_bend_px, A (E, K, 2, 6 + P) and found (E, K) as in Look."""
+    square, bend = 0.0, np.cross(dx[3:], dx[:3])
+    for e in range(found.shape[0]):
+        for k in range(found.shape[1]):
+            if found[e, k]:
+                square = max(square, np.sum(A[e, k, 0, :3] ** 2))
+    return float(0.5 * np.sqrt(square * np.sum(bend**2)))
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
@@ -273,9 +291,19 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     edges, pictures = seen.found.shape
     R = np.zeros((edges, pictures, 2, pictures, 2))
     for k, line in enumerate(seen.lines):
-        R[:, k, :, k, :] = common_px**2 * (0.5 * line.unit + np.diag([1.0, 0.5]))
-        R[:, k, 0, k, 0] += seen.opened[k]
+        _rough(line.unit, seen.opened[k], common_px**2, R[:, k, :, k])
     return fit.solve(_system(seen, R), robust=True)
+
+
+@njit(cache=True)
+def _rough(unit: Array, opened: Array, variance: float, R: Array) -> None:
+    """R (E, 2, 2) = variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)."""
+    for e in range(len(unit)):
+        for i in range(2):
+            for j in range(2):
+                R[e, i, j] = 0.5 * variance * unit[e, i, j]
+        R[e, 0, 0] += variance + opened[e]
+        R[e, 1, 1] += 0.5 * variance
 
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
