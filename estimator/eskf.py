@@ -107,9 +107,12 @@ class Eskf:
         self.slow = self.slow.moved(by)
 
     def widen(self, factor: float) -> None:
-        """P <- D P D: position, velocity and attitude are `factor` times less certain than they claimed; biases stay."""
-        self.cov[:_G] *= factor
-        self.cov[:, :_G] *= factor
+        """P_nn <- factor^2 P_nn: position, velocity and attitude have jumped, by an error that nothing else knows of.
+
+        So what contradicts them moves the biases no more than before. Correlations scaled with P (D P D) would claim that the
+        jump is a multiple of the error that biases make, and one such update may move them by many of their sigmas.
+        """
+        self.cov[:_G, :_G] *= factor**2
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""

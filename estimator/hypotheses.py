@@ -12,7 +12,7 @@ sceptic begins with the weight e at least, and loses twice dt / tau: after an ou
 they are a look-alike.
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
-    false again, and in agreement with the last false one:      w <- w - dt / tau + ln N(nu; 0, S of who believes it)
+    false again, and in agreement with the last false one:      w <- w - dt / tau + ln mean_j N(nu; 0, S_j), j: who believes it
 
 e is the share of false readings, u their uniform density, tau how long a fault that repeats itself lasts. The leading
 hypothesis is the estimate; another takes over when its weight is larger by a margin. A believer starts with at least the
@@ -149,7 +149,7 @@ class Hypotheses:
             return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
         born: list[Hypothesis] = []
-        agreement = [self._agreement(k, aid, seen, passed) for k in range(len(self.members))]
+        agreement = self._agreement(aid, seen, passed)
         fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], born) for k in range(len(self.members))]
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
@@ -159,21 +159,32 @@ class Hypotheses:
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 
-    def _agreement(self, k: int, aid: Aid, seen: list[Innovation], passed: list[bool]) -> float | None:
-        """ln of the evidence that hypothesis k, which took the source's last reading for false, sees the same falsehood again.
+    def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool]) -> list[float | None]:
+        """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.
 
-        Who believes in the source speaks for that. No hypothesis is made about a reading that is not absolute, so there whoever
-        foresaw it speaks: what he takes for true again must not be news that only k pays for.
+        Those who believe in the source say what it reads next, each with his weight: so who disbelieves never gains on them. No
+        hypothesis is made about a reading that is not absolute, so there who believes in it again speaks too: it must not be news
+        that only those pay for who do not foresee it.
         """
-        doubt = self.members[k].doubts.get(aid.topic)
-        if doubt is None:
-            return None
-        believed = [
-            seen[j].log_likelihood
-            for j, other in enumerate(self.members)
-            if j != k and passed[j] and (aid.topic not in other.doubts or not (aid.absolute or passed[k]))
+        doubts = [m.doubts.get(aid.topic) for m in self.members]
+        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if doubt else 0.0 for doubt in doubts]
+        believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
+        told = self._told(believe, seen)
+        again = [
+            j
+            for j, doubt in enumerate(doubts)
+            if passed[j] and doubt and not doubt.deliberate and not aid.absolute and told + fades[j] <= seen[j].log_likelihood
         ]
-        return max(believed) - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if believed else None
+        told_by_all = self._told(believe + again, seen)
+        agreement = [(told if passed[k] else told_by_all) + fade for k, fade in enumerate(fades)]
+        return [a if doubt and a > -math.inf else None for a, doubt in zip(agreement, doubts, strict=True)]
+
+    def _told(self, by: list[int], seen: list[Innovation]) -> float:
+        """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
+        if not by:
+            return -math.inf
+        weights = [self.members[j].weight for j in by]
+        return _ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - _ln_sum(weights)
 
     def _answer(self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again."""
@@ -249,6 +260,12 @@ class Hypotheses:
         top = lead.weight
         for member in self.members:
             member.weight -= top
+
+
+def _ln_sum(terms: list[float]) -> float:
+    """ln of the sum of exp(terms)."""
+    top = max(terms)
+    return top + math.log(sum(math.exp(term - top) for term in terms))
 
 
 @njit(cache=True)

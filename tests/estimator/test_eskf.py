@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from estimator.eskf import Eskf, Innovation, inject
 from estimator.samples import ImuBuffer
@@ -323,10 +325,23 @@ def test_a_copy_goes_its_own_way() -> None:
     assert eskf.slow.columns == {}
 
 
-def test_widening_lets_position_velocity_and_attitude_be_less_certain_and_keeps_correlations() -> None:
+def test_widening_adds_an_error_of_position_velocity_and_attitude_that_nothing_else_knows_of() -> None:
     eskf = _filter()
     eskf.widen(3.0)
-    before = np.sqrt(np.diag(_covariance()))
-    after = np.sqrt(np.diag(eskf.cov))
-    np.testing.assert_allclose(after / before, np.repeat([3.0, 3.0, 3.0, 1.0, 1.0], 3), rtol=1e-12)
-    np.testing.assert_allclose(eskf.cov / np.outer(after, after), _covariance() / np.outer(before, before), atol=1e-12)
+    added = eskf.cov - _covariance()
+    np.testing.assert_allclose(added[:9, :9], 8.0 * _covariance()[:9, :9], rtol=1e-12)
+    assert not added[9:].any()
+    assert not added[:, 9:].any()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), factor=st.floats(1.0, 100.0))
+def test_no_error_becomes_less_likely_by_widening(seed: int, factor: float) -> None:
+    """e^T P^-1 e of any error, however strongly the biases are correlated with the rest, is no larger than before."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((E.SIZE, E.SIZE)) * np.geomspace(1.0, 1e-2, E.SIZE)
+    eskf, error = _filter(), rng.standard_normal(E.SIZE)
+    eskf.cov = root @ root.T
+    before = error @ np.linalg.solve(eskf.cov, error)
+    eskf.widen(factor)
+    assert error @ np.linalg.solve(eskf.cov, error) <= before * (1.0 + 1e-6)

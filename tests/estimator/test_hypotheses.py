@@ -297,3 +297,36 @@ def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
     assert z is not None
     assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert [member.doubts for member in bank.members] == [{}, {}]
+
+
+def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_foresees() -> None:
+    """A velocity fits the leading filter poorly and a third one, of next to no weight, well: no evidence for a doubter."""
+    lead, doubter, hopeless = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -2.0, -16.0))
+    doubter.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
+    doubter.filter.x[X.V] = (-30.0, 0.0, 0.0)
+    hopeless.filter.x[X.V] = (1.2, 0.0, 0.0)
+    bank = Hypotheses([lead, doubter, hopeless])
+    aid = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (1.2, 0.0, 0.0), None), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
+    assert bank.members[0] is lead
+    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().lie_s, abs=1e-3)
+    assert hopeless.weight > -16.0
+
+
+def test_who_does_not_believe_in_a_reading_that_it_foresees_does_not_say_what_the_next_one_is() -> None:
+    """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
+    lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
+    doubter.filter.x[X.V], believer.filter.x[X.V] = (12.0, 0.0, 0.0), (10.0, 0.0, 0.0)
+    for member in (lead, doubter):
+        member.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
+    bank = Hypotheses([lead, doubter, believer])
+    aid = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (10.0, 0.0, 0.0), None), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
+    assert bank.members[0] is lead
+    assert doubter.weight == pytest.approx(-6.0)
