@@ -37,6 +37,17 @@ def forward(low: Array, b: Array) -> None:
 
 
 @njit(cache=True)
+def backward(low: Array, b: Array) -> None:
+    """b (m, k) <- L^-T b, in place."""
+    for i in range(b.shape[0] - 1, -1, -1):
+        for k in range(i + 1, b.shape[0]):
+            for j in range(b.shape[1]):
+                b[i, j] -= low[k, i] * b[k, j]
+        for j in range(b.shape[1]):
+            b[i, j] /= low[i, i]
+
+
+@njit(cache=True)
 def substitute(low: Array, b: Array) -> None:
     """b (m,) <- S^-1 b = L^-T L^-1 b, in place."""
     for i in range(b.shape[0]):

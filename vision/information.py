@@ -12,7 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
+from models import cholesky
 from models.measurements import DIRECTION_SCALE
 from models.messages import Array
 from vision.joint import POSE, System
@@ -36,10 +38,7 @@ class Measured:
     def of(cls, omega: Array, prior: Array) -> "Measured":
         """omega (6 + P, 6 + P): information of the pictures, with the priors of map and rig; prior (6, 6): of the pose."""
         low = np.asarray(np.linalg.cholesky(prior), dtype=np.float64)
-        between = omega[:POSE, POSE:]
-        alone = omega[:POSE, :POSE] - between @ np.linalg.solve(omega[POSE:, POSE:], between.T)
-        white = np.linalg.solve(low, np.linalg.solve(low, alone).T)
-        values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+        values, vectors = np.linalg.eigh(_white(omega, low))
         return cls(prior, low, vectors[:, ::-1], values[::-1], int((values >= _LEAST_SHARE).sum()))
 
     @property
@@ -64,10 +63,10 @@ class Measured:
         Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
         """
         size = len(omega)
-        limited = omega / factor + (1.0 - 1.0 / factor) * np.diag(np.arange(size) >= POSE)
-        floor = self._floor()
+        limited, floor, others = omega / factor, self._floor(), np.arange(POSE, size)
+        limited[others, others] += 1.0 - 1.0 / factor
         limited[:POSE, :POSE] += floor
-        inverse = np.linalg.solve(limited, np.eye(size, POSE))  # its first columns
+        inverse = _of_pose(limited)
         every = system.A.reshape(-1, size)
         gain = system.W @ (every @ inverse).reshape(*system.z.shape, POSE) / factor  # G^T (E, M, 6)
         gains = gain.reshape(-1, POSE)
@@ -113,6 +112,38 @@ class Measured:
             delta, limit = self.through @ delta, _same_quantile(limit, self.rank)
         pull = self.prior @ delta
         return float(delta @ pull + pull @ covariance @ pull) / limit
+
+
+@njit(cache=True)
+def _white(omega: Array, low: Array) -> Array:
+    """L^-1 Lambda_I L^-T (6, 6): what pictures say of the pose alone, in units of the prior's information L L^T.
+
+    Lambda_I = Omega_pp - B^T B,   B = F^-1 Omega_np,   Omega_nn = F F^T
+    """
+    root, B, alone = omega[POSE:, POSE:].copy(), omega[POSE:, :POSE].copy(), omega[:POSE, :POSE].copy()
+    if not cholesky.factor(root, root):
+        raise np.linalg.LinAlgError("errors of map and rig have no information")
+    cholesky.forward(root, B)
+    for n in range(len(B)):
+        for i in range(POSE):
+            for j in range(POSE):
+                alone[i, j] -= B[n, i] * B[n, j]
+    cholesky.forward(low, alone)
+    white = alone.T.copy()
+    cholesky.forward(low, white)
+    cholesky.symmetrise(white)
+    return white
+
+
+@njit(cache=True)
+def _of_pose(omega: Array) -> Array:
+    """The pose's columns (n, 6) of Omega^-1."""
+    low, columns = np.empty_like(omega), np.eye(len(omega), POSE)
+    if not cholesky.factor(omega, low):
+        raise np.linalg.LinAlgError("the information is not positive definite")
+    cholesky.forward(low, columns)
+    cholesky.backward(low, columns)
+    return columns
 
 
 def _same_quantile(limit: float, dof: int) -> float:

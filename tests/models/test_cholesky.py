@@ -31,12 +31,15 @@ def test_what_is_not_positive_definite_has_no_factor_and_no_inverse(bad: float) 
 
 
 @pytest.mark.parametrize("m", [1, 3, 6])
-def test_forward_solves_with_the_factor(m: int) -> None:
+def test_forward_and_backward_solve_with_the_factor_and_its_transpose(m: int) -> None:
     low, b = np.zeros((m, m)), np.random.default_rng(0).normal(size=(m, 2))
     assert cholesky.factor(_definite(m), low)
     y = b.copy()
     cholesky.forward(low, y)
     np.testing.assert_allclose(low @ y, b, rtol=1e-12, atol=1e-12)
+    x = b.copy()
+    cholesky.backward(low, x)
+    np.testing.assert_allclose(low.T @ x, b, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("m", [1, 3, 6])
