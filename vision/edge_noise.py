@@ -24,6 +24,7 @@ from vision.visibility import Kind
 
 Indices = NDArray[np.int64]
 _BASE, _UPRIGHT = int(Kind.BASE), int(Kind.UPRIGHT)
+_BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
 _TRUSTED = 0.3  # weight from which a point tells of correlations
 
 
@@ -52,53 +53,66 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
     lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
     opened: (K, E) px^2, further variance of the offsets.
     """
-    pictures, edges = len(lines), len(kind)
-    scatter = np.array([_scatter(one, config) for one in lines])
+    c, pictures, edges = config, len(lines), len(kind)
+    scatter = np.array([_scatter(one.square, one.points, c.edge_points, c.least_px) for one in lines])
     inflation = _inflation(lines, edge, scatter, config)
-    common = np.array([_common(s, kind, o, config) for s, o in zip(scatter, opened, strict=True)])
+    floors, shares = (c.offset_px, c.tilt_px), (c.offset_share, c.tilt_share)
+    common = [_common(s, kind, o, floors, shares, c.base_px, c.upright_px) for s, o in zip(scatter, opened, strict=True)]
     covariance = np.zeros((edges, pictures, 2, pictures, 2))
     for k, one in enumerate(lines):
-        covariance[:, k, :, k, :] = inflation * (scatter[k] ** 2)[:, None, None] * one.unit + common[k][:, :, None] * np.eye(2)
+        _fill(covariance[:, k, :, k], inflation * scatter[k] ** 2, one.unit, common[k])
     if pictures == 2:
-        rho = _correlation(lines[0], lines[1], edge, scatter, config)
-        shared = _shared(lines[0].gain, lines[1].gain, edge, edges)
-        cross = inflation * rho * (scatter[0] * scatter[1])[:, None, None] * shared
-        cross += config.both * np.sqrt(common[0] * common[1])[:, :, None] * np.eye(2)
-        covariance[:, 0, :, 1, :] = cross
-        covariance[:, 1, :, 0, :] = cross.transpose(0, 2, 1)
+        rho, shared = _correlation(lines[0], lines[1], edge, scatter, config), _shared(lines[0].gain, lines[1].gain, edge, edges)
+        between = covariance[:, 0, :, 1]
+        _fill(between, inflation * rho * scatter[0] * scatter[1], shared, c.both * np.sqrt(common[0] * common[1]))
+        covariance[:, 1, :, 0] = between.transpose(0, 2, 1)
     return covariance
 
 
-def _common(scatter: Array, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
+@njit(cache=True)
+def _fill(covariance: Array, white: Array, unit: Array, common: Array) -> None:
+    """covariance_e = white_e unit_e + diag(common_e): (E, 2, 2) of white (E,), unit (E, 2, 2) and common (E, 2)."""
+    for e in range(len(white)):
+        for i in range(2):
+            for j in range(2):
+                covariance[e, i, j] = white[e] * unit[e, i, j]
+            covariance[e, i, i] += common[e, i]
+
+
+@njit(cache=True)
+def _common(
+    scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float], base_px: float,
+    upright_px: float,
+) -> Array:  # fmt: skip
     """Variances (E, 2) of the offset and the tilt that all points of an edge share."""
-    base, upright = kind == _BASE, kind == _UPRIGHT
-    offset = config.offset_px**2 + (config.offset_share * scatter) ** 2 + opened
-    offset += config.base_px**2 * base + config.upright_px**2 * upright
-    tilt = (
-        config.tilt_px**2
-        + (config.tilt_share * scatter) ** 2
-        + (0.3 * config.base_px) ** 2 * base
-        + config.upright_px**2 * upright
-    )
-    return np.column_stack((offset, tilt))
+    common = np.empty((len(scatter), 2))
+    for e in range(len(scatter)):
+        for k in range(2):
+            common[e, k] = floors[k] ** 2 + (shares[k] * scatter[e]) ** 2
+            if kind[e] == _BASE:
+                common[e, k] += ((1.0, _BASE_TILT)[k] * base_px) ** 2
+            elif kind[e] == _UPRIGHT:
+                common[e, k] += upright_px**2
+        common[e, 0] += opened[e]
+    return common
 
 
-def _scatter(lines: EdgeLines, config: NoiseConfig) -> Array:
+@njit(cache=True)
+def _scatter(square: Array, points: Array, edge_points: float, least_px: float) -> Array:
     """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
-    freedom = np.maximum(lines.points - 2.0, 0.0)
-    total = lines.square.sum() / max(freedom.sum(), 1.0)
-    variance = (config.edge_points * total + lines.square) / (config.edge_points + freedom)
-    scatter: Array = np.sqrt(np.maximum(variance, config.least_px**2))
+    freedom = np.maximum(points - 2.0, 0.0)
+    total = square.sum() / max(freedom.sum(), 1.0)
+    scatter: Array = np.sqrt(np.maximum((edge_points * total + square) / (edge_points + freedom), least_px**2))
     return scatter
 
 
 def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
     """tau of the pooled correlation of neighbours; a fitted line takes about 2 / n of it away, so that is given back."""
-    product, square = np.sum(
-        [_neighbours(one.residual, one.weight, one.points, edge, s) for one, s in zip(lines, scatter, strict=True)], axis=0
-    )
-    rho = (product + config.points * config.neighbours) / (square + config.points)
-    rho = min(max(float(rho), 0.0), 0.8)
+    product, square = config.points * config.neighbours, config.points
+    for one, s in zip(lines, scatter, strict=True):
+        own = _neighbours(one.residual, one.weight, one.points, edge, s)
+        product, square = product + own[0], square + own[1]
+    rho = min(max(product / square, 0.0), 0.8)
     return (1.0 + rho) / (1.0 - rho)
 
 
@@ -128,8 +142,20 @@ def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
 
 def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
     """rho, pooled over the points seen in both pictures."""
-    both = (left.weight > _TRUSTED) & (right.weight > _TRUSTED)
-    a, b = (left.residual / scatter[0][edge])[both], (right.residual / scatter[1][edge])[both]
-    power = 0.5 * float(a @ a + b @ b)
-    rho = (float(a @ b) + config.points * config.correlation) / (power + config.points)
+    product, square = _together(left.residual, left.weight, right.residual, right.weight, edge, scatter)
+    rho = (product + config.points * config.correlation) / (square + config.points)
     return min(max(rho, 0.0), 0.95)
+
+
+@njit(cache=True)
+def _together(
+    left: Array, left_weight: Array, right: Array, right_weight: Array, edge: Indices, scatter: Array
+) -> tuple[float, float]:
+    """Sums of z_l z_r and of (z_l^2 + z_r^2) / 2, z = residual / scatter, over the points seen in both pictures."""
+    product = square = 0.0
+    for i in range(len(edge)):
+        if left_weight[i] > _TRUSTED and right_weight[i] > _TRUSTED:
+            a, b = left[i] / scatter[0, edge[i]], right[i] / scatter[1, edge[i]]
+            product += a * b
+            square += 0.5 * (a * a + b * b)
+    return product, square

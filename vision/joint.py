@@ -73,7 +73,7 @@ def solve_robustly(system: System, present: Array, information: Array, delta: Ar
 
 @njit(cache=True)
 def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
-    found, rows = _found(W), z.shape[1]
+    found = _found(W)
     weight, ratio = np.ones(len(found)), np.empty(len(found))
     numbers = np.array([np.count_nonzero(np.diag(W[e])) for e in found])
     told, right, column, count = _told(A, W, z, present, found)
@@ -81,11 +81,8 @@ def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Arra
     for k in range(_REWEIGHTED):
         residual = _residual(A, z, present, solution, found, column, count)
         for f in range(len(found)):
-            e, total = found[f], 0.0
-            for i in range(rows):
-                for j in range(rows):
-                    total += residual[e, i] * W[e, i, j] * residual[e, j]
-            ratio[f] = np.sqrt(2.0 * max(total, 0.0) / numbers[f])
+            e = found[f]
+            ratio[f] = np.sqrt(2.0 * max(_distance(W[e], residual[e]), 0.0) / numbers[f])
         scale = max(1.4826 * np.median(ratio), _LEAST_SCALE)
         for f in range(len(found)):
             r = ratio[f] / scale
@@ -113,8 +110,8 @@ def _found(W: Array) -> Indices:
 
 @njit(cache=True)
 def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple[Array, Array, Indices, Indices]:
-    """A_e^T W_e A_e (F, S, S) and A_e^T W_e (z_e + N_e nu_0) (F, S) of the edges found, in those columns (F, S) of A that are not
-    0, and how many these are (F,): an edge depends on the map errors of its own landmark only.
+    """A_e^T W_e A_e (F, S, S), the upper half, and A_e^T W_e (z_e + N_e nu_0) (F, S) of the edges found, in those columns (F, S)
+    of A that are not 0, and how many these are (F,): an edge depends on the map errors of its own landmark only.
     """
     rows, columns = A.shape[1], A.shape[2]
     column, count, most = np.empty((len(found), columns), np.int64), np.zeros(len(found), np.int64), 0
@@ -143,7 +140,7 @@ def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple
         for i in range(rows):
             for c in range(count[f]):
                 right[f, c] += WA[i, c] * target[i]
-                for d in range(count[f]):
+                for d in range(c, count[f]):
                     told[f, c, d] += WA[i, c] * own[i, d]
     return told, right, column[:, :most].copy(), count
 
@@ -156,10 +153,12 @@ def _solved(
     columns = POSE + len(present)
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
     for f in range(len(told)):
+        w, own, at = weight[f], told[f], column[f]
         for c in range(count[f]):
-            eta[column[f, c]] += weight[f] * right[f, c]
+            eta[at[c]] += w * right[f, c]
+            row = omega[at[c]]
             for d in range(c, count[f]):
-                omega[column[f, c], column[f, d]] += weight[f] * told[f, c, d]
+                row[at[d]] += w * own[c, d]
     for k in range(columns):
         for m in range(k):
             omega[k, m] = omega[m, k]
@@ -203,5 +202,22 @@ def _inverse(R: Array, found: NDArray[np.bool_]) -> Array:
 
 def distances(system: System, residual: Array) -> Array:
     """r_e^T W_e r_e of every edge (E,)."""
-    result: Array = np.einsum("ei,eij,ej->e", residual, system.W, residual)
+    return np.asarray(_distances(system.W, residual))
+
+
+@njit(cache=True)
+def _distances(W: Array, residual: Array) -> Array:
+    result = np.empty(len(W))
+    for e in range(len(W)):
+        result[e] = _distance(W[e], residual[e])
     return result
+
+
+@njit(cache=True)
+def _distance(W: Array, r: Array) -> float:
+    """r^T W r."""
+    total = 0.0
+    for i in range(len(r)):
+        for j in range(len(r)):
+            total += r[i] * W[i, j] * r[j]
+    return total
