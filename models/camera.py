@@ -66,7 +66,7 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def project_jacobian(self, x_c: Array) -> Array:
         """d(u, v) / d(x_c): (N, 2, 3) [px/m]; NaN where project is."""
-        return project_jacobian(_points(x_c, 3), self.parameters)
+        return projected(_points(x_c, 3), self.parameters)[1]
 
     def parameter_jacobian(self, x_c: Array) -> Array:
         """d(u, v) / d(fx, fy, cx, cy, *distortion): (N, 2, 4 + n), the order of `covariance`; NaN where project is."""
@@ -195,20 +195,21 @@ def project(x_c: Array, k: Array) -> Array:
 
 
 @njit(cache=True)
-def project_jacobian(x_c: Array, k: Array) -> Array:
-    """CameraModel.project_jacobian (N, 2, 3)."""
-    jacobian = np.full((x_c.shape[0], 2, 3), np.nan)
+def projected(x_c: Array, k: Array) -> tuple[Array, Array]:
+    """CameraModel.project (N, 2) and project_jacobian (N, 2, 3)."""
+    px, jacobian = np.full((x_c.shape[0], 2), np.nan), np.full((x_c.shape[0], 2, 3), np.nan)
     for i in range(x_c.shape[0]):
         z = x_c[i, 2]
         if z > 0.0:
             a, b = x_c[i, 0] / z, x_c[i, 1] / z
             if a * a + b * b < k[12]:
-                _, _, aa, ab, bb = _distort(a, b, k)
+                da, db, aa, ab, bb = _distort(a, b, k)
+                px[i, 0], px[i, 1] = k[0] * da + k[2], k[1] * db + k[3]
                 jacobian[i, 0, 0], jacobian[i, 0, 1], jacobian[i, 0, 2] = aa, ab, -(aa * a + ab * b)
                 jacobian[i, 1, 0], jacobian[i, 1, 1], jacobian[i, 1, 2] = ab, bb, -(ab * a + bb * b)
                 jacobian[i, 0] *= k[0] / z
                 jacobian[i, 1] *= k[1] / z
-    return jacobian
+    return px, jacobian
 
 
 @njit(cache=True)

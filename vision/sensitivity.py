@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
-from models.camera import CameraModel, Mount, parameter_jacobian, project, project_jacobian
+from models.camera import CameraModel, Mount, parameter_jacobian, project, projected
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.visibility import ModelEdges, Prisms, hide
@@ -231,18 +231,25 @@ def _viewed(
     """The fields of EdgeView."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
     x_c = _in_camera(points, p_nk, R_nk)
-    px, jacobian = project(x_c, camera), project_jacobian(x_c, camera)
-    n, direction = len(edge), np.empty(3)
+    (px, jacobian), direction = projected(x_c, camera), _directions(start, end, R_nk)
+    n = len(edge)
     normal, row, unseen = np.empty((n, 2)), np.empty((n, 3)), np.zeros(n, np.bool_)
     for i in range(n):
-        for k in range(3):
-            direction[k] = 0.0
-            for m in range(3):
-                direction[k] += (end[edge[i], m] - start[edge[i], m]) * R_nk[m, k]
-        _normal_row(jacobian[i], direction, normal[i], row[i])
+        _normal_row(jacobian[i], direction[edge[i]], normal[i], row[i])
         unseen[i] = not np.isfinite(px[i, 0] + px[i, 1] + row[i, 0] + row[i, 1] + row[i, 2])
     hide(points, p_nk, vertices, offsets, base_d, height, unseen)
     return px, normal, row, x_c, ~unseen
+
+
+@njit(cache=True)
+def _directions(start: Array, end: Array, R_nk: Array) -> Array:
+    """Directions (E, 3) of edges in the camera."""
+    direction = np.empty((len(start), 3))
+    for e in range(len(start)):
+        n, east, d = end[e, 0] - start[e, 0], end[e, 1] - start[e, 1], end[e, 2] - start[e, 2]
+        for k in range(3):
+            direction[e, k] = n * R_nk[0, k] + east * R_nk[1, k] + d * R_nk[2, k]
+    return direction
 
 
 @njit(cache=True)
@@ -271,37 +278,35 @@ def _partners_off(
 ) -> Array:  # fmt: skip
     """edge_gaps of the samples' edge (N,), place t (N,), pixels and normals (N, 2)."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
-    rows, x_c, direction = _on_partners(start, end, partner, edge, t, p_nk, R_nk)
-    return _gaps(rows, project(x_c, camera), project_jacobian(x_c, camera), direction, own_px, own_normal, edge, len(start))
+    rows, x_c = _on_partners(start, end, partner, edge, t, p_nk, R_nk)
+    px, jacobian = projected(x_c, camera)
+    return _gaps(rows, px, jacobian, _directions(start, end, R_nk), partner, own_px, own_normal, edge)
 
 
 @njit(cache=True)
 def _on_partners(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_nk: Array, R_nk: Array
-) -> tuple[Indices, Array, Array]:
-    """The samples (R,) whose edge has a partner, and the same places on that one: in the camera, and its direction (R, 3)."""
+) -> tuple[Indices, Array]:
+    """The samples (R,) whose edge has a partner, and the same places on that one in the camera (R, 3)."""
     rows = np.flatnonzero(partner[edge] >= 0)
-    x_c, direction, point = np.empty((len(rows), 3)), np.empty((len(rows), 3)), np.empty(3)
+    x_c, point = np.empty((len(rows), 3)), np.empty(3)
     for k in range(len(rows)):
         e = partner[edge[rows[k]]]
         for m in range(3):
             point[m] = start[e, m] + t[rows[k]] * (end[e, m] - start[e, m])
-            direction[k, m] = 0.0
-            for j in range(3):
-                direction[k, m] += (end[e, j] - start[e, j]) * R_nk[j, m]
         _into(point, p_nk, R_nk, x_c[k])
-    return rows, x_c, direction
+    return rows, x_c
 
 
 @njit(cache=True, error_model="numpy")
 def _gaps(
-    rows: Indices, px: Array, jacobian: Array, direction: Array, own_px: Array, own_normal: Array, edge: Indices, edges: int
+    rows: Indices, px: Array, jacobian: Array, direction: Array, partner: Indices, own_px: Array, own_normal: Array, edge: Indices
 ) -> Array:
     """Mean over an edge's samples of (u_partner - u) . n_partner / n . n_partner."""
-    gaps, count, normal, row = np.zeros(edges), np.zeros(edges), np.empty(2), np.empty(3)
+    gaps, count, normal, row = np.zeros(len(partner)), np.zeros(len(partner)), np.empty(2), np.empty(3)
     for k in range(len(rows)):
         i = rows[k]
-        _normal_row(jacobian[k], direction[k], normal, row)
+        _normal_row(jacobian[k], direction[partner[edge[i]]], normal, row)
         off = (px[k, 0] - own_px[i, 0]) * normal[0] + (px[k, 1] - own_px[i, 1]) * normal[1]
         off /= own_normal[i, 0] * normal[0] + own_normal[i, 1] * normal[1]
         if np.isfinite(off):
