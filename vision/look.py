@@ -191,10 +191,10 @@ def _through(rows: Array, first: int, root: Array, A: Array, at: int) -> None:
                     A[e, i, at + j] += rows[e, i, first + k] * root[k, j]
 
 
-def _sigmas(mark: Landmark) -> Array:
-    """Standard deviations (M,) of MapError. A roof is level; ground that a mark is painted on may slope as it may be too high."""
+def _sigmas(mark: Landmark) -> tuple[float, ...]:
+    """Of each MapError. A roof is level; ground that a mark is painted on may slope as it may be too high."""
     ground = mark.height_sigma_m if mark.height_m == 0.0 else 0.0
-    return np.array([mark.sigma_m, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m, ground, ground])
+    return mark.sigma_m, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m, ground, ground
 
 
 def _channels(image: Image) -> Image:

@@ -158,6 +158,6 @@ def _prior_flaw(prior: Prior) -> str | None:
         return "prior is not finite"
     if abs(float(np.linalg.norm(q)) - 1.0) > 1e-3:
         return "prior attitude is not a unit quaternion"
-    if not np.allclose(cov, cov.T, rtol=1e-6, atol=1e-9) or float(np.linalg.eigvalsh(cov)[0]) <= 0.0:
+    if np.any(np.abs(cov - cov.T) > 1e-9 + 1e-6 * np.abs(cov.T)) or float(np.linalg.eigvalsh(cov)[0]) <= 0.0:
         return "prior covariance is not positive definite"
     return None

@@ -29,6 +29,7 @@ from vision.pose import PoseConfig
 from vision.reports import RegionReport, Result, fix_of, report_of
 from vision.sensitivity import Eye, eyes
 from vision.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
+from vision.visibility import Prisms
 
 Mask = NDArray[np.bool_]
 PATH = "predict"
@@ -189,12 +190,14 @@ def _as_fitted(found: _Decided) -> Candidate:
 def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -> list[RegionReport]:
     """One line for each landmark that would be in view."""
     p_nk, R_nk = eye.pose(*place.pose)
-    said = []
+    bodies, said = Prisms.of(marks), []
+    roofs = np.column_stack((bodies.vertices, np.repeat(bodies.base_d - bodies.height_m, np.diff(bodies.offsets))))
+    roofs[:, :2] += np.repeat(place.shift_m[:, :2], np.diff(bodies.offsets), axis=0)
+    corners = eye.camera.project((roofs - p_nk) @ R_nk)
     for k, mark in enumerate(marks):
         if place.length[k] <= 0.0:
             continue
-        outline = mark.outline_n + place.shift_m[k, :2]
-        px = eye.camera.project((np.column_stack((outline, np.full(len(outline), mark.roof_d))) - p_nk) @ R_nk)
+        px = corners[bodies.offsets[k] : bodies.offsets[k + 1]]
         share = float(place.support[k] / place.length[k])
         said.append(RegionReport(
             "open" if trusted[k] else "not_found", _box(eye, px), mark.id, min(share, 1.0), 0.0, int(trusted[k]),
