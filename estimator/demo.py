@@ -3,7 +3,6 @@
 GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
 """
 
-import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from importlib import resources
@@ -15,6 +14,7 @@ from estimator import simulate as simulated
 from estimator.config import Config, load
 from estimator.replay import replay
 from estimator.tally import ReplaySummary
+from estimator.workers import SPAWNED
 from logs.evaluate import find_outages
 from logs.evaluation import Evaluation
 from logs.report import Written, compose, gather
@@ -90,7 +90,7 @@ def _vision_compiled() -> Iterator[None]:
     """Meanwhile another process compiles the kernels of vision, if nobody has yet: the first time that takes a minute or two."""
     from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415
 
-    process = multiprocessing.get_context("spawn").Process(target=warm_up, daemon=True)
+    process = SPAWNED.Process(target=warm_up)
     process.start()
     try:
         yield

@@ -6,11 +6,9 @@ Every pair has random numbers of its own, so the bytes do not depend on how many
 """
 
 import math
-import multiprocessing
-import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.files import save_rig
+from estimator.workers import pool
 from logs.encoding import Encoded
 from logs.pictures import Picture, encode_picture
 from models import so3
@@ -34,7 +33,6 @@ LEFT, RIGHT = "/left/image", "/right/image"
 _LOWEST_M: Final = 0.15  # camera above ground: what a vehicle stands on
 _SWING_S: Final = 37.0  # period of the light's changes
 _CHUNK: Final = 4  # pairs a process draws at a time
-_SPAWNED: Final = multiprocessing.get_context("spawn")  # forks of a process with threads (OpenCV's, the progress bar's) hang
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,8 @@ class Flight:
     def __iter__(self) -> Iterator[tuple[int, Encoded]]:
         """(arrival, message): left, right, left, ..."""
         delay_ns = round(self.cameras.delay_s * 1e9)
-        with ProcessPoolExecutor(os.cpu_count(), _SPAWNED, _begin, (self,)) as pool:
-            for t_ns, pair in zip(self.t_ns.tolist(), pool.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
+        with pool(None, partial(_begin, self)) as drawing:
+            for t_ns, pair in zip(self.t_ns.tolist(), drawing.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
                 for message in pair:
                     yield t_ns + delay_ns, message
 

@@ -4,10 +4,7 @@ share wrong < p95:  sum_{i <= k} C(n, i) p95^i (1 - p95)^(n - i) = 0.05        (
 """
 
 import itertools
-import multiprocessing
-import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Final
 
 import cv2
@@ -17,6 +14,7 @@ from scipy.stats import beta
 
 from estimator.bench.recognisers import METHODS, Answer, ask, look
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
+from estimator.workers import pool
 
 TITLES: Final[dict[str, str]] = {
     "accuracy": "accuracy and speed",
@@ -84,8 +82,8 @@ def run(
     """`samples` of every experiment and kind of roof; jobs: processes, 0 for all cores. The result does not depend on them."""
     wanted = [(e, r, seed, k) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []
-    with ProcessPoolExecutor(jobs or os.cpu_count(), multiprocessing.get_context("spawn"), _begin) as pool:
-        for trial in pool.map(_trial, wanted, chunksize=2):
+    with pool(jobs or None, _begin) as workers:
+        for trial in workers.map(_trial, wanted, chunksize=2):
             trials.append(trial)
             progress(len(trials) / len(wanted))
     rows = [

@@ -76,11 +76,10 @@ def command(
 def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
     """Processes on this machine, or those of a cluster."""
     if not scheduler:
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
+        from estimator.workers import pool
 
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            yield pool
+        with pool(jobs) as executor:
+            yield executor
         return
     try:
         from distributed import Client

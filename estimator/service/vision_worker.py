@@ -4,9 +4,7 @@ The thread here puts pairs together and asks; the process answers. Of pairs that
 counted. A process that dies, or does not answer in time, is started anew, each time a little later.
 """
 
-import multiprocessing
 import os
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -21,6 +19,7 @@ from estimator.service.clock import SECOND_NS, Clock, Stamps
 from estimator.service.ports import Arrival, Screen
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import Pair, Pairing, PictureFile, Shot, Track, VisionConfig
+from estimator.workers import SPAWNED
 from logs.codec import Encoded, decode_vision_request, encode
 from logs.decoding import LANDMARK_FIX_TOPIC
 from logs.stamps import stamp_of
@@ -39,7 +38,6 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
 
     A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle
     _give_way()
     from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415  (OpenCV is loaded in this process only)
     from estimator.sight_files import load_sight  # noqa: PLC0415
@@ -218,9 +216,8 @@ class VisionWorker:
 
     def _start(self) -> bool:
         """Start the process and wait until it can see."""
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        process = context.Process(target=serve, args=(theirs, *self._files), name="landfix-vision", daemon=True)
+        self._pipe, theirs = SPAWNED.Pipe()
+        process = SPAWNED.Process(target=serve, args=(theirs, *self._files), name="landfix-vision")
         process.start()
         self._process = process  # not before: close() kills it, and what has not begun cannot be killed
         theirs.close()

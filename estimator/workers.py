@@ -1,0 +1,44 @@
+"""Processes that work for this one.
+
+They are spawned, for forks of a process with threads (OpenCV's, a progress bar's) hang. Ctrl-C goes to all processes of a
+terminal at once, but is meant for the one that the person has started; the others end with it. They are born with SIGINT blocked,
+so that not even one that is still importing answers with a traceback.
+"""
+
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
+
+
+class _Worker(SpawnProcess):
+    def start(self) -> None:
+        """It has the signal mask of the thread that starts it. A tracker started between would unblock SIGINT: that first."""
+        self.daemon = True  # terminated with this process
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Workers(SpawnContext):
+    Process = _Worker
+
+
+SPAWNED = _Workers()
+
+
+@contextmanager
+def pool(jobs: int | None, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
+    """`jobs` processes (None: one a core), each of which calls `begin` first. After an exception no more tasks begin."""
+    executor = ProcessPoolExecutor(jobs, SPAWNED, begin)
+    try:
+        yield executor
+    except BaseException:
+        executor.shutdown(cancel_futures=True)
+        raise
+    executor.shutdown()
