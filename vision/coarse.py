@@ -6,8 +6,11 @@ q: shift, turn and scale of the outlines (motion.py); support: how well landmark
 ellipsoid is searched on a grid in a reduced picture. All landmarks vote together, each as far off as its map error s_l lets it
 be, so that a neighbour that looks alike does not catch one of them. In the reduced picture the true place is seldom the very best
 one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are looked at again in a picture twice
-as large, and the best of these once more. There every landmark finds its own place, and pose and map errors are solved for
-together,
+as large, and the best of these once more. There every landmark finds its own place and, once it has one, its own size,
+
+    max_{|d| <= 2 s_l, |g| <= 2 t_l} (support_l - tau length_l)(q + d, outline grown by g),
+
+because an outline too small lies on half of its sides at best; pose and map errors are solved for together,
 
     y_l = D_l dx - D_l,p m_l + e,       dx ~ N(0, P),  m_l ~ N(0, s_l^2).
 """
@@ -40,6 +43,7 @@ from vision.votes import vote
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced picture
+_OPEN = 2.0  # standard deviations of a landmark's place and size on the map
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
 _PLACE_PX = 1.0  # of the level: how well a landmark's place is found
 _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
@@ -114,9 +118,9 @@ class Search:
         ]
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
         steps = size // middle.level.size
-        found = _best([self._near(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
+        found = _best([self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
         found = [self._climb(middle, c, steps) for c in found]
-        ranked = _best([self._climb(fine, self._near(fine, c.error, 2), 2) for c in found], self.config.peaks)
+        ranked = _best([self._climb(fine, self._again(fine, c, 2), 2) for c in found], self.config.peaks)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
     def _sizes(self) -> list[int]:
@@ -153,7 +157,7 @@ class Search:
             if inside.any():
                 aimed = stage.aimed(self.motion.pose(self.motion.gain @ np.array([0.0, 0.0, *pair])))
                 votes, _ = stage.vote(aimed, grid.su, grid.sv, inside)
-                total = np.where(inside, _together(votes, inside, stage.free) - 0.5 * chi2, _NEVER)
+                total = np.where(inside, stage.level.size * _together(votes, inside, stage.free) - 0.5 * chi2, _NEVER)
                 found += [(float(total[a, b]), np.array([grid.su[a], grid.sv[b], *pair])) for a, b in _peaks(total)[:_SUMMITS]]
         found.sort(key=lambda one: -one[0])
         peaks = [q for score, q in found[: _CLOSE * self.config.summits] if score >= min(_LOW * found[0][0], found[0][0])]
@@ -161,38 +165,64 @@ class Search:
 
     def _climb(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
         """The better of a place and the place near it: turn and scale follow only from the look before."""
-        return max(place, self._near(stage, place.error, steps), key=lambda c: c.score)
+        return max(place, self._again(stage, place, steps), key=lambda c: c.score)
 
-    def _near(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
-        """Every landmark's own place near an error of the prior, and the pose and map errors that follow."""
-        level, free = stage.level, stage.free + _SLACK
-        half = steps + int(free.max())
-        s = np.arange(-half, half + 1.0) * level.size
-        pose = self.motion.pose(error)
-        aimed = stage.aimed(pose)
-        places, votes, length = _own(*stage.vote(aimed, s, s, np.ones((len(s), len(s)), dtype=np.bool_)), free, steps)
+    def _first(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
+        """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
+        as_mapped = np.zeros((len(self.landmarks), len(MapError)))
+        return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
+
+    def _again(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
+        """The place near a place: landmarks near where they were found, as large as the map leaves open."""
+        return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
+
+    def _near(self, stage: "_Stage", error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
+        """Every landmark's own place and size near an error of the prior, and the pose and map errors that follow.
+
+        Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
+        """
+        size, half = stage.level.size, steps + int(free.max())
+        s = np.arange(-half, half + 1.0) * size
+        pose, whole = self.motion.pose(error), np.ones((len(s), len(s)), dtype=np.bool_)
+        sought = np.repeat(shift_m[None], len(growth_m), axis=0)
+        sought[:, :, MapError.GROWTH] = growth_m
+        voted = [stage.vote(stage.aimed(pose, each), s, s, whole) for each in sought]
+        places, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
         support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        found_px, place_px, P = (places - half) * level.size, _PLACE_PX * level.size, self.motion.prior.covariance
-        total, off_m = settled(stage.motions(aimed, pose), found_px, trusted, self.map_sigma, place_px, error, P)
-        shift_m = np.zeros((len(votes), len(MapError)))
-        shift_m[:, :2] = off_m
-        score = float(votes.sum()) * level.size - 0.5 * float(total @ self.information @ total)
-        return Candidate(*self.motion.pose(total), total, shift_m, support * level.size, length * level.size, score)
+        D, P = stage.motions(pose, shift_m), self.motion.prior.covariance
+        found_px = (places - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
+        total, off_m = settled(D, found_px, trusted, self.map_sigma, _PLACE_PX * size, error, P)
+        found = np.zeros_like(shift_m)
+        found[:, :2], found[:, MapError.GROWTH] = off_m, growth_m[grown, np.arange(len(grown))]
+        score = float(votes.sum()) * size - 0.5 * float(total @ self.information @ total)
+        return Candidate(*self.motion.pose(total), total, found, support * size, length * size, score)
 
 
 @njit(cache=True)
-def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Array, Array]:
-    """Each landmark's own place (L, 2), row and column to a fraction, and its votes and length (L,) there.
+def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Indices, Array, Array]:
+    """Each landmark's own place (L, 2), row and column to a fraction, its size (L,), and its votes and length (L,) there.
 
-    votes, length (L, U, U): of shifts about the middle; landmarks lie at most free (L,) from what is common to them.
+    votes, length (K, L, U, U): in K sizes, shifted about the middle; landmarks lie at most free (L,) from what is common to all.
     """
-    places = own_places(votes, _common(votes, free, steps), free)
-    at, shown = np.empty(len(votes)), np.empty(len(votes))
-    for m in range(len(votes)):
-        a, b = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
-        at[m], shown[m] = votes[m, a, b], length[m, a, b]
-    return places, at, shown
+    sizes, marks = votes.shape[:2]
+    best = votes[0].copy()
+    for k in range(1, sizes):
+        best = np.maximum(best, votes[k])
+    a, b = _common(best, free, steps)
+    size, at, shown = np.zeros(marks, np.int64), np.empty(marks), np.empty(marks)
+    for m in range(marks):
+        radius, most = int(free[m]), -np.inf
+        for k in range(sizes):
+            here = np.max(votes[k, m, a - radius : a + radius + 1, b - radius : b + radius + 1])
+            if here > most:
+                most, size[m] = here, k
+        best[m] = votes[size[m], m]
+    places = own_places(best, np.array([a, b]), free)
+    for m in range(marks):
+        i, j = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
+        at[m], shown[m] = best[m, i, j], length[size[m], m, i, j]
+    return places, size, at, shown
 
 
 @njit(cache=True)
@@ -219,13 +249,18 @@ class _Stage:
         pose = self.motion.pose(np.zeros(6))
         self.voters = voters(self.eye, search.body, search.chroma, pose, reach_px / level.size, points)
         depth = search.body.base_d - search.body.height_m - self.eye.pose(*pose)[0][2]
-        self.free = np.rint(2.0 * search.map_sigma * level.camera.fx / np.maximum(depth, 1.0))  # px that the map leaves open
+        metre_px = level.camera.fx / np.maximum(depth, 1.0)
+        outline_sigma = np.array([mark.outline_sigma_m for mark in search.landmarks])
+        self.free = np.rint(_OPEN * search.map_sigma * metre_px)  # px (L,) that the map leaves open of a landmark's place,
+        self.sides = np.rint(_OPEN * outline_sigma * metre_px)  # and of its sides
+        self.growth_m = _growths(_OPEN * outline_sigma, metre_px)
         self.floor = _FLOOR * level.typical() + 0.5
 
-    def aimed(self, pose: Pose) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose."""
+    def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
+        """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
         assert self.voters is not None
-        return self.voters.aimed(self.eye, pose, self.motion.gain[:, :2])
+        points = self.voters if shift_m is None else self.voters.moved(shift_m)
+        return points.aimed(self.eye, pose, self.motion.gain[:, :2])
 
     def vote(self, aimed: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
         """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
@@ -238,12 +273,12 @@ class _Stage:
         )  # fmt: skip
         return support - self.expected * length, length
 
-    def motions(self, aimed: Array, pose: Pose) -> Array:
-        """How each landmark moves with the pose (L, 2, 6), px of the picture."""
+    def motions(self, pose: Pose, shift_m: Array) -> Array:
+        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the picture."""
         assert self.voters is not None
-        v, c = self.voters, self.level.camera
-        _, R_nk = self.eye.pose(*pose)
-        D = motions(aimed[:, :3], v.points_n - pose[0], v.mark_of_point, len(self.free), R_nk, c.fx, c.fy)
+        v, c = self.voters.moved(shift_m), self.level.camera
+        p_nk, R_nk = self.eye.pose(*pose)
+        D = motions((v.points_n - p_nk) @ R_nk, v.points_n - pose[0], v.mark_of_point, len(self.free), R_nk, c.fx, c.fy)
         return np.asarray(D * self.level.size)
 
     def across(self, q: Array) -> Array:
@@ -274,6 +309,12 @@ def _across(aimed: Array, camera: Array, width: int, height: int, size: int, mid
             for k in range(4):
                 M[j, k] += row[j] * row[k]
     return M / max(count, 1)
+
+
+def _growths(open_m: Array, metre_px: Array) -> Array:
+    """Growths (K, L) m up to open_m (L,), none first; from the next of them sides are off by a pixel, as turns and scales."""
+    n = math.ceil(max(float(np.max(open_m * metre_px)) / 2.0 - 0.5, 0.0))
+    return np.outer(sorted(range(-n, n + 1), key=abs), open_m / max(n, 1))
 
 
 def _best(places: list[Candidate], most: int) -> list[Candidate]:

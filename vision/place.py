@@ -131,7 +131,7 @@ class Fitter:
             elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
                 return f"the fit left the place that was found by {far:.0f} px"
             else:
-                kept = float(place.length[chosen].sum() / place.length[asked].sum())
+                kept = float(place.length[chosen].sum() / place.length[self._answering(place, chosen, asked)].sum())
                 found = float(seen.share @ place.length[chosen])
                 middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
                 return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), found, middles)
@@ -140,6 +140,10 @@ class Fitter:
     def _seen(self, place: Candidate) -> Mask:
         """Landmarks (L,) that have votes."""
         return np.asarray(place.support > self._config.landmark_share * np.maximum(place.length, 1.0))
+
+    def _answering(self, place: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
+        """The landmarks of whose outline so much must agree: of one alone, which chance lays on edges somewhere, all in view."""
+        return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(place)).tolist()})
 
     def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
         """Landmarks (L,) that the last look finds where the fit says, and not far off the map."""

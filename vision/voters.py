@@ -5,7 +5,7 @@ Roof edges, and feet and corners of walls as far as they are not drowned by the 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -16,7 +16,7 @@ from models.messages import Array
 from vision.motion import enlarged
 from vision.pose import Pose
 from vision.sensitivity import Eye, edge_gaps, ends_px, sample_edges, view
-from vision.visibility import Kind, Prisms, visible_edges
+from vision.visibility import Kind, MapError, Prisms, visible_edges
 from vision.votes import aim
 
 Indices = NDArray[np.int64]
@@ -46,6 +46,15 @@ class Voters:
     length: Array
     chroma: Array
     depth: Array
+
+    def moved(self, shift_m: Array) -> "Voters":
+        """Of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not grow."""
+        off = shift_m[self.mark_of_point]
+        along = self.direction_n[:, :2]
+        outward = np.column_stack((-along[:, 1], along[:, 0])) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+        points = self.points_n.copy()
+        points[:, :2] += off[:, :2] + off[:, MapError.GROWTH, None] * outward
+        return replace(self, points_n=points)
 
     def aimed(self, eye: Eye, pose: Pose, gain: Array) -> Array:
         """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture."""

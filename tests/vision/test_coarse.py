@@ -4,6 +4,7 @@ from functools import cache
 from typing import NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -23,7 +24,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render
 from vision.synthetic.world import Look, Sun, World
-from vision.visibility import Prisms
+from vision.visibility import MapError, Prisms
 from vision.voters import chains, chromas, voters
 from vision.votes import aim, vote
 
@@ -126,6 +127,39 @@ def test_landmarks_that_are_off_the_map_find_their_own_places() -> None:
     (place, *_) = found(wrong, prior_off(wrong, np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0])))
     assert off_px(view, place, mapped) < 6.0
     assert np.abs(place.shift_m[:, :2]).max() > 0.3
+
+
+def test_a_landmark_that_is_larger_than_mapped_is_found_as_large_as_it_is() -> None:
+    """Two standard deviations, 4 px on each side: as mapped it lies on two sides of four at best, and off by that much."""
+    view, growth, smaller = seen(), 0.28, np.zeros((3, len(MapError)))
+    smaller[:, MapError.GROWTH] = -growth
+    outlines = Prisms.of(view.marks).moved(smaller).vertices.reshape(3, 4, 2)
+    mapped = tuple(Landmark.of(m.id, outline, m.base_d, m.height_m) for m, outline in zip(view.marks, outlines, strict=True))
+    unsure = tuple(msgspec.structs.replace(m, outline_sigma_m=0.5 * growth) for m in mapped)
+    as_mapped, as_large = (
+        found(wrong, prior_off(wrong, np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0])))[0]
+        for wrong in (view._replace(marks=mapped), view._replace(marks=unsure))
+    )
+    np.testing.assert_allclose(as_large.shift_m[:, MapError.GROWTH], growth, atol=0.1)
+    assert not as_mapped.shift_m[:, MapError.GROWTH].any()
+    assert off_px(view, as_large, view.marks) < 6.0
+    assert as_large.support.sum() > 1.2 * as_mapped.support.sum()
+
+
+def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
+    """Points on edges of the roofs and of the walls' feet lie on the edges of the bodies that are moved and grown alike."""
+    view, shift_m = seen(), np.zeros((3, len(MapError)))
+    shift_m[:, MapError.NORTH], shift_m[:, MapError.EAST], shift_m[:, MapError.GROWTH] = 0.4, -0.7, (0.0, 0.5, -0.3)
+    body, eye = Prisms.of(view.marks), straight(EYE)
+    made = voters(eye, body, chromas(view.marks), (view.p_n, view.R_nb), 0.0, 300)
+    assert made is not None
+    corners = body.moved(shift_m).vertices.reshape(3, 4, 2)
+    start, end = corners[made.mark_of_point], np.roll(corners, -1, axis=1)[made.mark_of_point]
+    side, off = end - start, made.moved(shift_m).points_n[:, None, :2] - start
+    across = np.abs(side[..., 0] * off[..., 1] - side[..., 1] * off[..., 0]) / np.linalg.norm(side, axis=2)
+    level = np.linalg.norm(made.direction_n[:, :2], axis=1) > 0.0
+    assert level.sum() > 100
+    np.testing.assert_allclose(across.min(axis=1)[level], 0.0, atol=1e-9)
 
 
 def test_a_place_pays_for_what_the_prior_says_against_it() -> None:

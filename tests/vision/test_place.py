@@ -1,5 +1,7 @@
 """From a place of the coarse search to a fit."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -38,6 +40,19 @@ def test_one_pose_from_two_places_is_one() -> None:
     """Where landmarks are off the map by what the search thought of them does not tell two poses apart."""
     tried = [fitted(whole(), MARKS, east_m) for east_m in (0.0, 0.15)]
     assert isinstance(decided(tried, VerifyConfig(moved_px=2.0)), Fitted)
+
+
+@pytest.mark.parametrize(("seen", "kept"), [((0,), 1 / 3), ((0, 1), 1.0), ((0, 1, 2), 1.0)])
+def test_one_landmark_alone_answers_for_those_that_have_no_votes(seen: tuple[int, ...], kept: float) -> None:
+    """By chance one outline lies on edges somewhere in what is searched, but not two as far apart as on the map."""
+    view = whole()
+    at, support = place(view, MARKS), np.zeros(len(MARKS))
+    support[list(seen)] = 50.0
+    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
+    fit = fitter.fit(Pictures(view.left, view.right, ""), list(MARKS), replace(at, support=support), drawn(view, 1))
+    assert isinstance(fit, Fitted)
+    assert fit.used == list(seen)
+    assert fit.kept == pytest.approx(kept)
 
 
 def on_the_ground(view: View, px: list[tuple[float, float]]) -> Array:
