@@ -167,6 +167,8 @@ class Hypotheses:
         that only those pay for who do not foresee it.
         """
         doubts = [m.doubts.get(aid.topic) for m in self.members]
+        if not any(doubts):  # most of the time
+            return [None] * len(doubts)
         fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if doubt else 0.0 for doubt in doubts]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
         told = self._told(believe, seen)

@@ -1,6 +1,8 @@
 """The IMU samples that the filter may still need, in order of their time of validity."""
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from models import sampling
 from models.messages import ImuSample
@@ -50,7 +52,7 @@ class ImuBuffer:
         """Index of the first sample later than t_ns (count where there is none)."""
         if self.previous_ns <= t_ns:
             return self.count - 1 if t_ns < self.newest_ns else self.count
-        return int(self.t_ns[: self.count].searchsorted(t_ns, "right"))
+        return int(_later(self.t_ns, self.count, t_ns))
 
     def forget_before(self, t_ns: int) -> None:
         """Drop samples older than t_ns, once they are half of all: to move the others costs as much as there are of them."""
@@ -65,3 +67,9 @@ class ImuBuffer:
         self.t_ns = np.concatenate([self.t_ns, np.zeros_like(self.t_ns)])
         self.u = np.concatenate([self.u, np.zeros_like(self.u)])
         self.known = np.concatenate([self.known, np.zeros_like(self.known)])
+
+
+@njit(cache=True)
+def _later(t_ns: NDArray[np.int64], count: int, than_ns: int) -> int:
+    """Index of the first of the `count` stamps that is later; numpy alone takes twice as long for a single one."""
+    return int(np.searchsorted(t_ns[:count], than_ns, side="right"))
