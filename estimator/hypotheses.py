@@ -150,7 +150,8 @@ class Hypotheses:
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
-        fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], born) for k in range(len(self.members))]
+        doubted = self._doubted(aid, agreement)
+        fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], doubted, born) for k in range(len(self.members))]
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
@@ -188,8 +189,13 @@ class Hypotheses:
         weights = [self.members[j].weight for j in by]
         return _ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - _ln_sum(weights)
 
-    def _answer(self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, born: list[Hypothesis]) -> bool:
-        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again."""
+    def _answer(
+        self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, doubted: float, born: list[Hypothesis]
+    ) -> bool:
+        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
+
+        doubted: weight of the heaviest sceptic that there is already.
+        """
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true):
@@ -199,7 +205,7 @@ class Hypotheses:
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
-            if aid.absolute and margin < _FORGET and not self._has_sceptic(aid, member):
+            if aid.absolute and margin < _FORGET and member.weight + true - margin > doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
@@ -217,11 +223,18 @@ class Hypotheses:
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return False
 
-    def _has_sceptic(self, aid: Aid, of: Hypothesis) -> bool:
-        """Whether a hypothesis other than `of` already goes on without the source."""
-        return any(
-            m is not of and aid.topic in m.doubts and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
-            for m in self.members
+    def _doubted(self, aid: Aid, agreement: list[float | None]) -> float:
+        """Weight of the heaviest hypothesis that goes on without the source deliberately, after this measurement; none: -inf.
+
+        One of the last outage has all but died away until the next, and does not stand for the doubt of the first fix after it.
+        """
+        return max(
+            (
+                m.weight + again
+                for m, again in zip(self.members, agreement, strict=True)
+                if again is not None and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
+            ),
+            default=-math.inf,
         )
 
     def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:

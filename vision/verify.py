@@ -78,7 +78,7 @@ class Evidence:
 class Fitted:
     """A fit; used: indices of its landmarks; asked: of all that the last look could see; remark: on a picture left out.
 
-    kept: share of the outline of those asked that agreed; looked: share of it that the last look found, in the worse
+    kept: share that agreed of the outline of those that must answer; looked: share of it that the last look found, in the worse
     picture; found_px: length of outline that it found; middles (L, 2) px: of all landmarks' roofs, from this pose.
     """
 

@@ -167,10 +167,18 @@ def _told(run: Run, t_s: float) -> Estimate:
     return next(e for e in run.estimates if e.t_ns >= EPOCH_NS + round(t_s * 1e9))
 
 
-def test_a_doubt_of_the_last_outage_does_not_stand_for_one_of_the_next() -> None:
-    run = _fly(51.5, lambda t: None if 15.0 <= t < 20.0 or 25.0 <= t < 50.0 else LIE if t >= 50.0 else NOWHERE)
-    assert _distance(run, 50.1, 51.5).max() > 5.0
-    assert _overconfidence(run, 50.1, 51.5) < 20.0
+@pytest.mark.parametrize(
+    ("first_s", "second_s"), [((15.0, 20.0), (25.0, 50.0)), ((15.0, 30.0), (34.0, 49.0)), ((15.0, 35.0), (38.0, 50.0))]
+)
+def test_a_doubt_of_the_last_outage_does_not_stand_for_one_of_the_next(
+    first_s: tuple[float, float], second_s: tuple[float, float]
+) -> None:
+    """However soon after the last one it begins."""
+    back_s = second_s[1]
+    out = [first_s, second_s]
+    run = _fly(back_s + 1.5, lambda t: None if any(a <= t < b for a, b in out) else LIE if t >= back_s else NOWHERE)
+    assert _distance(run, back_s + 0.1, back_s + 1.5).max() > 5.0
+    assert _overconfidence(run, back_s + 0.1, back_s + 1.5) < 20.0
 
 
 # --- the parts ---------------------------------------------------------------------------------------------------------------
