@@ -27,6 +27,7 @@ _BEND = 0.5  # unless they turn by more than 60 degrees (cosine)
 _ROOF, _BASE, _UPRIGHT = int(Kind.ROOF), int(Kind.BASE), int(Kind.UPRIGHT)  # compiled code reads plain integers
 _MOST_ON_EDGE = 24
 _LEAST = 4
+_GROWTH, _LEAST_M = int(MapError.GROWTH), 1e-9  # corners of walls point nowhere
 _LEAST_CHROMA = 30.0  # grey values; a paler map colour has no side
 
 
@@ -49,12 +50,7 @@ class Voters:
 
     def moved(self, shift_m: Array) -> "Voters":
         """Of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not grow."""
-        off = shift_m[self.mark_of_point]
-        along = self.direction_n[:, :2]
-        outward = np.column_stack((-along[:, 1], along[:, 0])) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-        points = self.points_n.copy()
-        points[:, :2] += off[:, :2] + off[:, MapError.GROWTH, None] * outward
-        return replace(self, points_n=points)
+        return replace(self, points_n=_moved(self.points_n, self.direction_n, self.mark_of_point, shift_m))
 
     def aimed(self, eye: Eye, pose: Pose, gain: Array) -> Array:
         """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture."""
@@ -86,6 +82,18 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
         samples.points_n[rows], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], first, mark, length, sided,
         body.base_d - body.height_m - p_nk[2],
     )  # fmt: skip
+
+
+@njit(cache=True)
+def _moved(points: Array, direction: Array, mark: Indices, shift_m: Array) -> Array:
+    """Points (N, 3) on edges of direction (N, 3), roofs to the left of it, of landmarks (N,) off the map by shift_m (L, M)."""
+    moved = points.copy()
+    for i in range(len(points)):
+        off, n, e = shift_m[mark[i]], direction[i, 0], direction[i, 1]
+        grown = off[_GROWTH] / max(math.hypot(n, e), _LEAST_M)
+        moved[i, 0] += off[0] - grown * e
+        moved[i, 1] += off[1] + grown * n
+    return moved
 
 
 @njit(cache=True)
