@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from multiprocessing import active_children, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 
 
@@ -34,11 +34,15 @@ SPAWNED = _Workers()
 
 @contextmanager
 def pool(jobs: int | None, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """`jobs` processes (None: one a core), each of which calls `begin` first. After an exception no more tasks begin."""
+    """`jobs` processes (None: one a core), each of which calls `begin` first. An exception in the block ends them at once."""
+    others = set(active_children())
     executor = ProcessPoolExecutor(jobs, SPAWNED, begin)
     try:
         yield executor
     except BaseException:
-        executor.shutdown(cancel_futures=True)
+        executor.shutdown(wait=False, cancel_futures=True)
+        for worker in set(active_children()) - others:
+            worker.terminate()
+            worker.join()
         raise
     executor.shutdown()

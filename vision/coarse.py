@@ -119,7 +119,7 @@ class Search:
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
         steps = size // middle.level.size
         found = _best([self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
-        found = [max(c, self._again(middle, c, steps), key=_score) for c in found]
+        found = [self._climb(middle, c, steps) for c in found]
         ranked = _best([self._climb(fine, self._again(fine, c, 2), 2) for c in found], self.config.peaks)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
 
@@ -164,9 +164,8 @@ class Search:
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.summits]
 
     def _climb(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
-        """The better of a place and the place near it: turn and scale follow only from the look before; sizes stay."""
-        sizes = place.shift_m[None, :, MapError.GROWTH]
-        return max(place, self._near(stage, place.error, place.shift_m, sizes, stage.sides + _SLACK, steps), key=_score)
+        """The better of a place and the place near it: turn and scale follow only from the look before."""
+        return max(place, self._again(stage, place, steps), key=_score)
 
     def _first(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
         """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""

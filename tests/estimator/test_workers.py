@@ -1,11 +1,11 @@
 """Processes that work for this one: Ctrl-C ends them with it, quietly."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -34,40 +34,41 @@ def _members(group: int) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("after_s", [0.0, 3.0])
-def test_ctrl_c_while_others_draw_ends_all_of_them_without_a_traceback(tmp_path: Path, after_s: float) -> None:
-    """At once the new processes are still importing; later they draw and compile."""
-    demo = subprocess.Popen(
+def test_ctrl_c_while_others_begin_to_draw_ends_all_of_them_without_a_traceback(tmp_path: Path) -> None:
+    """The new processes are still importing."""
+    with subprocess.Popen(
         [sys.executable, "-c", LANDFIX, "demo", "-o", str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, text=True,
-    )  # fmt: skip
-    try:
-        began = time.monotonic()
-        while len(_members(demo.pid)) < 4 and time.monotonic() - began < 60.0:  # itself, multiprocessing's tracker, two more
-            time.sleep(0.01)
-        time.sleep(after_s)
-        os.killpg(demo.pid, signal.SIGINT)
-        said, _ = demo.communicate(timeout=60.0)
-    finally:
-        if alive := _members(demo.pid):
-            os.killpg(demo.pid, signal.SIGKILL)
+    ) as demo:  # fmt: skip
+        try:
+            began = time.monotonic()
+            while len(_members(demo.pid)) < 4 and time.monotonic() - began < 60.0:  # itself, multiprocessing's tracker, two more
+                time.sleep(0.01)
+            os.killpg(demo.pid, signal.SIGINT)
+            said, _ = demo.communicate(timeout=60.0)
+            ended = time.monotonic()
+            while _members(demo.pid) and time.monotonic() - ended < 10.0:  # the tracker leaves when it sees that the others have
+                time.sleep(0.01)
+        finally:
+            if alive := _members(demo.pid):
+                os.killpg(demo.pid, signal.SIGKILL)
     assert demo.returncode not in (0, None)
     assert "Traceback" not in said, said
     assert "KeyboardInterrupt" not in said, said
     assert not alive
 
 
-def test_no_more_tasks_begin_after_an_exception() -> None:
+def test_an_exception_ends_tasks_that_wait_and_the_one_in_hand() -> None:
     began = time.monotonic()
-    tasks: list[Future[None]] = []
     with pytest.raises(RuntimeError, match="enough"):
-        _give_up(tasks)
-    assert time.monotonic() - began < 15.0
-    assert sum(task.cancelled() for task in tasks) > 90
+        _give_up()
+    assert time.monotonic() - began < 20.0
+    assert not multiprocessing.active_children()
 
 
-def _give_up(tasks: list[Future[None]]) -> None:
+def _give_up() -> None:
     with pool(1) as workers:
-        tasks += [workers.submit(time.sleep, 0.2) for _ in range(100)]
-        tasks[0].result()
+        assert workers.submit(abs, -1).result() == 1
+        for _ in range(5):
+            workers.submit(time.sleep, 60.0)
         raise RuntimeError("enough")
