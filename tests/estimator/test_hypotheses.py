@@ -327,7 +327,7 @@ def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_fo
 def test_who_does_not_believe_in_a_reading_that_it_foresees_does_not_say_what_the_next_one_is() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
-    doubter.filter.x[X.V], believer.filter.x[X.V] = (12.0, 0.0, 0.0), (10.0, 0.0, 0.0)
+    doubter.filter.x[X.V], believer.filter.x[X.V] = (11.2, 0.0, 0.0), (10.0, 0.0, 0.0)
     for member in (lead, doubter):
         member.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
     bank = Hypotheses([lead, doubter, believer])

@@ -59,11 +59,11 @@ def test_ctrl_c_while_others_begin_to_draw_ends_all_of_them_without_a_traceback(
 
 
 def test_an_exception_ends_tasks_that_wait_and_the_one_in_hand() -> None:
-    began = time.monotonic()
+    began, before = time.monotonic(), set(multiprocessing.active_children())
     with pytest.raises(RuntimeError, match="enough"):
         _give_up()
     assert time.monotonic() - began < 20.0
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= before
 
 
 def _give_up() -> None:
