@@ -15,7 +15,8 @@ they are a look-alike.
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
 
 j: who believes in the source; e is the share of false readings, u their uniform density, tau how long a fault that repeats
-itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. A believer starts with at least the
+itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin.
+A believer starts with at least the
 weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are believed in the end and never locked
 out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s), sooner when it has long been unaided. A
 cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
