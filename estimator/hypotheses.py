@@ -15,11 +15,13 @@ they are a look-alike.
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
 
 j: who believes in the source; e is the share of false readings, u their uniform density, tau how long a fault that repeats
-itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin.
-A believer starts with at least the
-weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are believed in the end and never locked
-out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s), sooner when it has long been unaided. A
-cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
+itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin
+a reading must be better foretold as the last falsehood than as true, where a gate was all that spoke against the last one.
+
+A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
+believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s),
+sooner when it has long been unaided. A cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking;
+Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
@@ -40,7 +42,7 @@ _N = E.SIZE  # compiled code reads plain integers
 _OF_STATE = (slice(0, _N), slice(0, _N))  # of P
 MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
-_TAKE_OVER = 3.0  # ln: margin by which another must lead
+_MARGIN = 3.0  # ln: by which another must be better
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
 _SHOWS = 10.0  # ln: unless it still shows in the covariance, no further behind than this
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
@@ -177,7 +179,11 @@ class Hypotheses:
         again = [
             j
             for j, doubt in enumerate(doubts)
-            if passed[j] and doubt and not doubt.deliberate and not aid.absolute and told + fades[j] <= seen[j].log_likelihood
+            if passed[j]
+            and doubt
+            and not doubt.deliberate
+            and not aid.absolute
+            and told + fades[j] <= seen[j].log_likelihood + _MARGIN
         ]
         told_by_all = self._told(believe + again, seen)
         agreement = [(told if passed[k] else told_by_all) + fade for k, fade in enumerate(fades)]
@@ -199,7 +205,7 @@ class Hypotheses:
         """
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true):
+        if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s, 0.0)
             doubt.last_ns = aid.t_ns
@@ -249,8 +255,8 @@ class Hypotheses:
             + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
         patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.believe_after_s)
-        broken = aid.log_false + _TAKE_OVER - patience_s / aid.rules.lie_s
-        most = aid.log_false + _TAKE_OVER - _LEAST_CONTRADICTION_S / aid.rules.lie_s
+        broken = aid.log_false + _MARGIN - patience_s / aid.rules.lie_s
+        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.rules.lie_s
         believer.weight += min(max(overconfident, broken), most)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)
@@ -265,7 +271,7 @@ class Hypotheses:
             return
         lead, *others = self.members
         best = max(others, key=lambda m: m.weight, default=lead)
-        if best.weight > lead.weight + _TAKE_OVER:
+        if best.weight > lead.weight + _MARGIN:
             others = [lead, *(m for m in others if m is not best)]
             lead = best
             lead.benefit = 0.0

@@ -338,3 +338,16 @@ def test_who_does_not_believe_in_a_reading_that_it_foresees_does_not_say_what_th
     assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
     assert doubter.weight == pytest.approx(-6.0)
+
+
+@pytest.mark.parametrize(("off_m", "fused"), [(0.25, True), (0.6, False)])
+def test_a_fix_that_passes_again_is_refused_only_if_the_believer_foretells_it_by_a_margin(off_m: float, fused: bool) -> None:
+    """The last one failed its gate: by chance, or because it was false."""
+    lead, believer = _member(_state(0.0, 0.0, 0.0)), _member(_state(off_m, 0.0, 0.0), weight=-2.0)
+    lead.doubts["/pose_fix"] = Doubt(EPOCH_NS - SECOND // 2, deliberate=False)
+    bank = Hypotheses([lead, believer])
+    aid = aid_of(pose_fix(EPOCH_NS, (off_m, 0.0, 0.0)))
+    z = aid.measurement(None)
+    assert z is not None
+    verdict = bank.judge(aid, z, np.zeros(3), trusted=True)
+    assert (verdict.passed, verdict.fused) == (True, fused)
