@@ -8,7 +8,7 @@ the others tell the pose, what is left open of that roof is its own error on the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -22,21 +22,23 @@ from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.motion import straight
 from vision.pictures import Pictures
-from vision.pose import NoPose, Pose, PoseConfig, PoseEstimate, estimate_pose
+from vision.pose import NoPose, Pose, PoseConfig, PoseEstimate, difference, estimate_pose
 from vision.recheck import Recheck, recheck
 from vision.rectify import Image
 from vision.reports import pose_flaw
 from vision.sensitivity import Eye, eyes
-from vision.verify import Fitted, VerifyConfig
+from vision.verify import Fitted, VerifyConfig, found_odds
 
 Views = tuple[Image | None, Image | None]
 Mask = NDArray[np.bool_]
 _MOST_FITS = 3
+_MOST_ALONE = 3  # landmarks of which each tells where to begin
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
 _SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands
 _LEAST_SHARE = 0.5  # of what the better picture shows
+_ALIKE = 3.0  # times that the same is told
 _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 
@@ -65,16 +67,22 @@ class Fitter:
             msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=window))
             for window in (_WINDOW_PX, _ALONE_PX)
         )
+        self._gone = gone
         self._stands = _SURE - math.log((1.0 - gone) / gone)  # likelihood ratio
+        self._stands_hidden = 2.0 * self._stands
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a place, or why there is none."""
-        order = np.argsort(-np.where(self._seen(place), place.support, -1.0), kind="stable")
-        first = sorted(order[: min(self._most, int(self._seen(place).sum()))].tolist())
-        return self._settled(
-            marks, place, _Start(place.pose, place.shift_m, first, first, (pictures.left, pictures.right)), prior
-        )
+        first = sorted(self._most_seen(place))
+        return self._settled(marks, place, _start(pictures, place, first, first), prior)
+
+    def fit_one(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:
+        """The likeliest fit from one landmark of those with most votes, where all of them together give none."""
+        asked = self._most_seen(place)
+        tried = [self._settled(marks, place, _start(pictures, place, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]]
+        fits = [one for one in tried if isinstance(one, Fitted)]
+        return max(fits, key=lambda one: one.odds, default=None)
 
     def joined(self, pictures: Pictures, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
         """The fit from that place with all landmarks seen that stand where it says; itself where it has them already.
@@ -132,10 +140,15 @@ class Fitter:
                 return f"the fit left the place that was found by {far:.0f} px"
             else:
                 kept = float(place.length[chosen].sum() / place.length[self._answering(place, chosen, asked)].sum())
-                found = float(seen.share @ place.length[chosen])
                 middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
-                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), found, middles)
+                odds = self._odds(views, marks, place, chosen, fit, seen, prior)
+                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), middles, odds)
         return f"{remark}the landmarks do not agree"
+
+    def _most_seen(self, place: Candidate) -> list[int]:
+        """Landmarks that have votes, those with most first, as many as are fitted."""
+        order = np.argsort(-np.where(self._seen(place), place.support, -1.0), kind="stable")
+        return [int(k) for k in order[: min(self._most, int(self._seen(place).sum()))]]
 
     def _seen(self, place: Candidate) -> Mask:
         """Landmarks (L,) that have votes."""
@@ -148,7 +161,35 @@ class Fitter:
     def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
         """Landmarks (L,) that the last look finds where the fit says, and not far off the map."""
         v = self._config
-        return np.asarray((seen.share >= v.landmark_found) & (seen.stands > self._stands) & (_off_map(marks, fit) < v.off_map))
+        whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
+        hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
+        return np.asarray((whole | hidden) & (_off_map(marks, fit) < v.off_map))
+
+    def _odds(
+        self,
+        views: Views,
+        marks: list[Landmark],
+        place: Candidate,
+        chosen: list[int],
+        fit: PoseEstimate,
+        seen: Recheck,
+        prior: Prior,
+    ) -> float:
+        """ln of the odds that what is in view stands where fit and map say, but for what is gone, against a place of chance.
+
+        sum_j ln ((1 - g) LR_j + g) - (|x (-) x0|^2 + sum |s_j|^2) / 2,      x0: prior, s_j: map errors of the landmarks fitted
+
+        over what roofs in one light, among one clutter, say alike; and what the fit found of their outlines (verify.found_odds).
+        """
+        others = [k for k in np.flatnonzero(place.length > 0.0).tolist() if k not in chosen]
+        some = [marks[k] for k in others]
+        as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
+        rest = recheck(self._rig, views, some, as_mapped, self._pose.look).stands if some else np.zeros(0)
+        stands = np.concatenate((seen.stands, rest))
+        off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
+        unlikely = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
+        there = float(np.logaddexp(math.log(1.0 - self._gone) + stands, math.log(self._gone)).sum())
+        return (there - 0.5 * unlikely) / _ALIKE + found_odds(fit.found)
 
     def _pair_flaw(self, seen: Recheck) -> str:
         """Why the right picture does not belong to the left one; empty where it does."""
@@ -167,6 +208,10 @@ class Fitter:
         shift_m = start.shift_m[chosen]
         fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
+
+
+def _start(pictures: Pictures, place: Candidate, chosen: list[int], asked: list[int]) -> _Start:
+    return _Start(place.pose, place.shift_m, chosen, asked, (pictures.left, pictures.right))
 
 
 def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:

@@ -123,6 +123,9 @@ class PredictPath:
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
             tried += [self._fitter.fit(pictures, marks, place, prior) for place in places[likely:]]
             outcome = verify.decided(tried, v)
+        if not any(isinstance(one, Fitted) for one in tried):
+            tried = [self._fitter.fit_one(pictures, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]
+            outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
         at = next(k for k, one in enumerate(tried) if one is outcome)

@@ -1,13 +1,14 @@
 """Is a place that was found the right one? When in doubt there is no fix.
 
     share   = sum support / sum length          of all landmarks in view, not of the chosen ones
-    rival   = (score of another place) / score          where it is high, both are fitted, and found outlines compared
+    rival   = (score of another place) / score          where it is high, both are fitted, and their odds compared
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
 
 A place with little to be seen is held until the next picture shows the same error of the prior. Where that one shows another
 error, one of the two is wrong, however sure the second looks by itself: it waits for a third.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -22,6 +23,7 @@ from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.pose import PoseEstimate, difference
 
+_FOUND_RIGHT, _FOUND_CHANCE, _PIECES = 0.75, 0.45, 12.0  # of fits of rendered outlines, right and wrong ones
 Grade = Literal["sure", "weak", "refused"]
 
 
@@ -39,10 +41,14 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     landmark_found: Annotated[
         float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
     ] = 0.5
+    hidden_found: Annotated[float, Meta(gt=0, lt=1, description="the same where the edges there leave no doubt of it")] = 0.3
     looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
+    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 3.0
+    weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 1.0
+    decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
     moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
     weak_factor: Annotated[float, Meta(gt=1, description="above it the next picture must agree")] = 2.2
@@ -79,7 +85,7 @@ class Fitted:
     """A fit; used: indices of its landmarks; asked: of all that the last look could see; remark: on a picture left out.
 
     kept: share that agreed of the outline of those that must answer; looked: share of it that the last look found, in the worse
-    picture; found_px: length of outline that it found; middles (L, 2) px: of all landmarks' roofs, from this pose.
+    picture; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this place against one of chance.
     """
 
     pose: PoseEstimate
@@ -88,8 +94,8 @@ class Fitted:
     remark: str
     kept: float
     looked: float
-    found_px: float
     middles: Array
+    odds: float
 
 
 def flaw(evidence: Evidence, config: VerifyConfig) -> str:
@@ -101,16 +107,25 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     return ""
 
 
+def found_odds(found: float) -> float:
+    """ln of the odds of a place of whose outlines the share f is found, of which a right place shows r and a chance one c:
+
+    n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))),      n: pieces of outlines that are found, or are not, by themselves
+    """
+    r, c = _FOUND_RIGHT, _FOUND_CHANCE
+    return _PIECES * (found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c)))
+
+
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
     """The one fit of several places that is left, or why none is."""
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
         return str(tried[0])
-    best = max(fits, key=lambda one: one.found_px)
+    best = max(fits, key=lambda one: one.odds)
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
-        if apart > config.moved_px and other.found_px > config.rival * best.found_px:
-            return f"another place, {apart:.0f} px off, fits {other.found_px / best.found_px:.0%} as well"
+        if apart > config.moved_px and other.odds > best.odds - config.decides:
+            return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best
 
 
@@ -119,12 +134,16 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
+    if fitted.odds < config.weak_odds:
+        return "refused", f"it is hardly likelier that the landmarks stand there than that none does (ln odds {fitted.odds:.1f})"
     if fit.factor > config.weak_factor:
         return "weak", f"residuals are {fit.factor:.1f} times what they should be"
     if fit.found < config.found or fitted.looked < config.looked:
         return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
     if fitted.kept < config.kept:
         return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
+    if fitted.odds < config.odds:
+        return "weak", f"not much likelier that the landmarks stand there than that none does (ln odds {fitted.odds:.1f})"
     if evidence.score_px < config.score_px:
         return "weak", "little of the outlines in view"
     return "sure", ""

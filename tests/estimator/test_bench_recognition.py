@@ -20,8 +20,10 @@ from models import colours, so3
 from models.messages import LandmarkFix
 from vision.identify import Prior
 from vision.pipeline import PipelineConfig
+from vision.predict import PredictConfig
 from vision.synthetic.render import render_labels
 from vision.synthetic.truth import sights
+from vision.verify import VerifyConfig
 
 
 @cache
@@ -213,3 +215,16 @@ def test_names_that_are_not_known() -> None:
     result = CliRunner().invoke(app, ["bench", "recognition", "--experiment", "speed"])
     assert result.exit_code == 2
     assert "accuracy, size, partial, description" in result.stderr
+
+
+def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
+    """Shadows have the roofs' shapes, all at one distance the same way, in one picture as in the next: no fix there."""
+    assert recognisers.landfix(views.draw("description", "pale", 402, 0), timed=False).verdict != "wrong"
+
+
+def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt() -> None:
+    hidden = views.draw("partial", "painted", 502, 53)
+    assert hidden.seen < 0.5
+    assert recognisers.landfix(hidden, timed=False).verdict == "recognised"
+    strict = PipelineConfig(predict=PredictConfig(verify=VerifyConfig(hidden_found=0.5)))
+    assert recognisers.landfix(hidden, strict, timed=False).verdict == "silent"

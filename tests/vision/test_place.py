@@ -42,6 +42,14 @@ def test_one_pose_from_two_places_is_one() -> None:
     assert isinstance(decided(tried, VerifyConfig(moved_px=2.0)), Fitted)
 
 
+@pytest.mark.parametrize(("apart_m", "odds", "told"), [(0.0, 1.0, True), (5.0, 1.0, False), (5.0, -2.0, True)])
+def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, told: bool) -> None:
+    best = replace(fitted(whole(), MARKS), odds=2.0)
+    other = replace(best, odds=odds, middles=best.middles + apart_m * RIG.left.fx / 40.0)
+    outcome = decided([other, best], VerifyConfig())
+    assert outcome is best if told else "another place, 106 px off" in str(outcome)
+
+
 @pytest.mark.parametrize(("seen", "kept"), [((0,), 1 / 3), ((0, 1), 1.0), ((0, 1, 2), 1.0)])
 def test_one_landmark_alone_answers_for_those_that_have_no_votes(seen: tuple[int, ...], kept: float) -> None:
     """By chance one outline lies on edges somewhere in what is searched, but not two as far apart as on the map."""
@@ -101,3 +109,22 @@ def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: 
     assert (first.used, again.used) == ([0, 1], [0, 1, 2] if joins else [0, 1])
     if grown_m is not None:
         assert again.pose.shift_m[2, MapError.GROWTH] == pytest.approx(grown_m, abs=0.1)
+
+
+def test_where_all_together_contradict_each_other_one_tells_the_place() -> None:
+    """Two of three are mapped 2 m aside, each its own way."""
+    view = whole()
+    moved = (MARKS[0], aside(MARKS[1], (0.0, 2.0)), aside(MARKS[2], (2.0, 0.0)))
+    fitter, pictures = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Pictures(view.left, view.right, "")
+    at, prior = place(view, moved), drawn(view, 1)
+    assert isinstance(fitter.fit(pictures, list(moved), at, prior), str)
+    one = fitter.fit_one(pictures, list(moved), at, prior)
+    assert isinstance(one, Fitted)
+    assert one.used == [0]
+    assert np.linalg.norm(one.pose.joint_p_n - view.p_n) < 0.5
+
+
+def aside(mark: Landmark, by: tuple[float, float]) -> Landmark:
+    return Landmark.of(
+        mark.id, mark.outline_n + by, mark.base_d, mark.height_m, None, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m
+    )
