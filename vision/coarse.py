@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
-import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
@@ -33,28 +32,23 @@ from models.messages import Array
 from vision.motion import Motion
 from vision.pose import Pose
 from vision.rectify import Image
-from vision.reduced import Level, levels
+from vision.reduced import levels
 from vision.sensitivity import Eye
-from vision.settle import motions, own_places, settled
-from vision.visibility import MapError, Prisms
-from vision.voters import chromas, voters
-from vision.votes import vote
+from vision.settle import own_places, settled
+from vision.stage import Stage
+from vision.visibility import MapError
+from vision.wide import Grid, summits
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced picture
-_OPEN = 2.0  # standard deviations of a landmark's place and size on the map
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
 _PLACE_PX = 1.0  # of the level: how well a landmark's place is found
 _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
 _FEW_VOTES = 300_000  # are quicker than to reduce the picture once more, and to look again in it
-_FLOOR = 0.5  # of the median gradient of the picture
-_NEVER = -1e6
-_SUMMITS = 6  # of each turn and scale that are kept
 _CLOSE = 6  # summits ranked for each that is to be apart from the others
 _LOW = 0.4  # of the best summit's score: what is lower is not looked at again
-_OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
 
 
 class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -102,7 +96,6 @@ class Search:
     def __init__(self, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, config: CoarseConfig) -> None:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
-        self.body, self.chroma = Prisms.of(landmarks), chromas(landmarks)
         self.information = motion.prior.information
 
     def candidates(self, picture: Image) -> list[Candidate]:
@@ -111,7 +104,7 @@ class Search:
         size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
         stages = [
-            _Stage(level, self, reach, max(self.config.points, each * len(self.landmarks)))
+            Stage(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
             for level, each in zip(
                 levels(picture, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
             )
@@ -121,7 +114,7 @@ class Search:
         found = _best([self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
         found = [self._climb(middle, c, steps) for c in found]
         ranked = _best([self._climb(fine, self._again(fine, c, 2), 2) for c in found], self.config.peaks)
-        return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size, len(ranked))
 
     def _sizes(self) -> list[int]:
         """By how much the picture is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
@@ -140,43 +133,38 @@ class Search:
 
     def _votes(self, size: int) -> int:
         """Of points, in the whole search of a picture reduced `size` times."""
-        u, v, turns, scales = _halves(self.motion, self.config, size, limit_px(self.eye.camera, self.config))
-        points = max(self.config.points, _WIDE_POINTS * len(self.landmarks))
-        return (2 * u + 1) * (2 * v + 1) * (2 * turns + 1) * (2 * scales + 1) * points
+        return self._grid(size).places * self._points(_WIDE_POINTS)
 
-    def _wide(self, stage: "_Stage") -> list[Array]:
+    def _points(self, each: int) -> int:
+        """How many are to vote, so many of each landmark on the average, at least."""
+        return max(self.config.points, each * len(self.landmarks))
+
+    def _grid(self, size: int) -> Grid:
+        c = self.config
+        return Grid.of(self.motion, c.sigmas, math.radians(c.turn_deg), size, limit_px(self.eye.camera, c))
+
+    def _wide(self, stage: Stage) -> list[Array]:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
-        grid = _grid(self.motion, self.config, stage.level.size, limit_px(self.eye.camera, self.config))
         if stage.voters is None:
             return []
-        information = np.linalg.inv(self.motion.covariance).astype(np.float64)
-        found: list[tuple[float, Array]] = []
-        for pair in grid.others:
-            chi2 = _squared(information, grid, np.array(pair))
-            inside = chi2 <= grid.chi2
-            if inside.any():
-                aimed = stage.aimed(self.motion.pose(self.motion.gain @ np.array([0.0, 0.0, *pair])))
-                votes, _ = stage.vote(aimed, grid.su, grid.sv, inside)
-                total = np.where(inside, stage.level.size * _together(votes, inside, stage.free) - 0.5 * chi2, _NEVER)
-                found += [(float(total[a, b]), np.array([grid.su[a], grid.sv[b], *pair])) for a, b in _peaks(total)[:_SUMMITS]]
-        found.sort(key=lambda one: -one[0])
+        found = summits(stage, self.motion, self._grid(stage.level.size))
         peaks = [q for score, q in found[: _CLOSE * self.config.summits] if score >= min(_LOW * found[0][0], found[0][0])]
-        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size)[: self.config.summits]
+        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
 
-    def _climb(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
+    def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
         """The better of a place and the place near it: turn and scale follow only from the look before."""
         return max(place, self._again(stage, place, steps), key=_score)
 
-    def _first(self, stage: "_Stage", error: Array, steps: int) -> Candidate:
+    def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
         """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
         return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
 
-    def _again(self, stage: "_Stage", place: Candidate, steps: int) -> Candidate:
+    def _again(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
         """The place near a place: landmarks near where they were found, as large as the map leaves open."""
         return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
 
-    def _near(self, stage: "_Stage", error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
+    def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
         """Every landmark's own place and size near an error of the prior, and the pose and map errors that follow.
 
         Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
@@ -240,83 +228,6 @@ def _common(votes: Array, free: Array, steps: int) -> Indices:
     return common
 
 
-class _Stage:
-    """One reduced picture and the points that vote in it."""
-
-    def __init__(self, level: Level, search: Search, reach_px: float, points: int) -> None:
-        self.level, self.motion, self.expected = level, search.motion, search.config.expected
-        self.eye = Eye(level.camera, search.eye.R_kb, search.eye.p_bk, search.eye.right)
-        pose = self.motion.pose(np.zeros(6))
-        self.voters = voters(self.eye, search.body, search.chroma, pose, reach_px / level.size, points)
-        depth = search.body.base_d - search.body.height_m - self.eye.pose(*pose)[0][2]
-        metre_px = level.camera.fx / np.maximum(depth, 1.0)
-        outline_sigma = np.array([mark.outline_sigma_m for mark in search.landmarks])
-        self.free = np.rint(_OPEN * search.map_sigma * metre_px)  # px (L,) that the map leaves open of a landmark's place,
-        self.sides = np.rint(_OPEN * outline_sigma * metre_px)  # and of its sides
-        self.growth_m = _growths(_OPEN * outline_sigma, metre_px)
-        self.floor = _FLOOR * level.typical() + 0.5
-
-    def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
-        assert self.voters is not None
-        points = self.voters if shift_m is None else self.voters.moved(shift_m)
-        return points.aimed(self.eye, pose, self.motion.gain[:, :2])
-
-    def vote(self, aimed: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
-        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
-        assert self.voters is not None
-        v, c, marks = self.voters, self.level.camera, len(self.free)
-        field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
-        support, length = vote(
-            field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, v.first, v.mark, v.length, v.chroma, marks, self.floor,
-            su, sv, inside,
-        )  # fmt: skip
-        return support - self.expected * length, length
-
-    def motions(self, pose: Pose, shift_m: Array) -> Array:
-        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the picture."""
-        assert self.voters is not None
-        v, c = self.voters.moved(shift_m), self.level.camera
-        p_nk, R_nk = self.eye.pose(*pose)
-        D = motions((v.points_n - p_nk) @ R_nk, v.points_n - pose[0], v.mark_of_point, len(self.free), R_nk, c.fx, c.fy)
-        return np.asarray(D * self.level.size)
-
-    def across(self, q: Array) -> Array:
-        """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
-        assert self.voters is not None
-        aimed, c = self.aimed(self.motion.pose(self.motion.gain @ q)), self.level.camera
-        return np.asarray(
-            _across(aimed, np.array([c.fx, c.fy, c.cx, c.cy]), c.width, c.height, self.level.size, self.motion.middle + q[:2])
-        )
-
-
-@njit(cache=True)
-def _across(aimed: Array, camera: Array, width: int, height: int, size: int, middle: Array) -> Array:
-    """Mean of (n^T B)^T (n^T B) (4, 4) over the points in view; n: their normals, B (2, 4) = (I, turned r, r): similarity(r)."""
-    M, row, count = np.zeros((4, 4)), np.empty(4), 0
-    for i in range(len(aimed)):
-        x, y, z = aimed[i, 0], aimed[i, 1], aimed[i, 2]
-        if z <= 0.0:
-            continue
-        u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
-        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-            continue
-        ru, rv = (u + 0.5) * size - 0.5 - middle[0], (v + 0.5) * size - 0.5 - middle[1]
-        row[0], row[1] = aimed[i, 9], aimed[i, 10]
-        row[2], row[3] = row[1] * ru - row[0] * rv, row[0] * ru + row[1] * rv
-        count += 1
-        for j in range(4):
-            for k in range(4):
-                M[j, k] += row[j] * row[k]
-    return M / max(count, 1)
-
-
-def _growths(open_m: Array, metre_px: Array) -> Array:
-    """Growths (K, L) m up to open_m (L,), none first; from the next of them sides are off by a pixel, as turns and scales."""
-    n = math.ceil(max(float(np.max(open_m * metre_px)) / 2.0 - 0.5, 0.0))
-    return np.outer(sorted(range(-n, n + 1), key=abs), open_m / max(n, 1))
-
-
 def _score(place: Candidate) -> float:
     return place.score
 
@@ -328,66 +239,11 @@ def _best(places: list[Candidate], most: int) -> list[Candidate]:
 T = TypeVar("T")
 
 
-def _apart(ranked: Sequence[T], q: Sequence[Array], stage: _Stage, least_px: float) -> list[T]:
-    """Those of ranked, which lie at q, that are apart from every better one."""
-    chosen: list[tuple[int, Array]] = []
-    for k in range(len(ranked)):
-        if all((q[k] - q[other]) @ M @ (q[k] - q[other]) > least_px**2 for other, M in chosen):
-            chosen.append((k, stage.across(q[k])))
-    return [ranked[k] for k, _ in chosen]
-
-
-def _together(votes: Array, inside: Mask, free: Array) -> Array:
-    """Sum over landmarks of the best vote within what each one's place leaves open."""
-    total = np.zeros(inside.shape)
-    for one, radius in zip(votes, free.tolist(), strict=True):
-        width = 2 * int(radius) + 1
-        total += cv2.dilate(np.where(inside, one, _NEVER), np.ones((width, width), np.uint8)) if width > 1 else one
-    return total
-
-
-def _squared(information: Array, grid: "_Grid", other: Array) -> Array:
-    """q^T Q^-1 q (U, V) of the whole grid of shifts with one turn and scale."""
-    linear = 2.0 * information[:2, 2:] @ other
-    u = information[0, 0] * grid.su**2 + linear[0] * grid.su
-    v = information[1, 1] * grid.sv**2 + linear[1] * grid.sv + other @ information[2:, 2:] @ other
-    return np.asarray(u[:, None] + v[None, :] + 2.0 * information[0, 1] * grid.su[:, None] * grid.sv[None, :])
-
-
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """Shifts su, sv px, pairs of turn and log scale, and the squared distance from the prior that is searched."""
-
-    su: Array
-    sv: Array
-    others: list[tuple[float, float]]
-    chi2: float
-
-
-def _grid(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> _Grid:
-    """Steps of one pixel of the reduced picture, and turns and scales that move the outlines' ends by a pixel at most."""
-    u, v, turn, scale = (np.arange(-n, n + 1.0) for n in _halves(motion, config, step, limit_px))
-    width = _width(motion, step)
-    others = [(float(a), float(b)) for a in turn * width for b in scale * width]
-    return _Grid(u * step, v * step, others, config.sigmas**2 + _OTHERS)
-
-
-def _halves(motion: Motion, config: CoarseConfig, step: int, limit_px: float) -> tuple[int, int, int, int]:
-    """How many steps to either side the grid has in shift u, v, in turn and in scale."""
-    sigma_u, sigma_v = math.sqrt(motion.covariance[0, 0]), math.sqrt(motion.covariance[1, 1])
-    u, v = (math.ceil(min(config.sigmas * sigma, limit_px) / step) + 1 for sigma in (sigma_u, sigma_v))
-    reach = min(config.sigmas * motion.turn_rad, math.radians(config.turn_deg)), config.sigmas * motion.log_scale
-    turns, scales = (math.ceil(max(half / _width(motion, step) - 0.5, 0.0)) for half in reach)
-    return u, v, turns, scales
-
-
-def _width(motion: Motion, step: int) -> float:
-    """Of a step in turn [rad] and scale that moves the outlines' ends by two pixels of the reduced picture."""
-    return 2.0 * step / motion.radius
-
-
-def _peaks(score: Array) -> list[tuple[int, int]]:
-    """Local maxima, best first."""
-    top = (score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score > _NEVER)
-    places = np.argwhere(top)
-    return [(int(a), int(b)) for a, b in places[np.argsort(-score[top], kind="stable")]]
+def _apart(ranked: Sequence[T], q: Sequence[Array], stage: Stage, least_px: float, most: int) -> list[T]:
+    """The first ones, `most` of them, of ranked, which lie at q, that are apart from every better one."""
+    chosen, at, left = list[T](), np.array(q), np.arange(len(ranked))
+    while len(left) and len(chosen) < most:
+        chosen.append(ranked[left[0]])
+        off = at[left] - at[left[0]]
+        left = left[np.einsum("ki,ij,kj->k", off, stage.across(at[left[0]]), off) > least_px**2]
+    return chosen

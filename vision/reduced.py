@@ -21,6 +21,7 @@ from vision.rectify import Image
 Field = NDArray[np.float32]
 Plane = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 _NONE = np.float32(0.0)
 _UNSEEN = np.float32(-1.0)  # length where the camera saw nothing
 _SOBEL = np.float32(0.125)  # kernel -> grey values per pixel
@@ -52,8 +53,12 @@ class Level:
 
     def field(self, aimed: Array, u: tuple[float, float], v: tuple[float, float]) -> Field:
         """The field where points aimed (N, 11), as vote() takes them, come to lie at shifts from u[0] to u[1], v[0] to v[1]."""
-        c = self.camera
-        _make(self._field, self._made, self._picture, self._unseen, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, u, v)
+        c, (height, width) = self.camera, self._field.shape[:2]
+        return self.around(_reached(np.array([c.fx, c.fy, c.cx, c.cy]), width, height, aimed, u, v))
+
+    def around(self, boxes: Indices) -> Field:
+        """The field in boxes (N, 4) of pixels: from and to, with both, in u, then in v."""
+        _make(self._field, self._made, self._picture, self._unseen, boxes)
         return self._field
 
 
@@ -71,12 +76,9 @@ def levels(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[
 
 
 @njit(cache=True)
-def _make(
-    field: Field, made: Mask, picture: Image, unseen: Mask, camera: Array, aimed: Array, su: tuple[float, float],
-    sv: tuple[float, float],
-) -> None:  # fmt: skip
-    """Make the tiles that the points reach. u and v are quotients of what is linear in the shifts: largest at its corners."""
-    rows, columns = field.shape[0], field.shape[1]
+def _reached(camera: Array, width: int, height: int, aimed: Array, su: tuple[float, float], sv: tuple[float, float]) -> Indices:
+    """Boxes (N, 4) that points reach. u and v are quotients of what is linear in the shifts: largest at its corners."""
+    boxes = np.empty((len(aimed), 4), np.int64)
     for i in range(len(aimed)):
         left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
         for a in su:
@@ -88,11 +90,20 @@ def _make(
                 u = camera[0] * (aimed[i, 0] + a * aimed[i, 3] + b * aimed[i, 6]) / z + camera[2]
                 v = camera[1] * (aimed[i, 1] + a * aimed[i, 4] + b * aimed[i, 7]) / z + camera[3]
                 left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
-        if right < -1.0 or left > columns or bottom < -1.0 or top > rows:
+        boxes[i, 0], boxes[i, 1] = int(min(max(left - 0.5, -1.0), width)), int(max(min(right + 1.5, width - 1.0), -1.0))
+        boxes[i, 2], boxes[i, 3] = int(min(max(top - 0.5, -1.0), height)), int(max(min(bottom + 1.5, height - 1.0), -1.0))
+    return boxes
+
+
+@njit(cache=True)
+def _make(field: Field, made: Mask, picture: Image, unseen: Mask, boxes: Indices) -> None:
+    """Make the tiles that boxes (N, 4) touch."""
+    rows, columns = field.shape[0], field.shape[1]
+    for left, right, top, bottom in boxes:
+        if right < 0 or left >= columns or bottom < 0 or top >= rows:
             continue
-        first, last = int(max(left - 0.5, 0.0)) // _TILE, int(min(right + 1.5, columns - 1.0)) // _TILE
-        for y in range(int(max(top - 0.5, 0.0)) // _TILE, int(min(bottom + 1.5, rows - 1.0)) // _TILE + 1):
-            for x in range(first, last + 1):
+        for y in range(max(top, 0) // _TILE, min(bottom, rows - 1) // _TILE + 1):
+            for x in range(max(left, 0) // _TILE, min(right, columns - 1) // _TILE + 1):
                 if not made[y, x]:
                     made[y, x] = True
                     _fill(field, picture, unseen, y * _TILE, x * _TILE)

@@ -52,6 +52,12 @@ class Voters:
         """Of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not grow."""
         return replace(self, points_n=_moved(self.points_n, self.direction_n, self.mark_of_point, shift_m))
 
+    def middles(self, marks: int) -> Array:
+        """The mean (L, 3) of each landmark's points; NaN where it has none."""
+        count = np.bincount(self.mark_of_point, minlength=marks)[:, None]
+        sums = np.stack([np.bincount(self.mark_of_point, along, marks) for along in self.points_n.T], axis=1)
+        return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
+
     def aimed(self, eye: Eye, pose: Pose, gain: Array) -> Array:
         """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture."""
         p_nk, R_nk = eye.pose(*pose)

@@ -17,8 +17,8 @@ from vision.reduced import Field
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-_WRONG_SIDE = 0.3  # what is left of an edge's vote if the map's colour is on the wrong side
-_LEAST_POINTS = 2  # in view that make an edge
+WRONG_SIDE = 0.3  # what is left of an edge's vote if the map's colour is on the wrong side
+LEAST_POINTS = 2  # in view that make an edge
 
 
 @njit(cache=True)
@@ -73,12 +73,12 @@ def vote(
                     total += size
                     own_total += size * size
                     count += 1
-                if count < _LEAST_POINTS:
+                if count < LEAST_POINTS:
                     continue
                 n = count * length[e]
                 share = (g0 * g0 + g1 * g1 + g2 * g2 - own) / (total * total - own_total)
                 if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0 and share > 0.0:
-                    share *= _WRONG_SIDE
+                    share *= WRONG_SIDE
                 support[m, a, b] += n * share
                 seen[m, a, b] += n
     return support, seen

@@ -1,0 +1,150 @@
+"""The search of all that the prior leaves open, in the most reduced picture.
+
+    score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2,     q: shift, turn, log scale
+
+The grid's step is a pixel, and turns and scales of which the nearest one is off by a pixel at most, at the ends of all outlines.
+The ends of a single landmark are off by less, as its radius is less than that of all. So in many turns and scales a landmark is
+the same but for its place, and its votes are told once for all of these, in every place where they may put it:
+
+    support_l(q) = support_l,k(y_l(q) - y_l(q_k)),    q_k: the nearest turn and scale of a grid by the landmarks' own radius
+
+y_l: where the middle of the landmark's points is in the picture; rounded to pixels.
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+from vision.motion import Motion
+from vision.rigid_votes import Window
+from vision.stage import Stage
+
+_NEVER = -1e6
+_SUMMITS = 6  # of each turn and scale that are kept
+_OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
+_FARTHEST = 4.0  # times from the middle of the picture to its border: from farther away nothing is moved into view
+
+Other = tuple[float, float]  # turn and log scale
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Shifts su, sv px, pairs of turn and log scale, and the squared distance from the prior that is searched."""
+
+    su: Array
+    sv: Array
+    others: list[Other]
+    chi2: float
+
+    @classmethod
+    def of(cls, motion: Motion, sigmas: float, most_turn: float, step: int, limit_px: float) -> "Grid":
+        """Of so many sigmas of the prior, a turn [rad] and a shift, in a picture reduced `step` times."""
+        width, reach = _width(motion.radius, step), (min(sigmas * motion.turn_rad, most_turn), sigmas * motion.log_scale)
+        u, v = (math.ceil(min(sigmas * math.sqrt(motion.covariance[k, k]), limit_px) / step) + 1 for k in range(2))
+        turns, scales = (math.ceil(max(half / width - 0.5, 0.0)) for half in reach)
+        others = [(a * width, b * width) for a in range(-turns, turns + 1) for b in range(-scales, scales + 1)]
+        return cls(step * np.arange(-u, u + 1.0), step * np.arange(-v, v + 1.0), others, sigmas**2 + _OTHERS)
+
+    @property
+    def places(self) -> int:
+        """How many there are."""
+        return len(self.su) * len(self.sv) * len(self.others)
+
+    def chi2_of(self, information: Array, other: Other) -> Array:
+        """q^T Q^-1 q (V, U) of all shifts with one turn and scale."""
+        o = np.array(other)
+        linear = 2.0 * information[:2, 2:] @ o
+        u = information[0, 0] * self.su**2 + linear[0] * self.su
+        v = information[1, 1] * self.sv**2 + linear[1] * self.sv + o @ information[2:, 2:] @ o
+        return np.asarray(v[:, None] + u[None, :] + 2.0 * information[0, 1] * self.sv[:, None] * self.su[None, :])
+
+
+def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array]]:
+    """Score and q of the local summits in each turn and scale, best first."""
+    information, found = np.linalg.inv(motion.covariance).astype(np.float64), list[tuple[float, Array]]()
+    for shape, others in _by_shape(grid.others, _width(stage.own_radius(), stage.level.size)).items():
+        start = _middles(stage, motion, shape)
+        middles = [_middles(stage, motion, other) for other in others]
+        px = np.where(start[:, 2:3] > 0.0, start[:, :2] / start[:, 2:3] * stage.camera[:2], np.nan)
+        window = _window(np.array(middles), px, stage.camera, grid.su, grid.sv)
+        votes = stage.rigid_votes(stage.aimed(motion.pose(motion.gain @ np.array([0.0, 0.0, *shape]))), window)
+        for other, middle in zip(others, middles, strict=True):
+            chi2 = grid.chi2_of(information, other)
+            total = stage.level.size * _together(votes, middle, px, window, stage.camera, grid.su, grid.sv) - 0.5 * chi2
+            for score, v, u in _peaks(np.where(chi2 <= grid.chi2, total, _NEVER)):
+                found.append((score, np.array([grid.su[u], grid.sv[v], *other])))
+    return sorted(found, key=lambda one: -one[0])
+
+
+def _width(radius: float, step: int) -> float:
+    """Of a step in turn [rad] and scale that moves the ends of what has this radius by two pixels of the reduced picture."""
+    return 2.0 * step / radius
+
+
+def _by_shape(others: list[Other], width: float) -> dict[Other, list[Other]]:
+    """Which turns and scales belong to each one of a grid with steps of this width."""
+    shapes: dict[Other, list[Other]] = {}
+    for turn, scale in others:
+        shapes.setdefault((width * round(turn / width), width * round(scale / width)), []).append((turn, scale))
+    return shapes
+
+
+def _middles(stage: Stage, motion: Motion, other: Other) -> Array:
+    """The landmarks' middles (L, 11), as aimed, in a turn and scale."""
+    return stage.middles(motion.pose(motion.gain @ np.array([0.0, 0.0, *other])))
+
+
+@njit(cache=True)
+def _window(middles: Array, start_px: Array, camera: Array, su: Array, sv: Array) -> Window:
+    """By how many pixels middles (K, L, 11) are moved from start_px (L, 2). Quotients of what is linear in the shifts are largest
+    at their corners.
+    """
+    left, right, top, bottom = 0.0, 0.0, 0.0, 0.0
+    for k in range(middles.shape[0]):
+        for m in range(middles.shape[1]):
+            row = middles[k, m]
+            for a in (su[0], su[-1]):
+                for b in (sv[0], sv[-1]):
+                    z = row[2] + a * row[5] + b * row[8]
+                    if z > 0.0 and np.isfinite(start_px[m, 0]):
+                        u = camera[0] * (row[0] + a * row[3] + b * row[6]) / z - start_px[m, 0]
+                        v = camera[1] * (row[1] + a * row[4] + b * row[7]) / z - start_px[m, 1]
+                        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    most = _FARTHEST * camera[2], _FARTHEST * camera[3]
+    left, right, top, bottom = max(left, -most[0]), min(right, most[0]), max(top, -most[1]), min(bottom, most[1])
+    return int(np.rint(left)), int(np.rint(right)), int(np.rint(top)), int(np.rint(bottom))
+
+
+@njit(cache=True, error_model="numpy")
+def _together(votes: Array, middle: Array, start_px: Array, window: Window, camera: Array, su: Array, sv: Array) -> Array:
+    """Sum (V, U) of the votes (L, rows, columns) of landmarks in a window about start_px (L, 2), where a shift puts their middle
+    (L, 11); outside there are none.
+    """
+    total, rows, columns = np.zeros((len(sv), len(su))), votes.shape[1], votes.shape[2]
+    at = np.empty(len(su), np.int32)
+    for m in range(len(votes)):
+        one, row = votes[m].ravel(), middle[m]
+        left, top = start_px[m, 0] + window[0] - 0.5, start_px[m, 1] + window[2] - 0.5
+        for b in range(len(sv)):
+            x, y, z0 = row[0] + sv[b] * row[6], row[1] + sv[b] * row[7], row[2] + sv[b] * row[8]
+            for a in range(len(su)):  # without a branch, so that it is done for several shifts at once
+                z = z0 + su[a] * row[5]
+                u, v = camera[0] * (x + su[a] * row[3]) / z - left, camera[1] * (y + su[a] * row[4]) / z - top
+                met = (z > 0.0) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
+                place = np.int32(v) * np.int32(columns) + np.int32(u)
+                at[a] = place if met else np.int32(-1)
+            for a in range(len(su)):
+                if at[a] >= 0:
+                    total[b, a] += one[np.uint64(at[a])]
+    return total
+
+
+def _peaks(score: Array) -> list[tuple[float, int, int]]:
+    """The best local maxima, and their rows and columns."""
+    top = np.flatnonzero((score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score > _NEVER))
+    best = top[np.argsort(-score.ravel()[top], kind="stable")[:_SUMMITS]]
+    return [(float(score.flat[k]), *divmod(int(k), score.shape[1])) for k in best]
