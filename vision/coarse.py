@@ -111,10 +111,15 @@ class Search:
         ]
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
         steps = size // middle.level.size
-        found = _best([self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], self.config.peaks)
+        apart_px = _APART_PX * size
+        found = self._best(middle, [self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], apart_px)
         found = [self._climb(middle, c, steps) for c in found]
-        ranked = _best([self._climb(fine, self._again(fine, c, 2), 2) for c in found], self.config.peaks)
-        return _apart(ranked, [self.motion.J @ c.error for c in ranked], middle, _APART_PX * size, len(ranked))
+        return self._best(middle, [self._climb(fine, self._again(fine, c, 2), 2) for c in found], apart_px)
+
+    def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
+        """The best places, apart from each other, so that those near the best one do not crowd out its rivals."""
+        ranked = sorted(places, key=_score, reverse=True)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
         """By how much the picture is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
@@ -230,10 +235,6 @@ def _common(votes: Array, free: Array, steps: int) -> Indices:
 
 def _score(place: Candidate) -> float:
     return place.score
-
-
-def _best(places: list[Candidate], most: int) -> list[Candidate]:
-    return sorted(places, key=_score, reverse=True)[:most]
 
 
 T = TypeVar("T")
