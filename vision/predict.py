@@ -34,7 +34,7 @@ from vision.visibility import Prisms
 Mask = NDArray[np.bool_]
 PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
-_MOST_TRIED = 3  # places that are fitted if they are nearly as good as the best one
+_MOST_TRIED = 3  # places that are fitted if the best one is not sure; all that are nearly as good are in any case
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -113,11 +113,12 @@ class PredictPath:
         """The one place that is left of those that were searched out, best first: by its votes, and by its fit."""
         if not candidates:
             return _Refused("not_found", "nothing of the outlines in view")
-        v, places = self._config.verify, candidates[:_MOST_TRIED]
-        evidence = Evidence.of(candidates, self._trusted(places[0]), self._eye(pictures).camera.width)
+        v, best = self._config.verify, candidates[0]
+        evidence = Evidence.of(candidates, self._trusted(best), self._eye(pictures).camera.width)
         if flaw := verify.flaw(evidence, v):
             return _Refused("not_found", flaw)
-        likely = 1 + sum(place.score > v.rival * places[0].score for place in places[1:])
+        likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
+        places = candidates[: max(likely, _MOST_TRIED)]
         tried = [self._fitter.fit(pictures, marks, place, prior) for place in places[:likely]]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best

@@ -47,7 +47,8 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
     odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 3.0
-    weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 1.0
+    sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
+    weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
     decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
     moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
@@ -138,7 +139,7 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
         return "refused", f"it is hardly likelier that the landmarks stand there than that none does (ln odds {fitted.odds:.1f})"
     if fit.factor > config.weak_factor:
         return "weak", f"residuals are {fit.factor:.1f} times what they should be"
-    if fit.found < config.found or fitted.looked < config.looked:
+    if fitted.odds < config.sure_odds and (fit.found < config.found or fitted.looked < config.looked):
         return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
     if fitted.kept < config.kept:
         return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
