@@ -223,31 +223,36 @@ def roof_offsets(
     """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
     ends = ends_px(edges, eye, pose)
     offsets, usable = _search(
-        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.landmark, edges.partner, ends, half
-    )
+        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner, ends,
+        half,
+    )  # fmt: skip
     return offsets, usable, np.zeros(len(edges.kind))
 
 
 @njit(cache=True)
 def _search(
-    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, landmark: Indices, partner: Indices,
-    ends: Array, half: int,
+    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
+    partner: Indices, ends: Array, half: int,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Offsets (N,) px and usable samples (N,), as roof_offsets."""
     roof = kind == _ROOF
     usable = seen & ~outline.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
     values = outline.profiles(image, px, normal, half, 1.0, 1, usable)
-    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, half, usable)
+    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
     distance = outline.off_roof(values, beside, edge, roof, usable)
     return outline.search(distance, edge, len(kind), 1.0, usable), usable
 
 
 @njit(cache=True)
 def _roof_beside(
-    image: Image, values: Array, px: Array, normal: Array, edge: Indices, landmark: Indices, roof: Mask, half: int, usable: Mask
-) -> Array:
-    """Colour (N, C) of the roof beside each sample, from profiles of half width half and what lies farther inside."""
-    inside = usable & roof[edge]
+    image: Image, values: Array, px: Array, normal: Array, edge: Indices, landmark: Indices, roof: Mask, raised: Mask, half: int,
+    usable: Mask,
+) -> Array:  # fmt: skip
+    """Colour (N, C) of the roof beside each sample, from profiles of half width half and what lies farther inside.
+
+    What is painted on the ground has no slopes in other light; farther inside there is other paint.
+    """
+    inside = usable & (roof & raised)[edge]
     interior = outline.profiles(image, px - (half + _DEEPER_PX) * normal, normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
     return outline.roof_beside(values, interior, inside, edge, landmark, roof, usable)
 
@@ -259,16 +264,16 @@ def _fit(
     """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
     gap, ends = edge_gaps(edges, samples, seen, eye, *pose), ends_px(edges, eye, pose)
     offsets, usable, variance = _fit_steps(
-        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.landmark, edges.partner, ends, gap, half,
-        farthest,
+        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner, ends,
+        gap, half, farthest,
     )  # fmt: skip
     return offsets, usable, variance
 
 
 @njit(cache=True)
 def _fit_steps(
-    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, landmark: Indices, partner: Indices,
-    ends: Array, gap: Array, half: int, farthest: float,
+    image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
+    partner: Indices, ends: Array, gap: Array, half: int, farthest: float,
 ) -> tuple[Array, Mask, Array]:  # fmt: skip
     """Offsets (N,) px, usable samples (N,) and variance (E,) px^2, as _fit."""
     count, roof, reach = len(kind), kind == _ROOF, half + _BESIDE_PX
@@ -276,7 +281,7 @@ def _fit_steps(
     usable = seen & ~outline.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)
     usable &= ~((kind == _BASE) & near)[edge]
     values = outline.profiles(image, px, normal, half, 1.0, 3, usable)
-    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, half, usable)
+    beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
     usable &= ~outline.alien(values, beside, edge, roof, usable)[edge]
     grey, clipped = outline.along_contrast(values, edge, count, usable)
     narrow = roof & (gap > 0.0) & near

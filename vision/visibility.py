@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from models.landmarks import Landmark
 from models.messages import Array
 
+Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 _FLAT = 0.34  # sin(20 deg): two visible sides that meet at less than this angle make no edge to be found
 _BACK_M = 0.02  # a point is looked at from this far before its wall, so that its own wall does not hide it
@@ -81,7 +82,7 @@ class ModelEdges:
 
     start_n, end_n: (E, 3) m, roof and base edges run anticlockwise; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base
     edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, M) derivatives of
-    the ends by MapError.
+    the ends by MapError; raised: (E,) of what stands on the ground, not of a mark painted on it.
     """
 
     start_n: Array
@@ -91,6 +92,7 @@ class ModelEdges:
     partner: Indices
     map_start: Array
     map_end: Array
+    raised: Mask
 
 
 def visible_edges(landmarks: Prisms | Sequence[Landmark], p_nc: Array, shift_m: Array | None = None) -> ModelEdges:
@@ -98,7 +100,8 @@ def visible_edges(landmarks: Prisms | Sequence[Landmark], p_nc: Array, shift_m: 
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     count = len(prisms.base_d)
     shift = np.zeros((count, len(MapError))) if shift_m is None else shift_m
-    return ModelEdges(*_visible_edges(prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m, p_nc, shift))
+    edges = _visible_edges(prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m, p_nc, shift)
+    return ModelEdges(*edges, raised=prisms.height_m[edges[2]] > 0.0)
 
 
 @njit(cache=True)

@@ -208,7 +208,7 @@ def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_picture(summi
     c = PipelineConfig()
     coarse = msgspec.structs.replace(c.predict.coarse, summits=summits)
     config = msgspec.structs.replace(c, predict=msgspec.structs.replace(c.predict, coarse=coarse))
-    assert recognisers.landfix(views.draw("partial", "pale", 7, 3), config, timed=False).verdict == verdict
+    assert recognisers.landfix(views.draw("partial", "pale", 7, 11), config, timed=False).verdict == verdict
 
 
 def test_names_that_are_not_known() -> None:
@@ -223,7 +223,7 @@ def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
 
 
 def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt() -> None:
-    hidden = views.draw("partial", "painted", 502, 53)
+    hidden = views.draw("partial", "painted", 502, 114)
     assert hidden.seen < 0.5
     assert recognisers.landfix(hidden, timed=False).verdict == "recognised"
     strict = PipelineConfig(predict=PredictConfig(verify=VerifyConfig(hidden_found=0.5)))

@@ -33,7 +33,7 @@ for roof in range(4):
 nothing_beside = np.full((32, 2), -1e3)
 offsets, usable = _search(
     picture, np.concatenate(px), np.concatenate(normal), np.ones(320, np.bool_), np.array(edge), np.zeros(16, np.int64),
-    np.arange(16) // 4, np.full(16, -1), nothing_beside, 16,
+    np.ones(16, np.bool_), np.arange(16) // 4, np.full(16, -1), nothing_beside, 16,
 )
 print(int(np.isfinite(offsets).sum()), hashlib.sha256(offsets.tobytes() + usable.tobytes()).hexdigest())
 """
