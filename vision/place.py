@@ -27,7 +27,7 @@ from vision.recheck import Recheck, recheck
 from vision.rectify import Image
 from vision.reports import pose_flaw
 from vision.sensitivity import Eye, eyes
-from vision.verify import Fitted, VerifyConfig, found_odds
+from vision.verify import Fitted, VerifyConfig, place_odds
 
 Views = tuple[Image | None, Image | None]
 Mask = NDArray[np.bool_]
@@ -36,9 +36,9 @@ _MOST_ALONE = 3  # landmarks of which each tells where to begin
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
-_SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands
+_SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands,
+_SURE_HIDDEN = math.log(0.999 / 0.001)  # and from which it does though more of it is hidden
 _LEAST_SHARE = 0.5  # of what the better picture shows
-_ALIKE = 3.0  # times that the same is told
 _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 
@@ -68,8 +68,7 @@ class Fitter:
             for window in (_WINDOW_PX, _ALONE_PX)
         )
         self._gone = gone
-        self._stands = _SURE - math.log((1.0 - gone) / gone)  # likelihood ratio
-        self._stands_hidden = 2.0 * self._stands
+        self._stands, self._stands_hidden = (odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN))  # ratios
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
@@ -175,21 +174,14 @@ class Fitter:
         seen: Recheck,
         prior: Prior,
     ) -> float:
-        """ln of the odds that what is in view stands where fit and map say, but for what is gone, against a place of chance.
-
-        sum_j ln ((1 - g) LR_j + g) - (|x (-) x0|^2 + sum |s_j|^2) / 2,      x0: prior, s_j: map errors of the landmarks fitted
-
-        over what roofs in one light, among one clutter, say alike; and what the fit found of their outlines (verify.found_odds).
-        """
+        """verify.place_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
         others = [k for k in np.flatnonzero(place.length > 0.0).tolist() if k not in chosen]
         some = [marks[k] for k in others]
         as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
         rest = recheck(self._rig, views, some, as_mapped, self._pose.look).stands if some else np.zeros(0)
-        stands = np.concatenate((seen.stands, rest))
         off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
-        unlikely = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
-        there = float(np.logaddexp(math.log(1.0 - self._gone) + stands, math.log(self._gone)).sum())
-        return (there - 0.5 * unlikely) / _ALIKE + found_odds(fit.found)
+        squared = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
+        return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found)
 
     def _pair_flaw(self, seen: Recheck) -> str:
         """Why the right picture does not belong to the left one; empty where it does."""

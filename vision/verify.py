@@ -23,7 +23,7 @@ from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.pose import PoseEstimate, difference
 
-_FOUND_RIGHT, _FOUND_CHANCE, _PIECES = 0.75, 0.45, 12.0  # of fits of rendered outlines, right and wrong ones
+_FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
 Grade = Literal["sure", "weak", "refused"]
 
 
@@ -108,13 +108,19 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     return ""
 
 
-def found_odds(found: float) -> float:
-    """ln of the odds of a place of whose outlines the share f is found, of which a right place shows r and a chance one c:
+def place_odds(stands: Array, gone: float, squared: float, found: float) -> float:
+    """ln of the odds of a place against one of chance, where outlines lie on edges of something else.
 
-    n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))),      n: pieces of outlines that are found, or are not, by themselves
+    (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c)))
+
+    stands (L,): ln LR of each landmark in view (stands.py); gone: g, share of the map that is; squared: d^2, of the pose from the
+    prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right places and c at those of
+    chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by themselves.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
-    return _PIECES * (found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c)))
+    there = float(np.logaddexp(math.log(1.0 - gone) + stands, math.log(gone)).sum())
+    shown = found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c))
+    return (there - 0.5 * squared) / _ALIKE + _PIECES * shown
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
@@ -136,7 +142,7 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
     if fitted.odds < config.weak_odds:
-        return "refused", f"it is hardly likelier that the landmarks stand there than that none does (ln odds {fitted.odds:.1f})"
+        return "refused", f"the place is hardly likelier than one of chance (ln odds {fitted.odds:.1f})"
     if fit.factor > config.weak_factor:
         return "weak", f"residuals are {fit.factor:.1f} times what they should be"
     if fitted.odds < config.sure_odds and (fit.found < config.found or fitted.looked < config.looked):
@@ -144,7 +150,7 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     if fitted.kept < config.kept:
         return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
     if fitted.odds < config.odds:
-        return "weak", f"not much likelier that the landmarks stand there than that none does (ln odds {fitted.odds:.1f})"
+        return "weak", f"the place is not much likelier than one of chance (ln odds {fitted.odds:.1f})"
     if evidence.score_px < config.score_px:
         return "weak", "little of the outlines in view"
     return "sure", ""

@@ -18,7 +18,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
 from vision.synthetic.world import Look, Solid, Sun, World
-from vision.verify import Fitted, VerifyConfig, decided
+from vision.verify import Evidence, Fitted, VerifyConfig, decided, grade, place_odds
 from vision.visibility import MapError
 
 
@@ -48,6 +48,25 @@ def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, to
     other = replace(best, odds=odds, middles=best.middles + apart_m * RIG.left.fx / 40.0)
     outcome = decided([other, best], VerifyConfig())
     assert outcome is best if told else "another place, 106 px off" in str(outcome)
+
+
+def test_odds_of_a_place_by_hand() -> None:
+    """One landmark that stands, 20 to 1, one of which nothing is told, one that is gone for sure; two sigma off; 60 % found."""
+    there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
+    shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
+    odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6)
+    assert odds == pytest.approx((there - 2.0) / 3.0 + 12.0 * shown, abs=1e-12)
+    assert np.isfinite(place_odds(np.array([800.0]), 0.1, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("odds", "looked", "expected"),
+    [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (3.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
+)
+def test_how_far_a_fit_is_believed_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
+    """Above 12 however little of the outlines is found."""
+    fit = replace(fitted(whole(), MARKS), odds=odds, looked=looked)
+    assert grade(Evidence(100.0, 0.5, 1.0, 0.0), fit, VerifyConfig())[0] == expected
 
 
 @pytest.mark.parametrize(("seen", "kept"), [((0,), 1 / 3), ((0, 1), 1.0), ((0, 1, 2), 1.0)])

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.outline_views import decoy
 from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
@@ -325,3 +326,10 @@ def test_unknown_fields_are_refused() -> None:
     for text in ('{"paths": "auto"}', '{"predict": {"coarse": {"limit": 3}}}', '{"path": "guess"}'):
         with pytest.raises(msgspec.ValidationError):
             msgspec.json.decode(text, type=PipelineConfig)
+
+
+def test_every_place_that_is_nearly_as_good_is_a_rival() -> None:
+    """A row of equal houses and a prior that is one house off: two of four places are excluded by it, two are as likely."""
+    view, (left, right), prior, _ = decoy(91, 93, "row")
+    result = pipeline(view.landmarks, view.rig).process(left, right, 0, prior)
+    assert (result.fix, result.report.outcome) == (None, "ambiguous")
