@@ -91,7 +91,7 @@ class Sight:
             if picture is None or picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
                 return None
             canvas = overlay.frame(picture, view, self._used).canvas
-        except Exception:  # a picture for people must not cost the next fix
+        except Exception:  # a picture for people must not cost the next fix; `overlays` of the status stands still then
             return None
         return encode_picture(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
 
