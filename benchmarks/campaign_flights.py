@@ -48,7 +48,8 @@ class Instant(msgspec.Struct, frozen=True):
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """A scenario of the simulator with its outages (begin, end), and what the filter is told.
 
-    matched: sensors as modelled; told_slow_m: [gnss] slow_sigma_m; told_noise: multiple of the grade's noise.
+    matched: sensors as modelled; told_slow_m: [gnss] slow_sigma_m; told_noise: multiple of the grade's noise;
+    told_scale: [imu] gyro_scale.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     matched: bool = True
     told_slow_m: float = 0.0
     told_noise: float = 1.0
+    told_scale: float = 0.0
 
     def seed(self, run: int) -> int:
         """Of the simulation: flights do not share their noise, so that their cells are independent."""
@@ -79,7 +81,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
         """The IMU's as the filter knows it: white noise of the grade or a multiple of it, random walks of the grade."""
         noise = GRADES[self.scenario.imu.grade].noise
         white = {"gyro_noise": noise.gyro_noise * self.told_noise, "accel_noise": noise.accel_noise * self.told_noise}
-        return msgspec.structs.replace(noise, **white)
+        return msgspec.structs.replace(noise, **white, gyro_scale=self.told_scale)
 
     def config(self, process_scale: float = 1.0) -> FusionConfig:
         """What the filter knows: the IMU's noise, its turn-on biases as prior; process_scale multiplies Q."""
@@ -116,7 +118,6 @@ def flight(
     aided_s: float = AIDED_S,
     between_s: float = BETWEEN_S,
     matched: bool = True,
-    told_slow_m: float = 0.0,
     told_noise: float = 1.0,
 ) -> Flight:
     """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
@@ -135,7 +136,7 @@ def flight(
         pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
-    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, told_slow_m=told_slow_m, told_noise=told_noise)
+    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, told_noise=told_noise)
 
 
 def matched() -> list[Flight]:
@@ -166,19 +167,23 @@ def mismatched() -> list[Flight]:
     unreported = msgspec.structs.replace(common, common_reported=False)
 
     def of(
-        name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None, told: float = 0.0
-    ) -> Flight:
-        return flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False, told_slow_m=told)
+        name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None,
+        slow_m: float = 0.0, scale: float = 0.0,
+    ) -> Flight:  # fmt: skip
+        plain = flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False)
+        return msgspec.structs.replace(plain, told_slow_m=slow_m, told_scale=scale)
 
     def imu(**errors: float) -> Imu:
         return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)
 
     return [
         of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),
+        of("scale-0.3%-told", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
         of("misaligned-0.3deg", imu=imu(misalignment_deg=0.3), pose_fix=fixes),
+        of("misaligned-0.3deg-told", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
         of("noise-x2", imu=imu(noise_multiplier=2.0), pose_fix=fixes),
         of("slow-gnss-ignored", gnss=slow),
-        of("slow-gnss-considered", gnss=slow, told=slow.slow_sigma_m),
+        of("slow-gnss-considered", gnss=slow, slow_m=slow.slow_sigma_m),
         of("map-error-reported", pose_fix=common),
         of("map-error-unreported", pose_fix=unreported),
     ]

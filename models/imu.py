@@ -49,6 +49,9 @@ class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): white noise of the accelerometer")] = 0.1
     gyro_walk: Annotated[float, msgspec.Meta(gt=0, description="rad/s^2/sqrt(Hz): random walk of the gyro bias")] = 1e-4
     accel_walk: Annotated[float, msgspec.Meta(gt=0, description="m/s^3/sqrt(Hz): random walk of the accel bias")] = 3e-3
+    gyro_scale: Annotated[
+        float, msgspec.Meta(ge=0, lt=1, description="share of a turn that is wrong: scale and axes of the gyroscope; 0: none")
+    ] = 3e-3
 
 
 class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,7 +71,10 @@ _C_GYRO_PSD, _C_ACCEL_PSD = 5, 6  # (rad/s)^2/Hz, (m/s^2)^2/Hz
 _C_GYRO_WALK_PSD, _C_ACCEL_WALK_PSD = 7, 8
 _C_COAST_GYRO_PSD, _C_COAST_ACCEL_PSD = 9, 10
 _C_GAP_S, _C_TURN_DECAY_S = 11, 12
-_C_SIZE = 13
+_C_SCALE_PSD = 13  # 1/Hz: of what a gyroscope says wrong, over the square of the rate
+_C_SIZE = 14
+
+_TURN_S = 1.0  # a turn lasts about as long; the next one is about another axis, or back
 
 
 def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
@@ -82,6 +88,7 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
     c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD] = noise.gyro_walk**2, noise.accel_walk**2
     c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD] = coast.gyro_noise**2, coast.accel_noise**2
     c[_C_GAP_S], c[_C_TURN_DECAY_S] = coast.gap_s, coast.turn_decay_s
+    c[_C_SCALE_PSD] = noise.gyro_scale**2 * _TURN_S
     return c
 
 
@@ -266,6 +273,14 @@ def _add_noise(p: Array, h: float, gyro: float, accel: float, gyro_walk: float, 
 
 
 @njit(cache=True, inline="always")
+def _turning(w: Array, bg: Array, c: Array) -> float:
+    """Density s^2 T |w - b_g|^2, (rad/s)^2/Hz: scale and axes are wrong by a share s of the rate, in turns that last T."""
+    x, y, z = w[0] - bg[0], w[1] - bg[1], w[2] - bg[2]
+    density: float = c[_C_SCALE_PSD] * (x * x + y * y + z * z)
+    return density
+
+
+@njit(cache=True, inline="always")
 def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> None:
     """Slow errors: c1 = exp(-h/tau) c + n, Q = q tau/2 (1 - exp(-2 h/tau)); Q = q h where tau is infinite.
 
@@ -387,7 +402,7 @@ def propagate(
             _add_noise(p, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         else:
             span = (t_ns[i] - t_ns[i - 1]) * _NS
-            gyro = c[_C_GYRO_PSD] + sampling.density(known[i], 0, span, c[_C_GYRO_PSD])
+            gyro = c[_C_GYRO_PSD] + sampling.density(known[i], 0, span, c[_C_GYRO_PSD]) + _turning(u[i], x[_XG:_XA], c)
             accel = c[_C_ACCEL_PSD] + sampling.density(known[i], 1, span, c[_C_ACCEL_PSD])
             _add_noise(p, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
         if n > _N:

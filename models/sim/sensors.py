@@ -42,6 +42,7 @@ def _grade(arw: float, gyro_bi: float, vrw: float, accel_bi: float, gyro_turn_on
         accel_noise=vrw / 60.0,
         gyro_walk=math.radians(gyro_bi) / 3600.0 / math.sqrt(_WALK_TIME_S),
         accel_walk=accel_bi * _MILLI_G / math.sqrt(_WALK_TIME_S),
+        gyro_scale=0.0,  # a calibrated one; `Imu.scale_sigma` and `misalignment_deg` are added to it
     )
     return Grade(noise, math.radians(gyro_turn_on), accel_turn_on * _MILLI_G)
 

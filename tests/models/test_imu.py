@@ -3,6 +3,7 @@
 from itertools import pairwise
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -225,6 +226,21 @@ def test_process_noise_is_that_of_the_continuous_model() -> None:
     expected = block[E.SIZE :, E.SIZE :].T @ block[: E.SIZE, E.SIZE :]
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose((cov - expected) / np.outer(scale, scale), 0.0, atol=5e-3)
+
+
+def test_a_turn_is_uncertain_by_the_share_that_scale_and_axes_are_wrong() -> None:
+    """Ten seconds at 30 and 40 degrees a second about two axes, the gyroscope's bias not counted: sigma^2 = s^2 |w|^2 T t."""
+    w, bias = np.radians([30.0, 0.0, 40.0]), np.array([0.02, -0.01, 0.03])
+    t_ns = EPOCH_NS + np.arange(2001) * 5_000_000
+    unknown, x = np.zeros((len(t_ns), sampling.SIZE)), np.zeros(X.SIZE)
+    x[X.Q], x[X.BG] = (1.0, 0.0, 0.0, 0.0), bias
+    u = np.tile([*(w + bias), 0.0, 0.0, -GRAVITY], (len(t_ns), 1))
+    variances = []
+    for share in (0.0, 0.01):
+        c, cov = imu.constants(msgspec.structs.replace(NOISE, gyro_scale=share), COAST, None), np.eye(E.SIZE) * 1e-300
+        assert imu.propagate(x.copy(), cov, t_ns, u, unknown, len(t_ns), 1, int(t_ns[0]), int(t_ns[-1]), c, NOTHING, NOTHING)
+        variances.append(np.diag(cov)[E.THETA])
+    np.testing.assert_allclose(variances[1] - variances[0], 0.01**2 * (w @ w) * 1.0 * 10.0, rtol=1e-6)
 
 
 def test_covariance_stays_symmetric_and_positive() -> None:

@@ -92,6 +92,7 @@ def test_config_names_what_the_estimator_needs() -> None:
             "accel_noise": noise.accel_noise,
             "gyro_walk": noise.gyro_walk,
             "accel_walk": noise.accel_walk,
+            "gyro_scale": 0.0,
         },
         "inputs": {"imu": "/imu", "gnss": "/gnss", "gnss_velocity": "/gnss/velocity", "pose_fix": "/pose_fix"},
         "gnss": {"delay_s": 0.12, "antenna_b_m": [0.3, 0.0, -0.2]},
