@@ -27,6 +27,7 @@ _ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be fr
 _SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
 _BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
+_SLACK_PX = 1.0  # more than rounding
 
 
 @njit(cache=True)
@@ -286,20 +287,47 @@ def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
 @njit(cache=True)
 def crossed(px: Array, normal: Array, edge: Indices, partner: Indices, start: Array, end: Array, reach: float) -> Mask:
     """Points (N,) whose profile, within reach px, meets the chord start-end (E, 2) of an edge that is neither its own nor
-    that one's partner (E,).
+    that one's partner (E,). Points are in the order of their edges.
     """
-    n, edges = px.shape[0], start.shape[0]
+    n, first = px.shape[0], 0
     result = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        u, v, nu, nv = px[i, 0], px[i, 1], normal[i, 0], normal[i, 1]
-        for e in range(edges):
-            au, av, bu, bv = start[e, 0] - u, start[e, 1] - v, end[e, 0] - u, end[e, 1] - v
-            side_a, side_b = nu * av - nv * au, nu * bv - nv * bu
-            if (side_a > 0.0) == (side_b > 0.0) or e == edge[i] or e == partner[edge[i]]:
-                continue
-            s = side_a / (side_a - side_b)
-            along = (au + s * (bu - au)) * nu + (av + s * (bv - av)) * nv
-            if abs(along) < reach:
-                result[i] = True
-                break
+    near = np.empty(len(start), np.int64)
+    while first < n:
+        own, stop = edge[first], first
+        while stop < n and edge[stop] == own:
+            stop += 1
+        count = 0
+        for e in _chords_near(px[first:stop], start, end, reach + _SLACK_PX, near):
+            if e != own and e != partner[own]:
+                near[count] = e
+                count += 1
+        for i in range(first, stop):
+            u, v, nu, nv = px[i, 0], px[i, 1], normal[i, 0], normal[i, 1]
+            for e in near[:count]:
+                au, av, bu, bv = start[e, 0] - u, start[e, 1] - v, end[e, 0] - u, end[e, 1] - v
+                side_a, side_b = nu * av - nv * au, nu * bv - nv * bu
+                if (side_a > 0.0) == (side_b > 0.0):
+                    continue
+                s = side_a / (side_a - side_b)
+                along = (au + s * (bu - au)) * nu + (av + s * (bv - av)) * nv
+                if abs(along) < reach:
+                    result[i] = True
+                    break
+        first = stop
     return result
+
+
+@njit(cache=True)
+def _chords_near(px: Array, start: Array, end: Array, reach: float, near: Indices) -> Indices:
+    """The chords start-end (E, 2) whose box comes within reach px of that of points px (N, 2); near (E,): room for them."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(len(px)):
+        left, right = min(left, px[i, 0] - reach), max(right, px[i, 0] + reach)
+        top, bottom = min(top, px[i, 1] - reach), max(bottom, px[i, 1] + reach)
+    count = 0
+    for e in range(len(start)):
+        across = max(start[e, 0], end[e, 0]) >= left and min(start[e, 0], end[e, 0]) <= right
+        if across and max(start[e, 1], end[e, 1]) >= top and min(start[e, 1], end[e, 1]) <= bottom:
+            near[count] = e
+            count += 1
+    return near[:count]
