@@ -175,11 +175,10 @@ class Search:
         Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
         """
         size, half = stage.level.size, steps + int(free.max())
-        s = np.arange(-half, half + 1.0) * size
-        pose, whole = self.motion.pose(error), np.ones((len(s), len(s)), dtype=np.bool_)
+        s, pose = np.arange(-half, half + 1.0) * size, self.motion.pose(error)
         sought = np.repeat(shift_m[None], len(growth_m), axis=0)
         sought[:, :, MapError.GROWTH] = growth_m
-        voted = [stage.vote(stage.aimed(pose, each), s, s, whole) for each in sought]
+        voted = [stage.vote(stage.aimed(pose, each), s, s) for each in sought]
         places, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
         support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)

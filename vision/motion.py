@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from models import so3
@@ -58,8 +59,14 @@ class Motion:
 
     def pose(self, error: Array) -> Pose:
         """The pose that is off the prior's by an error (6,)."""
-        turn = so3.matrix(so3.quat_exp(np.ascontiguousarray(error[3:])))
-        return np.asarray(self.prior.p_n, dtype=float) + error[:3], turn @ self.prior.R_nb
+        p_n, q_nb = np.asarray(self.prior.p_n, dtype=float), np.asarray(self.prior.q_nb_wxyz, dtype=float)
+        return p_n + error[:3], _turned(q_nb, np.ascontiguousarray(error[3:]))
+
+
+@njit(cache=True)
+def _turned(q: Array, dtheta: Array) -> Array:
+    """exp(dtheta) R(q)."""
+    return so3.product(so3.matrix(so3.quat_exp(dtheta)), so3.matrix(q))
 
 
 def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | None:

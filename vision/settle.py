@@ -35,24 +35,29 @@ def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px
 
 
 @njit(cache=True)
-def motions(x_c: Array, lever_n: Array, mark: Indices, marks: int, R_nk: Array, fx: float, fy: float) -> Array:
-    """D (L, 2, 6) px of points x_c (N, 3) of landmarks mark (N,), lever_n (N, 3) from the vehicle; camera without distortion.
+def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, marks: int, fx: float, fy: float) -> Array:
+    """D (L, 2, 6) px of points X (N, 3) of landmarks mark (N,), as the vehicle at p_n and its camera move; that one is at p_nk,
+    has axes R_nk and no distortion.
 
     dx_c = R_nk^T (-dp + [X - p]x dtheta)
     """
     D, count = np.zeros((marks, 2, 6)), np.zeros(marks)
-    row = np.empty(3)
-    for i in range(len(x_c)):
-        m, x, y, z = mark[i], x_c[i, 0], x_c[i, 1], x_c[i, 2]
+    row, x_c, lever = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        for k in range(3):
+            lever[k], x_c[k] = points[i, k] - p_n[k], 0.0
+            for j in range(3):
+                x_c[k] += R_nk[j, k] * (points[i, j] - p_nk[j])
+        m, x, y, z = mark[i], x_c[0], x_c[1], x_c[2]
         count[m] += 1.0
         for k in range(2):
             a, b, c = (fx / z, 0.0, -fx * x / z**2) if k == 0 else (0.0, fy / z, -fy * y / z**2)
             for j in range(3):
                 row[j] = R_nk[j, 0] * a + R_nk[j, 1] * b + R_nk[j, 2] * c
                 D[m, k, j] -= row[j]
-            D[m, k, 3] += row[1] * lever_n[i, 2] - row[2] * lever_n[i, 1]
-            D[m, k, 4] += row[2] * lever_n[i, 0] - row[0] * lever_n[i, 2]
-            D[m, k, 5] += row[0] * lever_n[i, 1] - row[1] * lever_n[i, 0]
+            D[m, k, 3] += row[1] * lever[2] - row[2] * lever[1]
+            D[m, k, 4] += row[2] * lever[0] - row[0] * lever[2]
+            D[m, k, 5] += row[0] * lever[1] - row[1] * lever[0]
     for m in range(marks):
         D[m] /= max(count[m], 1.0)
     return D

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -21,7 +22,6 @@ from vision.voters import chromas, voters
 from vision.votes import aim, vote
 
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 _OPEN = 2.0  # standard deviations of a landmark's place and size on the map
 _FLOOR = 0.5  # of the median gradient of the picture
 _NOWHERE = -(1 << 20)  # a pixel that nothing brings into the picture
@@ -58,14 +58,18 @@ class Stage:
     def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
         """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
         assert self.voters is not None
-        points = self.voters if shift_m is None else self.voters.moved(shift_m)
-        return points.aimed(self._eye, pose, self._motion.gain[:, :2])
+        return self.voters.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
 
     def middles(self, pose: Pose) -> Array:
         """The middles (L, 11) of each landmark's points, as aimed."""
+        middle_n, gain, c = self._middle_n, self._motion.gain[:, :2], self.level.camera
+        return aim(middle_n, np.ones_like(middle_n), pose[0], gain, *self._eye.pose(*pose), c.fx, c.fy)
+
+    @cached_property
+    def _middle_n(self) -> Array:
+        """The same on the map (L, 3)."""
         assert self.voters is not None
-        middle_n, c = self.voters.middles(len(self.free)), self.level.camera
-        return aim(middle_n, np.ones_like(middle_n), pose[0], self._motion.gain[:, :2], *self._eye.pose(*pose), c.fx, c.fy)
+        return self.voters.middles(len(self.free))
 
     def own_radius(self) -> float:
         """px of the picture: of the largest landmark, as Motion.radius of all."""
@@ -75,14 +79,12 @@ class Stage:
         square = np.bincount(mark, np.sum((r * self.camera[:2]) ** 2, axis=1)) / np.maximum(np.bincount(mark), 1)
         return max(1.3 * math.sqrt(float(np.nanmax(square))), 1.0) * self.level.size
 
-    def vote(self, aimed: Array, su: Array, sv: Array, inside: Mask) -> tuple[Array, Array]:
+    def vote(self, aimed: Array, su: Array, sv: Array) -> tuple[Array, Array]:
         """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
         assert self.voters is not None
         v, marks = self.voters, len(self.free)
         field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
-        support, length = vote(
-            field, self.camera, aimed, v.first, v.mark, v.length, v.chroma, marks, self._floor, su, sv, inside
-        )  # fmt: skip
+        support, length = vote(field, self.camera, aimed, v.first, v.mark, v.length, v.chroma, marks, self._floor, su, sv)
         return support - self._expected * length, length
 
     def rigid_votes(self, aimed: Array, window: Window) -> Array:
@@ -106,10 +108,9 @@ class Stage:
     def motions(self, pose: Pose, shift_m: Array) -> Array:
         """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the picture."""
         assert self.voters is not None
-        v, c = self.voters.moved(shift_m), self.level.camera
+        v, c, marks = self.voters, self.level.camera, len(self.free)
         p_nk, R_nk = self._eye.pose(*pose)
-        D = motions((v.points_n - p_nk) @ R_nk, v.points_n - pose[0], v.mark_of_point, len(self.free), R_nk, c.fx, c.fy)
-        return np.asarray(D * self.level.size)
+        return np.asarray(motions(v.moved(shift_m), pose[0], p_nk, R_nk, v.mark_of_point, marks, c.fx, c.fy) * self.level.size)
 
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""

@@ -5,7 +5,7 @@ Roof edges, and feet and corners of walls as far as they are not drowned by the 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -48,9 +48,11 @@ class Voters:
     chroma: Array
     depth: Array
 
-    def moved(self, shift_m: Array) -> "Voters":
-        """Of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not grow."""
-        return replace(self, points_n=_moved(self.points_n, self.direction_n, self.mark_of_point, shift_m))
+    def moved(self, shift_m: Array) -> Array:
+        """Points (N, 3) of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not
+        grow.
+        """
+        return np.asarray(_moved(self.points_n, self.direction_n, self.mark_of_point, shift_m))
 
     def middles(self, marks: int) -> Array:
         """The mean (L, 3) of each landmark's points; NaN where it has none."""
@@ -58,10 +60,12 @@ class Voters:
         sums = np.stack([np.bincount(self.mark_of_point, along, marks) for along in self.points_n.T], axis=1)
         return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
-    def aimed(self, eye: Eye, pose: Pose, gain: Array) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture."""
-        p_nk, R_nk = eye.pose(*pose)
-        return aim(self.points_n, self.direction_n, pose[0], gain, p_nk, R_nk, eye.camera.fx, eye.camera.fy)
+    def aimed(self, eye: Eye, pose: Pose, gain: Array, shift_m: Array | None = None) -> Array:
+        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture; shift_m:
+        as moved().
+        """
+        points_n = self.points_n if shift_m is None else self.moved(shift_m)
+        return aim(points_n, self.direction_n, pose[0], gain, *eye.pose(*pose), eye.camera.fx, eye.camera.fy)
 
 
 def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> Voters | None:

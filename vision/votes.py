@@ -16,7 +16,6 @@ from models.messages import Array
 from vision.reduced import Field
 
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 WRONG_SIDE = 0.3  # what is left of an edge's vote if the map's colour is on the wrong side
 LEAST_POINTS = 2  # in view that make an edge
 
@@ -24,9 +23,9 @@ LEAST_POINTS = 2  # in view that make an edge
 @njit(cache=True)
 def vote(
     field: Field, camera: Array, aimed: Array, first: Indices, mark: Indices, length: Array, chroma: Array, marks: int,
-    floor: float, su: Array, sv: Array, inside: Mask,
+    floor: float, su: Array, sv: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Support and length in view (L, U, V) of each landmark at shifts su (U,), sv (V,) px; 0 where not inside (U, V).
+    """Support and length in view (L, U, V) of each landmark at shifts su (U,), sv (V,) px.
 
     camera: fx fy cx cy of the field's pixels; aimed (N, 11): of each point x_c, d x_c by a shift of 1 px in u, the same in v, and
     the normal of its edge; first (E + 1,): points of edge e are first[e] to first[e + 1]; mark (E,): its landmark; length (E,):
@@ -39,32 +38,28 @@ def vote(
     seen = np.zeros((marks, len(su), len(sv)))
     scale, cx, cy = np.array([camera[0], camera[1], 1.0]), camera[2] + 0.5, camera[3] + 0.5
     most = int(np.max(np.diff(first)))
-    row = np.empty((most, 8))  # an edge's points at one shift in u: K x_c, its step in v, normal;
-    at = np.empty((most, len(sv)), np.int32)  # and the pixels they meet at each shift in v
-    begin, end = _between(inside)
+    row = np.empty((most, 6))  # an edge's points at one shift in v: K x_c, its step in u;
+    at = np.empty((most, len(su)), np.int32)  # and the pixels they meet at each shift in u
     for e in range(len(mark)):  # edge by edge: what it meets of the field stays in the cache
-        points, m = first[e + 1] - first[e], mark[e]
+        points, m, begin = first[e + 1] - first[e], mark[e], first[e]
         for i in range(points):
             for k in range(3):
-                row[i, 3 + k] = scale[k] * aimed[first[e] + i, 6 + k]
-            row[i, 6], row[i, 7] = aimed[first[e] + i, 9], aimed[first[e] + i, 10]
-        for a in range(len(su)):
+                row[i, 3 + k] = scale[k] * aimed[begin + i, 3 + k]
+        for b in range(len(sv)):
             for i in range(points):
                 for k in range(3):
-                    row[i, k] = scale[k] * (aimed[first[e] + i, k] + su[a] * aimed[first[e] + i, 3 + k])
-                _pixels_met(row[i], sv[begin[a] : end[a]], cx, cy, rows, columns, at[i, begin[a] : end[a]])
-            for b in range(begin[a], end[a]):
-                if not inside[a, b]:
-                    continue
+                    row[i, k] = scale[k] * (aimed[begin + i, k] + sv[b] * aimed[begin + i, 6 + k])
+                _pixels_met(row[i], su, cx, cy, rows, columns, at[i])
+            for a in range(len(su)):
                 g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
                 own, own_total = 0.0, 0.0
                 for i in range(points):
-                    if at[i, b] < 0:
+                    if at[i, a] < 0:
                         continue
-                    here = pixels[np.uint64(at[i, b])]
+                    here = pixels[np.uint64(at[i, a])]
                     if here[6] < 0.0:
                         continue
-                    nu, nv, size = row[i, 6], row[i, 7], here[6] + floor
+                    nu, nv, size = aimed[begin + i, 9], aimed[begin + i, 10], here[6] + floor
                     h0, h1, h2 = here[0] * nu + here[3] * nv, here[1] * nu + here[4] * nv, here[2] * nu + here[5] * nv
                     g0 += h0
                     g1 += h1
@@ -84,31 +79,20 @@ def vote(
     return support, seen
 
 
-@njit(cache=True)
-def _between(inside: Mask) -> tuple[Indices, Indices]:
-    """The first column of each row of inside (U, V) that is set, and the one after the last."""
-    begin, end = np.zeros(len(inside), np.int64), np.zeros(len(inside), np.int64)
-    for a in range(len(inside)):
-        some = np.flatnonzero(inside[a])
-        if len(some):
-            begin[a], end[a] = some[0], some[-1] + 1
-    return begin, end
-
-
 @njit(cache=True, error_model="numpy")
-def _pixels_met(row: Array, sv: Array, cx: float, cy: float, rows: int, columns: int, at: NDArray[np.int32]) -> None:
-    """Number at (V,) of the pixel that a point meets at shifts sv (V,), -1 outside: K (x_c + sv d x_c) = row.
+def _pixels_met(row: Array, su: Array, cx: float, cy: float, rows: int, columns: int, at: NDArray[np.int32]) -> None:
+    """Number at (U,) of the pixel that a point meets at shifts su (U,), -1 outside: K (x_c + su d x_c) = row.
 
     Without a branch, so that it is done for several shifts at once.
     """
     x, y, z0, dx, dy, dz = row[0], row[1], row[2], row[3], row[4], row[5]
     right, bottom = columns - 1.0, rows - 1.0
-    for b in range(len(sv)):
-        z = z0 + sv[b] * dz
-        u, v = (x + sv[b] * dx) / z + cx, (y + sv[b] * dy) / z + cy
+    for a in range(len(su)):
+        z = z0 + su[a] * dz
+        u, v = (x + su[a] * dx) / z + cx, (y + su[a] * dy) / z + cy
         met = (z > 0.0) & (u >= 1.0) & (v >= 1.0) & (u < right) & (v < bottom)
         pixel = np.int32(v) * np.int32(columns) + np.int32(u)
-        at[b] = pixel if met else np.int32(-1)
+        at[a] = pixel if met else np.int32(-1)
 
 
 @njit(cache=True)

@@ -14,15 +14,16 @@ y_l: where the middle of the landmark's points is in the picture; rounded to pix
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from models.messages import Array
 from vision.motion import Motion
 from vision.rigid_votes import Window
 from vision.stage import Stage
 
+Indices = NDArray[np.int64]
 _NEVER = -1e6
 _SUMMITS = 6  # of each turn and scale that are kept
 _OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
@@ -54,14 +55,6 @@ class Grid:
         """How many there are."""
         return len(self.su) * len(self.sv) * len(self.others)
 
-    def chi2_of(self, information: Array, other: Other) -> Array:
-        """q^T Q^-1 q (V, U) of all shifts with one turn and scale."""
-        o = np.array(other)
-        linear = 2.0 * information[:2, 2:] @ o
-        u = information[0, 0] * self.su**2 + linear[0] * self.su
-        v = information[1, 1] * self.sv**2 + linear[1] * self.sv + o @ information[2:, 2:] @ o
-        return np.asarray(v[:, None] + u[None, :] + 2.0 * information[0, 1] * self.sv[:, None] * self.su[None, :])
-
 
 def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array]]:
     """Score and q of the local summits in each turn and scale, best first."""
@@ -73,10 +66,10 @@ def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array
         window = _window(np.array(middles), px, stage.camera, grid.su, grid.sv)
         votes = stage.rigid_votes(stage.aimed(motion.pose(motion.gain @ np.array([0.0, 0.0, *shape]))), window)
         for other, middle in zip(others, middles, strict=True):
-            chi2 = grid.chi2_of(information, other)
-            total = stage.level.size * _together(votes, middle, px, window, stage.camera, grid.su, grid.sv) - 0.5 * chi2
-            for score, v, u in _peaks(np.where(chi2 <= grid.chi2, total, _NEVER)):
-                found.append((score, np.array([grid.su[u], grid.sv[v], *other])))
+            total = _together(votes, middle, px, window, stage.camera, grid.su, grid.sv)
+            _score(total, stage.level.size, grid.su, grid.sv, other, information, grid.chi2)
+            for score, v, u in zip(*_peaks(total), strict=True):
+                found.append((float(score), np.array([grid.su[u], grid.sv[v], *other])))
     return sorted(found, key=lambda one: -one[0])
 
 
@@ -143,8 +136,37 @@ def _together(votes: Array, middle: Array, start_px: Array, window: Window, came
     return total
 
 
-def _peaks(score: Array) -> list[tuple[float, int, int]]:
-    """The best local maxima, and their rows and columns."""
-    top = np.flatnonzero((score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score > _NEVER))
-    best = top[np.argsort(-score.ravel()[top], kind="stable")[:_SUMMITS]]
-    return [(float(score.flat[k]), *divmod(int(k), score.shape[1])) for k in best]
+@njit(cache=True)
+def _score(total: Array, size: float, su: Array, sv: Array, other: Other, information: Array, most: float) -> None:
+    """From votes, in pixels that are `size` wide, to scores (V, U) of all shifts with one turn and scale:
+    size total - q^T Q^-1 q / 2, and _NEVER where q^T Q^-1 q is more than `most`.
+    """
+    q = np.array([0.0, 0.0, other[0], other[1]])
+    for b in range(len(sv)):
+        for a in range(len(su)):
+            q[0], q[1], chi2 = su[a], sv[b], 0.0
+            for j in range(4):
+                for k in range(4):
+                    chi2 += q[j] * information[j, k] * q[k]
+            total[b, a] = size * total[b, a] - 0.5 * chi2 if chi2 <= most else _NEVER
+
+
+@njit(cache=True)
+def _peaks(score: Array) -> tuple[Array, Indices, Indices]:
+    """The best local maxima, and their rows and columns; of equal ones the first."""
+    rows, columns = score.shape
+    best, at, count = np.empty(_SUMMITS + 1), np.empty((2, _SUMMITS + 1), np.int64), 0
+    for b in range(rows):
+        for a in range(columns):
+            here = score[b, a]
+            if here <= _NEVER or (count == _SUMMITS and here <= best[count - 1]):
+                continue
+            if here < np.max(score[max(b - 1, 0) : b + 2, max(a - 1, 0) : a + 2]):
+                continue
+            k = count
+            while k > 0 and best[k - 1] < here:
+                best[k], at[0, k], at[1, k] = best[k - 1], at[0, k - 1], at[1, k - 1]
+                k -= 1
+            best[k], at[0, k], at[1, k] = here, b, a
+            count = min(count + 1, _SUMMITS)
+    return best[:count].copy(), at[0, :count].copy(), at[1, :count].copy()

@@ -154,7 +154,7 @@ def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
     assert made is not None
     corners = body.moved(shift_m).vertices.reshape(3, 4, 2)
     start, end = corners[made.mark_of_point], np.roll(corners, -1, axis=1)[made.mark_of_point]
-    side, off = end - start, made.moved(shift_m).points_n[:, None, :2] - start
+    side, off = end - start, made.moved(shift_m)[:, None, :2] - start
     across = np.abs(side[..., 0] * off[..., 1] - side[..., 1] * off[..., 0]) / np.linalg.norm(side, axis=2)
     level = np.linalg.norm(made.direction_n[:, :2], axis=1) > 0.0
     assert level.sum() > 100
@@ -248,7 +248,7 @@ def edge_votes(field: Field, camera: CameraModel, chroma: Array, points: int = 1
     shifts = np.arange(-10.0, 11.0)
     support, length = vote(
         field, np.array([100.0, 100.0, camera.cx, camera.cy]), aimed, np.array([0, points]), np.array([0]), np.array([1.0]),
-        chroma[None, :], 1, 0.5, shifts, np.zeros(1), np.ones((21, 1), dtype=np.bool_),
+        chroma[None, :], 1, 0.5, shifts, np.zeros(1),
     )  # fmt: skip
     return np.asarray(support[0, :, 0] / np.maximum(length[0, :, 0], 1e-9))
 
@@ -309,13 +309,11 @@ def test_a_field_is_made_wherever_votes_are_counted(turn: float) -> None:
     aimed[:, :3] = (np.column_stack((rng.uniform(-4.0, 4.0, (12, 2)), np.zeros(12))) @ tilt.T) + [0.0, 0.0, 8.0]
     aimed[:, 3:6], aimed[:, 6:9], aimed[:, 9] = 0.08 * tilt[:, 0], 0.08 * tilt[:, 1], 1.0
     su, sv = np.arange(-20.0, 5.0), np.arange(-3.0, 30.0)
-    one, marks, inside = np.array([0, 12]), np.zeros(1, dtype=np.int64), np.ones((len(su), len(sv)), dtype=np.bool_)
+    one, marks = np.array([0, 12]), np.zeros(1, dtype=np.int64)
     camera_px, length = np.array([100.0, 100.0, 79.5, 59.5]), np.ones(1)
     made = part.field(aimed, (su[0], su[-1]), (sv[0], sv[-1]))
     assert np.isnan(made).any()
-    votes = [
-        vote(f, camera_px, aimed, one, marks, length, np.zeros((1, 3)), 1, 1.0, su, sv, inside) for f in (made, whole.whole())
-    ]
+    votes = [vote(f, camera_px, aimed, one, marks, length, np.zeros((1, 3)), 1, 1.0, su, sv) for f in (made, whole.whole())]
     np.testing.assert_array_equal(votes[0], votes[1])
 
 

@@ -15,9 +15,10 @@ CAMERA = CameraModel(160, 120, 150.0, 148.0, 79.5, 59.5)
 def test_motions_are_the_mean_of_the_points_of_a_landmark() -> None:
     R_nk = so3.matrix(so3.from_euler(0.1, -0.2, 1.0))
     x_c = RNG.uniform((-5.0, -5.0, 20.0), (5.0, 5.0, 40.0), (9, 3))
-    lever_n, mark = x_c @ R_nk.T + RNG.normal(size=3), np.array([0, 0, 0, 0, 2, 2, 2, 2, 2])
-    D = motions(x_c, lever_n, mark, 3, R_nk, CAMERA.fx, CAMERA.fy)
-    every = moved(CAMERA, x_c, lever_n, R_nk)
+    p_n, p_nk, mark = RNG.normal(size=3), RNG.normal(size=3), np.array([0, 0, 0, 0, 2, 2, 2, 2, 2])
+    points_n = p_nk + x_c @ R_nk.T
+    D = motions(points_n, p_n, p_nk, R_nk, mark, 3, CAMERA.fx, CAMERA.fy)
+    every = moved(CAMERA, x_c, points_n - p_n, R_nk)
     np.testing.assert_allclose(D[0], every[:4].mean(axis=0), atol=1e-9)
     np.testing.assert_allclose(D[2], every[4:].mean(axis=0), atol=1e-9)
     assert not D[1].any()

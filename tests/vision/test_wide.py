@@ -52,8 +52,8 @@ def test_what_moves_as_a_whole_has_the_votes_of_its_points(bend: float, reach: i
     shifts = np.arange(-reach, reach + 1.0)
     field = level.whole()
     field[28:31, 24:27, 6] = -1.0
-    camera, inside = np.array([c.fx, c.fy, c.cx, c.cy]), np.ones((len(shifts), len(shifts)), dtype=np.bool_)
-    support, seen_px = vote(field, camera, aimed, first, mark, length, chroma, 2, 1.0, shifts, shifts, inside)
+    camera = np.array([c.fx, c.fy, c.cx, c.cy])
+    support, seen_px = vote(field, camera, aimed, first, mark, length, chroma, 2, 1.0, shifts, shifts)
     pixel = np.column_stack((20 + 2 * np.arange(8), np.full(8, 30)))
     window = (-reach, reach, -reach, reach)
     whole = rigid_votes(field, pixel, aimed[:, 9:].copy(), first, mark, length, chroma, 2, 1.0, 0.2, window)
@@ -70,7 +70,7 @@ def test_the_votes_of_a_turn_and_scale_are_those_of_its_own_points() -> None:
     off = []
     for score, q in found[:10]:
         aimed = stage.aimed(moves.pose(moves.gain @ np.array([0.0, 0.0, *q[2:]])))
-        votes, _ = stage.vote(aimed, q[:1], q[1:2], np.ones((1, 1), dtype=np.bool_))
+        votes, _ = stage.vote(aimed, q[:1], q[1:2])
         off.append(score - (SIZE * float(votes.sum()) - 0.5 * q @ information @ q))
     assert np.abs(off).max() < 0.25 * found[0][0]
     assert abs(np.mean(off)) < 0.1 * found[0][0]
