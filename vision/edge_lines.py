@@ -42,13 +42,14 @@ class EdgeLines:
 
 def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int) -> EdgeLines:
     """Robust lines through offsets (N,) px, NaN where none was found; an edge needs `least` points. tau: as Samples."""
-    return EdgeLines(*_fit_lines(offsets, tau, edge, edges, least))
+    return EdgeLines(*lines_of(offsets, tau, edge, edges, least))
 
 
 @njit(cache=True)
-def _fit_lines(
+def lines_of(
     offsets: Array, tau: Array, edge: Indices, edges: int, least: int
 ) -> tuple[Array, NDArray[np.bool_], Array, Array, Array, Array, Array, Array]:
+    """The fields of EdgeLines, as fit_lines."""
     n = offsets.shape[0]
     line, unit, found = np.zeros((edges, 2)), np.zeros((edges, 2, 2)), np.zeros(edges, dtype=np.bool_)
     gain, weight, residual = np.zeros((n, 2)), np.zeros(n), np.zeros(n)

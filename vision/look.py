@@ -19,25 +19,32 @@ from models.camera import Mount, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from vision import outline, step_fit
-from vision.edge_lines import EdgeLines, compress, fit_lines
+from vision.edge_lines import EdgeLines, compress, lines_of
 from vision.joint import POSE
 from vision.sensitivity import (
     MAPPED_FROM,
     EdgeView,
     Eye,
     Samples,
-    derivatives,
-    edge_gaps,
+    derived,
+    ends_of,
     ends_px,
     eyes,
+    partners_off,
     sample_edges,
-    view,
+    viewed,
 )
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 
 Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Drawn = tuple[Array, Array, Indices, Indices, Indices, Mask, Array, Array]
+OnEdges = tuple[Array, Array, Indices, Array]
+Bodies = tuple[Array, Indices, Array, Array]
+Stand = tuple[Array, Array, Array, Array]
+Roots = tuple[Array, Array, Array, int]
+Line = tuple[Array, Mask, Array, Array, Array, Array, Array, Array]
 _ROOF, _BASE = int(Kind.ROOF), int(Kind.BASE)  # compiled code reads plain integers
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
 _SEARCH_BESIDE_PX = 2.5  # in a search
@@ -134,26 +141,59 @@ class Scene:
             np.empty((len(shown), count)),
         )
         A = np.zeros((count, len(shown), 2, POSE + len(self.map_used) + with_rig * sum(r.shape[1] for r in self.rig_roots)))
+        drawn = (
+            edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised, edges.map_start, edges.map_end,
+        )  # fmt: skip
+        on_edges = samples.points_n, samples.t, samples.edge, samples.tau
+        bodies, on_map = (prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m), (self.map_sigma, self.map_column)
         for k, (eye, image) in enumerate(shown):
-            seen = view(edges, samples, eye, p_n, R_nb, prisms)
-            if search_px:
-                offsets, usable, opened[k] = roof_offsets(image, edges, samples, seen, (p_n, R_nb), eye, search_px)
-            else:
-                offsets, usable, opened[k] = _fit(image, edges, samples, seen, (p_n, R_nb), eye, config.fit_half_px, farthest_px)
-            line = fit_lines(offsets, samples.tau, samples.edge, count, config.least_points)
-            d = derivatives(edges, samples, seen, eye, rig, p_n, R_nb, with_own=with_rig)
+            own = 4 + len(eye.camera.distortion) if with_rig else 0
             roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
-            _dependence(A[:, k], line.gain, d.rows, d.own, samples.edge, edges.landmark, self.map_sigma, self.map_column, *roots)
-            lines.append(line)
-            line_all[:, k], found[:, k] = line.line, line.found
-            points += int(np.count_nonzero(usable))
+            line, usable = _looked(
+                image, drawn, on_edges, bodies, eye.stand(p_n, R_nb), eye.camera.parameters, search_px, config.fit_half_px,
+                farthest_px, config.least_points, own, (rig.p_bc, rig.t_rc), eye.right, on_map, roots, k, A, opened,
+            )  # fmt: skip
+            lines.append(EdgeLines(*line))
+            line_all[:, k], found[:, k] = lines[k].line, lines[k].found
+            points += usable
         share = sum(float(line.points.sum()) for line in lines) / max(points, 1)
         return Look(edges, samples, lines, line_all, found, A, opened, share)
 
-    def _roots(self, *, right: bool) -> tuple[Array, Array, Array, int]:
+    def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
         bc, rc, left, own_right = self.rig_roots
         return bc, rc, own_right if right else left, left.shape[1] if right else 0
+
+
+@njit(cache=True)
+def _looked(
+    image: Image, drawn: Drawn, on_edges: OnEdges, bodies: Bodies, stand: Stand, camera: Array, search: int, fit_half: int,
+    farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
+    k: int, A: Array, opened: Array,
+) -> tuple[Line, int]:  # fmt: skip
+    """The fields of EdgeLines of picture k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
+
+    drawn: ModelEdges; on_edges: Samples; bodies: Prisms as they stand; stand: as Eye.stand; search: half its width, px, 0: a
+    sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map, roots: as _dependence.
+    """
+    start, end, landmark, kind, partner, raised, map_start, map_end = drawn
+    points, t, edge, tau = on_edges
+    px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
+    ends = ends_of(start, end, *stand, camera)
+    if search:
+        offsets, usable = _search(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search)
+        opened[k] = 0.0
+    else:
+        gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
+        offsets, usable, opened[k] = _fit_steps(
+            image, px, normal, seen, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
+        )
+    line = lines_of(offsets, tau, edge, len(kind), least)
+    map_sigma, map_column = on_map
+    bc, rc, own_root, own_skipped = roots
+    rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
+    _dependence(A[:, k], line[2], rows, of_camera, edge, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
+    return line, int(np.count_nonzero(usable))
 
 
 @njit(cache=True)
@@ -219,14 +259,13 @@ def _root(covariance: Array | None) -> Array:
 
 def roof_offsets(
     image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int
-) -> tuple[Array, Mask, Array]:
-    """Offsets (N,) px of roof edges from where the roof's colour ends, usable samples (N,), and 0 (E,)."""
-    ends = ends_px(edges, eye, pose)
+) -> tuple[Array, Mask]:
+    """Offsets (N,) px of roof edges from where the roof's colour ends, and usable samples (N,)."""
     offsets, usable = _search(
-        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner, ends,
-        half,
+        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner,
+        ends_px(edges, eye, pose), half,
     )  # fmt: skip
-    return offsets, usable, np.zeros(len(edges.kind))
+    return offsets, usable
 
 
 @njit(cache=True)
@@ -257,25 +296,12 @@ def _roof_beside(
     return outline.roof_beside(values, interior, inside, edge, landmark, roof, usable)
 
 
-def _fit(
-    image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int,
-    farthest: float,
-) -> tuple[Array, Mask, Array]:  # fmt: skip
-    """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
-    gap, ends = edge_gaps(edges, samples, seen, eye, *pose), ends_px(edges, eye, pose)
-    offsets, usable, variance = _fit_steps(
-        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner, ends,
-        gap, half, farthest,
-    )  # fmt: skip
-    return offsets, usable, variance
-
-
 @njit(cache=True)
 def _fit_steps(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, gap: Array, half: int, farthest: float,
 ) -> tuple[Array, Mask, Array]:  # fmt: skip
-    """Offsets (N,) px, usable samples (N,) and variance (E,) px^2, as _fit."""
+    """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
     count, roof, reach = len(kind), kind == _ROOF, half + _BESIDE_PX
     near = np.abs(gap) < reach  # base edges there are fitted along with the roof edge
     usable = seen & ~outline.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)

@@ -68,7 +68,7 @@ def recheck(
     offsets, normals, sums = [], [], []
     for k, (eye, image) in enumerate(shown):
         seen = view(edges, samples, eye, *pose, prisms)
-        offset, good, _ = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
+        offset, good = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
         _count(offset, good, seen.x_c, samples.edge, edges.landmark, eye.camera.fx * outline_sigma, found[k], given[k])
         offsets.append(offset)
         normals.append(seen.normal)

@@ -120,11 +120,12 @@ def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Arra
 
 def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
     """Where the ends of the edges are in the picture (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
-    return np.asarray(_ends(edges.start_n, edges.end_n, *eye.stand(*pose), eye.camera.parameters))
+    return np.asarray(ends_of(edges.start_n, edges.end_n, *eye.stand(*pose), eye.camera.parameters))
 
 
 @njit(cache=True)
-def _ends(start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array) -> Array:
+def ends_of(start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array) -> Array:
+    """ends_px of edges start-end (E, 3)."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
     return project(_in_camera(np.concatenate((start, end)), p_nk, R_nk), camera)
 
@@ -217,14 +218,14 @@ def view(
 ) -> EdgeView:
     """The samples as `eye` sees them."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
-    return EdgeView(*_viewed(
+    return EdgeView(*viewed(
         samples.points_n, samples.edge, edges.start_n, edges.end_n, *eye.stand(p_n, R_nb), eye.camera.parameters,
         prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m,
     ))  # fmt: skip
 
 
 @njit(cache=True)
-def _viewed(
+def viewed(
     points: Array, edge: Indices, start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array,
     vertices: Array, offsets: Indices, base_d: Array, height: Array,
 ) -> tuple[Array, Array, Array, Array, Mask]:  # fmt: skip
@@ -265,14 +266,14 @@ def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) ->
 
 def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n: Array, R_nb: Array) -> Array:
     """Distance (E,) px along the normal, outwards, from each edge to its partner, the mean over its points; 0 without partner."""
-    return np.asarray(_partners_off(
+    return np.asarray(partners_off(
         edges.start_n, edges.end_n, edges.partner, samples.edge, samples.t, *eye.stand(p_n, R_nb), eye.camera.parameters, seen.px,
         seen.normal,
     ))  # fmt: skip
 
 
 @njit(cache=True)
-def _partners_off(
+def partners_off(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array,
     camera: Array, own_px: Array, own_normal: Array,
 ) -> Array:  # fmt: skip
@@ -349,14 +350,14 @@ def derivatives(
 ) -> Derivatives:  # fmt: skip
     """All that moves the samples along their normals in this picture; own is empty (N, 0) where it is not wanted."""
     own = 4 + len(eye.camera.distortion) if with_own else 0
-    return Derivatives(*_derivatives(
+    return Derivatives(*derived(
         seen.row_c, seen.x_c, seen.normal, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end,
         *eye.stand(p_n, R_nb), eye.camera.parameters, own, rig.p_bc, rig.t_rc, eye.right,
     ))  # fmt: skip
 
 
 @njit(cache=True)
-def _derivatives(
+def derived(
     row_c: Array, x_c: Array, normal: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array,
     R_nb: Array, p_bk: Array, R_kb: Array, camera: Array, own: int, p_bc: Array, t_rc: Array, right: bool,
 ) -> tuple[Array, Array]:  # fmt: skip
