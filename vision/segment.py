@@ -90,7 +90,7 @@ def classes(colours_bgr: Sequence[tuple[float, float, float]], space: Space = "h
     """The colours that differ enough to be classes of their own: one within half the tolerance of an earlier one joins it."""
     kept: list[tuple[float, float, float]] = []
     for colour in colours_bgr:
-        if all(_distance(_cylinder_of([colour], space), other, space, Tolerance())[0] > 0.5 for other in kept):
+        if all(_distance(_cylinder_of(colour, space), _deviations(other, space, Tolerance())) > 0.5 for other in kept):
             kept.append(colour)
     return kept
 
@@ -102,11 +102,8 @@ def colour_table(
 
     Label k + 1 belongs to colours_bgr[k]; where two overlap the nearer one wins. At most 255 colours.
     """
-    coordinates = _all_colours(space)
-    distances = np.stack(
-        [np.ones(len(coordinates)), *(_distance(coordinates, c, space, tolerance or Tolerance()) for c in colours_bgr)]
-    )
-    nearest: Labels = distances.argmin(axis=0).astype(np.uint8)
+    deviations = [_deviations(c, space, tolerance or Tolerance()) for c in colours_bgr]
+    nearest: Labels = _nearest(_all_colours(space), np.array(deviations).reshape(-1, 3, 256))
     return nearest.reshape(_BINS, _BINS, _BINS)
 
 
@@ -197,18 +194,37 @@ def _valleys(h: Array, peakiness: float, least: float) -> NDArray[np.int64]:
     return np.array(bounds[1:-1], dtype=np.int64)
 
 
-def _distance(coordinates: Array, colour_bgr: tuple[float, float, float], space: Space, tolerance: Tolerance) -> Array:
-    """Largest deviation of the three, in tolerances: below 1 inside the double threshold."""
-    h, s, light = np.moveaxis(coordinates, 1, 0)
-    h0, s0, light0 = _cylinder_of([colour_bgr], space)[0]
+def _deviations(colour_bgr: tuple[float, float, float], space: Space, tolerance: Tolerance) -> Array:
+    """How far (3, 256) each hue, saturation and lightness is from a colour's, in tolerances."""
+    every = np.arange(256.0)
+    h0, s0, light0 = _cylinder_of(colour_bgr, space).tolist()
     grey = tolerance.grey_saturation * 255.0
+    dark = np.abs(np.log((every + 8.0) / (light0 + 8.0)))
     if s0 < grey or space == "grey":
-        dark: Array = np.abs(np.log((light + 8.0) / (light0 + 8.0))) / np.log(tolerance.grey_lightness_ratio)
-        return np.asarray(np.maximum(dark, s / (1.3 * grey)))
-    hue: Array = np.abs((h - h0 + 90.0) % 180.0 - 90.0) * 2.0 / tolerance.hue_deg
-    pale: Array = np.abs(np.log((s + 1.0) / (s0 + 1.0))) / np.log(tolerance.saturation_ratio)
-    dark = np.abs(np.log((light + 8.0) / (light0 + 8.0))) / np.log(tolerance.lightness_ratio)
-    return np.maximum(np.maximum(hue, pale), dark)
+        return np.stack((np.zeros(256), every / (1.3 * grey), dark / np.log(tolerance.grey_lightness_ratio)))
+    hue = np.abs((every - h0 + 90.0) % 180.0 - 90.0) * 2.0 / tolerance.hue_deg
+    pale = np.abs(np.log((every + 1.0) / (s0 + 1.0))) / np.log(tolerance.saturation_ratio)
+    return np.stack((hue, pale, dark / np.log(tolerance.lightness_ratio)))
+
+
+@njit(cache=True)
+def _distance(coordinates: Labels, deviations: Array) -> float:
+    """Largest deviation of the three (3,), in tolerances: below 1 inside the double threshold."""
+    h, s, light = coordinates
+    return float(max(deviations[0, h], deviations[1, s], deviations[2, light]))
+
+
+@njit(cache=True)
+def _nearest(coordinates: Labels, deviations: Array) -> Labels:
+    """Labels (N,) of colours (N, 3): 1 + the nearest of those with deviations (K, 3, 256), 0 outside all double thresholds."""
+    labels = np.zeros(len(coordinates), np.uint8)
+    for i in range(len(coordinates)):
+        least = 1.0
+        for k in range(len(deviations)):
+            distance = _distance(coordinates[i], deviations[k])
+            if distance < least:
+                least, labels[i] = distance, k + 1
+    return labels
 
 
 def _packed(hue_rad: Array, saturation: Array, lightness: Array) -> NDArray[np.uint8]:
@@ -216,17 +232,17 @@ def _packed(hue_rad: Array, saturation: Array, lightness: Array) -> NDArray[np.u
     return np.stack((hue, np.clip(np.rint(saturation), 0, 255), np.clip(np.rint(lightness), 0, 255)), axis=-1).astype(np.uint8)
 
 
-def _cylinder_of(colours: Sequence[tuple[float, float, float]], space: Space) -> Array:
-    bgr = np.clip(np.rint(np.array(colours)), 0, 255).astype(np.uint8)
-    return np.asarray(cylinder(bgr[None], space)[0], dtype=np.float64)
+def _cylinder_of(colour: tuple[float, float, float], space: Space) -> Labels:
+    bgr = np.clip(np.rint(np.array(colour)), 0, 255).astype(np.uint8)
+    return np.asarray(cylinder(bgr[None, None], space)[0, 0])
 
 
 @lru_cache(maxsize=8)
-def _all_colours(space: Space) -> Array:
+def _all_colours(space: Space) -> Labels:
     """Cylinder coordinates (64^3, 3) of the middles of the table's cells, in the table's order."""
     levels = (np.arange(_BINS) * (256 // _BINS) + 2).astype(np.uint8)
     bgr = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    return cylinder(bgr.reshape(_BINS * _BINS, _BINS, 3), space).reshape(-1, 3).astype(np.float64)
+    return cylinder(bgr.reshape(_BINS * _BINS, _BINS, 3), space).reshape(-1, 3)
 
 
 @lru_cache(maxsize=8)
