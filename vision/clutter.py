@@ -116,6 +116,7 @@ def _displacement_density(region: Array, radius: Array, place: Array, turns: Arr
     result = np.zeros((region.shape[0], turns.shape[0], grown.shape[0]))
     if region.shape[0] < 2 or place.shape[0] < 2:
         return result
+    apart = _apart(place)
     for i in range(region.shape[0]):
         norm = (region.shape[0] - 1) * min(place.shape[0], _CONSIDERED) * math.pi * radius[i] * radius[i]
         for t in range(turns.shape[0]):
@@ -123,20 +124,30 @@ def _displacement_density(region: Array, radius: Array, place: Array, turns: Arr
                 total = 0.0
                 for r in range(region.shape[0]):
                     if r != i:
-                        total += max(_pairs_apart(region[i] - region[r], turns[t], grown[s], place, radius[i]) - 1, 0)
+                        total += max(_pairs_apart(region[i] - region[r], turns[t], grown[s], apart, radius[i]) - 1, 0)
                 result[i, t, s] = total / norm
     return result
 
 
 @njit(cache=True)
-def _pairs_apart(displacement: Array, turn: float, growth: float, place: Array, radius: float) -> int:
-    """Landmarks that stand like this, turned and grown, from one of the nearest; from the farther ones the map may end there."""
+def _apart(place: Array) -> Array:
+    """Displacements (2, D) of all landmarks (L, 2) from each of the nearest; from the farther ones the map may end."""
+    apart, d = np.empty((2, min(len(place), _CONSIDERED) * (len(place) - 1))), 0
+    for k in range(min(len(place), _CONSIDERED)):
+        for m in range(len(place)):
+            if k != m:
+                apart[0, d], apart[1, d] = place[m, 0] - place[k, 0], place[m, 1] - place[k, 1]
+                d += 1
+    return apart
+
+
+@njit(cache=True)
+def _pairs_apart(displacement: Array, turn: float, growth: float, apart: Array, radius: float) -> int:
+    """How many of the displacements apart (2, D) are this one, turned and grown."""
     c, s = growth * math.cos(turn), growth * math.sin(turn)
     n, e = c * displacement[0] - s * displacement[1], s * displacement[0] + c * displacement[1]
-    close = 0
-    for k in range(min(place.shape[0], _CONSIDERED)):
-        for m in range(place.shape[0]):
-            un, ue = place[m, 0] - place[k, 0] - n, place[m, 1] - place[k, 1] - e
-            if un * un + ue * ue < radius * radius and k != m:
-                close += 1
+    close, square = 0, radius * radius
+    for d in range(apart.shape[1]):
+        un, ue = apart[0, d] - n, apart[1, d] - e
+        close += un * un + ue * ue < square
     return close
