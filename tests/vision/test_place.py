@@ -8,11 +8,12 @@ import pytest
 
 from models.landmarks import Landmark
 from models.messages import Array
+from models.so3 import from_matrix
 from tests.vision.test_predict import MARKS, RIG, View, drawn, look_at, whole
 from vision.coarse import Candidate
 from vision.pictures import Pictures
 from vision.place import Fitter
-from vision.pose import PoseConfig
+from vision.pose import PoseConfig, retract
 from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -147,3 +148,21 @@ def aside(mark: Landmark, by: tuple[float, float]) -> Landmark:
     return Landmark.of(
         mark.id, mark.outline_n + by, mark.base_d, mark.height_m, None, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m
     )
+
+
+def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> None:
+    """From one landmark alone, 2 m too high and tilted so that it lies where it shows: the others are ten pixels off."""
+    view = whole()
+    fitter, pictures = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Pictures(view.left, view.right, "")
+    at, votes, prior = place(view, MARKS), np.zeros(len(MARKS)), drawn(view, 1)
+    votes[0] = 50.0
+    one = fitter.fit(pictures, list(MARKS), replace(at, support=votes), prior)
+    assert isinstance(one, Fitted)
+    open_to = 9.0 * one.pose.joint_covariance
+    variance, axes = np.linalg.eigh(open_to)
+    p_n, R_nb = retract(one.pose.joint_p_n, from_matrix(one.pose.joint_R_nb), 3.0 * np.sqrt(variance[-3]) * axes[:, -3])
+    assert abs(p_n[2] - view.p_n[2]) > 1.5
+    off = replace(one, pose=replace(one.pose, joint_p_n=p_n, joint_R_nb=R_nb, joint_covariance=open_to))
+    again = fitter.joined(pictures, list(MARKS), replace(at, p_n=p_n, R_nb=R_nb), off, prior)
+    assert again.used == [0, 1, 2]
+    assert np.linalg.norm(again.pose.joint_p_n - view.p_n) < 0.5
