@@ -96,10 +96,10 @@ class PredictPath:
         if isinstance(found, _Refused):
             said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
-                self._waiting.clear()
+                self._waiting.nothing(t_ns)
             report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
             return Result(None, report, tuple(said))
-        self._waiting.clear()
+        self._waiting.fixed(found.fitted.pose, t_ns, prior)
         fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
         said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
         used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"

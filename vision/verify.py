@@ -162,29 +162,48 @@ class _Held:
     error: Array  # x (-) x0, (6,)
     covariance: Array
     prior: Array  # its variances
+    sure: bool
+
+    @classmethod
+    def of(cls, fit: PoseEstimate, t_ns: int, prior: Prior, *, sure: bool) -> "_Held":
+        error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
+        return cls(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy(), sure)
 
 
 class Waiting:
-    """The weak place of the picture before: a function of the requests alone, so that a replay waits as the flight did."""
+    """The place of the picture before: a function of the requests alone, so that a replay waits as the flight did.
+
+    One picture may be looked at twice, by prediction and where segmentation puts it, and both looks see the picture before.
+    """
 
     def __init__(self, config: VerifyConfig) -> None:
         self._config = config
         self._held: _Held | None = None
+        self._nothing_ns: int | None = None  # when a picture after it showed no place
 
-    def clear(self) -> None:
-        """Forget: a fix was made, or nothing was found."""
-        self._held = None
+    def nothing(self, t_ns: int) -> None:
+        """No place was found at t_ns: later pictures know of none before."""
+        self._nothing_ns = t_ns
+
+    def fixed(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> None:
+        """A fix was made: it makes no other one wait, but a weak place that agrees with it is believed."""
+        self._held, self._nothing_ns = _Held.of(fit, t_ns, prior, sure=True), None
 
     def holds(self, t_ns: int) -> bool:
-        """Whether a picture not long before t_ns showed a weak place."""
-        return self._held is not None and 0 < t_ns - self._held.t_ns <= self._config.memory_s * 1e9
+        """Whether the picture before t_ns showed a weak place."""
+        return (before := self._before(t_ns)) is not None and not before.sure
+
+    def _before(self, t_ns: int) -> _Held | None:
+        """The place of the picture before t_ns, if that was not long ago."""
+        held = self._held
+        if held is None or not 0 < t_ns - held.t_ns <= self._config.memory_s * 1e9:
+            return None
+        return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def agrees(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> bool:
         """Whether the place held before shows the same error of the prior; this one is held from now on."""
-        error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
-        now = _Held(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy())
-        before = self._held if self.holds(t_ns) else None
-        self._held = now
+        before, now = self._before(t_ns), _Held.of(fit, t_ns, prior, sure=False)
+        self._held, self._nothing_ns = now, None
         if before is None:
             return False
         drift = np.maximum(now.prior - before.prior, 0.0)

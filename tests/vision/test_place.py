@@ -19,7 +19,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
 from vision.synthetic.world import Look, Solid, Sun, World
-from vision.verify import Evidence, Fitted, VerifyConfig, decided, grade, place_odds
+from vision.verify import Evidence, Fitted, VerifyConfig, Waiting, decided, grade, place_odds
 from vision.visibility import MapError
 
 
@@ -166,3 +166,24 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
     again = fitter.joined(pictures, list(MARKS), replace(at, p_n=p_n, R_nb=R_nb), off, prior)
     assert again.used == [0, 1, 2]
     assert np.linalg.norm(again.pose.joint_p_n - view.p_n) < 0.5
+
+
+def test_a_second_look_at_a_picture_still_knows_the_picture_before() -> None:
+    """Where prediction finds nothing and segmentation then does; the picture after one that showed nothing does not."""
+    fit, prior, memory = fitted(whole(), MARKS).pose, drawn(whole(), 1), Waiting(VerifyConfig())
+    assert not memory.agrees(fit, 1, prior)
+    memory.nothing(2)
+    assert memory.agrees(fit, 2, prior)
+    assert memory.holds(3)
+    memory.nothing(3)
+    assert not memory.holds(4)
+    assert not memory.agrees(fit, 4, prior)
+
+
+def test_a_fix_speaks_for_a_weak_place_that_agrees_and_makes_none_wait() -> None:
+    fit, prior, memory = fitted(whole(), MARKS).pose, drawn(whole(), 1), Waiting(VerifyConfig())
+    memory.fixed(fit, 1, prior)
+    assert not memory.holds(2)
+    assert memory.agrees(fit, 2, prior)
+    memory.fixed(fit, 3, prior)
+    assert not memory.agrees(fit, 4, replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0])))
