@@ -18,11 +18,11 @@ from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from vision.look import LookConfig, Scene, roof_offsets
-from vision.pose import PoseEstimate
+from vision.pose import Pose, PoseEstimate
 from vision.rectify import Image
-from vision.sensitivity import eyes, sample_edges, view
+from vision.sensitivity import Eye, Samples, edge_gaps, eyes, sample_edges, view
 from vision.stands import across, log_likelihood_ratio
-from vision.visibility import Kind, visible_edges
+from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -31,6 +31,7 @@ _HALF_PX = 8
 _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
 _OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared,
 _FARTHEST_PX = 4.0  # but half the window at most: else anything in it would do
+_GAP_PX = 4.0  # feet of walls nearer to the roof's edge say nothing by themselves
 _LEAST = 12  # points in both pictures that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
@@ -62,7 +63,10 @@ def recheck(
     pose = fit.joint_p_n, fit.joint_R_nb
     shown = [(eye, image) for eye, image in zip(eyes(rig), scene.images, strict=True) if image is not None]
     prisms, edges = scene.prisms.moved(fit.shift_m), visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
-    samples = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF)
+    samples, walls = (
+        sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, wanted)
+        for wanted in (edges.kind == _ROOF, edges.kind != _ROOF)
+    )
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
     offsets, normals, sums = [], [], []
@@ -72,12 +76,20 @@ def recheck(
         _count(offset, good, seen.x_c, samples.edge, edges.landmark, eye.camera.fx * outline_sigma, found[k], given[k])
         offsets.append(offset)
         normals.append(seen.normal)
-        sums.append(across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable))
+        roofs = across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable)
+        sums.append(roofs + _walls(image, edges, walls, eye, pose, prisms))
     pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
-    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks))
+    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), edges.kind != _ROOF)
     found, given = found.sum(axis=0), given.sum(axis=0)
     return Recheck(np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), stands, pictures, apart)
+
+
+def _walls(image: Image, edges: ModelEdges, samples: Samples, eye: Eye, pose: Pose, prisms: Prisms) -> Array:
+    """across() of feet and corners of walls; none of feet so near the roof's edge that this one's gradient is theirs as well."""
+    seen = view(edges, samples, eye, *pose, prisms)
+    apart = (edges.partner < 0) | (np.abs(edge_gaps(edges, samples, seen, eye, *pose)) > _GAP_PX)
+    return across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable & apart[samples.edge])
 
 
 @njit(cache=True)

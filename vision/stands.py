@@ -8,6 +8,9 @@ to the same side, and a is near 1. Texture's point anywhere: their sum is a walk
 is half-normal, C. A side of a roof that stands is hidden, or of the ground's colour, with probability h; one of a roof that is
 gone lies on an edge of something else (a kerb, a shadow, a field) with q. Two sides on the corner of two streets are as likely a
 house as not, and three points of a side at the border prove nothing. A(a) = 2 a: edges are mostly, but need not be, plain.
+
+The feet and corners of the walls in view tell as well, each of them less, as bushes hide them and light may leave a corner no
+contrast: h = q = 0.2. An outline that lies on edges of something else seldom has more of these where its walls would end.
 """
 
 import math
@@ -21,6 +24,7 @@ from models.messages import Array
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _HIDDEN, _ELSEWHERE = 0.1, 0.1  # h, q
+_WALL_HIDDEN, _WALL_ELSEWHERE = 0.2, 0.2  # the same of feet and corners of walls
 _LEAST_POINTS = 2.0  # that have a direction in common
 
 
@@ -53,27 +57,28 @@ def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, 
     return total
 
 
-def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int) -> Array:
-    """log LR (L,) of standing against gone; sums: what across() gave of each picture, landmark (E,) of the edges.
+def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, wall: Mask) -> Array:
+    """log LR (L,) of standing against gone; sums: what across() gave of each picture; of the edges: landmark (E,), and whether
+    they are feet or corners of walls (E,).
 
     Pictures of one pair show the same texture, so their points count once.
     """
     shown = np.sum([one[:, -1] > 0.0 for one in sums], axis=0)
-    return np.asarray(_log_ratio(np.sum(sums, axis=0), shown, landmark, landmarks))
+    hidden, elsewhere = np.where(wall, _WALL_HIDDEN, _HIDDEN), np.where(wall, _WALL_ELSEWHERE, _ELSEWHERE)
+    return np.asarray(_log_ratio(np.sum(sums, axis=0), shown, landmark, landmarks, hidden, elsewhere))
 
 
 @njit(cache=True)
-def _log_ratio(total: Array, shown: Indices, landmark: Indices, landmarks: int) -> Array:
-    """log LR (L,) of the sum (E, C + 1) over all pictures, each edge in shown (E,) of them."""
+def _log_ratio(total: Array, shown: Indices, landmark: Indices, landmarks: int, hidden: Array, elsewhere: Array) -> Array:
+    """log LR (L,) of the sum (E, C + 1) over all pictures, each edge in shown (E,) of them; hidden, elsewhere (E,): h, q."""
     told = np.zeros(landmarks)
     for e in range(len(total)):
+        h, q = hidden[e], elsewhere[e]
         points = total[e, -1]
         n = points / max(shown[e], 1)
         if n >= _LEAST_POINTS:
             a = math.sqrt(np.sum(total[e, :-1] ** 2)) / points
             edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
             chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
-            told[landmark[e]] += math.log(
-                ((1.0 - _HIDDEN) * edge + _HIDDEN * chance) / (_ELSEWHERE * edge + (1.0 - _ELSEWHERE) * chance)
-            )
+            told[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
     return told

@@ -38,6 +38,18 @@ def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
     assert seen.share[1:].min() > 0.7
 
 
+def test_walls_that_do_not_end_where_the_map_says_speak_against_a_landmark() -> None:
+    """The same roof on walls 3 m longer, as that of another house: the roof lies on edges, its feet and corners do not."""
+    view, fit = whole(), fitted()
+    for k in (1, 2):  # the first one is seen from above
+        taller = Landmark.of("taller", MARKS[k].outline_n, 3.0, MARKS[k].height_m + 3.0)
+        others = (*MARKS[:k], taller, *MARKS[k + 1 :])
+        stands, instead = (recheck(RIG, (view.left, view.right), marks, fit, LookConfig()).stands for marks in (MARKS, others))
+        assert stands[k] > 4.0 * np.log(9.0)  # what four sides of the roof say at most
+        assert instead[k] < stands[k] - 2.0
+        np.testing.assert_array_equal(np.delete(stands, k), np.delete(instead, k))
+
+
 @pytest.mark.parametrize(
     ("aside_m", "sigma_m", "found"),
     [(0.22, 0.0, False), (0.22, 0.1, True)],

@@ -31,11 +31,11 @@ def side(row: int, points: int) -> tuple[Array, Array]:
     return px, np.tile([0.0, 1.0], (points, 1))
 
 
-def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1) -> float:
+def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, wall: bool = False) -> float:
     px, normal = (np.concatenate(ones) for ones in zip(*sides, strict=True))
     edge = np.repeat(np.arange(len(sides)), [len(one[0]) for one in sides])
     sums = across(picture, px, normal, edge, len(sides), np.ones(len(px), np.bool_))
-    return float(log_likelihood_ratio([sums] * pictures, np.zeros(len(sides), np.int64), 1)[0])
+    return float(log_likelihood_ratio([sums] * pictures, np.zeros(len(sides), np.int64), 1, np.full(len(sides), wall))[0])
 
 
 def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -> None:
@@ -44,6 +44,10 @@ def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -
     assert math.exp(on) == pytest.approx(0.9 / 0.1, rel=0.05)  # (1 - h) / q, no more
     assert off.mean() < -1.0
     assert (off > 1.0).mean() < 0.05  # by chance
+
+
+def test_walls_speak_less_than_roofs() -> None:
+    assert math.exp(told(with_step(texture(1), 100), [side(100, 12)], wall=True)) == pytest.approx(0.8 / 0.2, rel=0.05)
 
 
 def test_a_corner_of_two_streets_is_as_likely_a_house_as_not() -> None:
