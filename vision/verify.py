@@ -18,6 +18,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from models import so3
 from models.messages import Array
 from vision.coarse import Candidate
 from vision.identify import Prior
@@ -131,9 +132,18 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
     best = max(fits, key=lambda one: one.odds)
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
-        if apart > config.moved_px and other.odds > best.odds - config.decides:
+        if apart > config.moved_px and not _same(best.pose, other.pose, config) and other.odds > best.odds - config.decides:
             return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best
+
+
+def _same(one: PoseEstimate, other: PoseEstimate, config: VerifyConfig) -> bool:
+    """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one place have.
+
+    Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
+    """
+    between = difference(one.joint_p_n, one.joint_R_nb, other.joint_p_n, so3.from_matrix(other.joint_R_nb))
+    return bool(between @ np.linalg.solve(one.joint_covariance + other.joint_covariance, between) < config.agree)
 
 
 def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:

@@ -46,9 +46,22 @@ def test_one_pose_from_two_places_is_one() -> None:
 @pytest.mark.parametrize(("apart_m", "odds", "told"), [(0.0, 1.0, True), (5.0, 1.0, False), (5.0, -2.0, True)])
 def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, told: bool) -> None:
     best = replace(fitted(whole(), MARKS), odds=2.0)
-    other = replace(best, odds=odds, middles=best.middles + apart_m * RIG.left.fx / 40.0)
-    outcome = decided([other, best], VerifyConfig())
+    outcome = decided([elsewhere(best, apart_m, odds), best], VerifyConfig())
     assert outcome is best if told else "another place, 106 px off" in str(outcome)
+
+
+def elsewhere(fit: Fitted, apart_m: float, odds: float) -> Fitted:
+    """The same fit, so far east."""
+    pose = replace(fit.pose, joint_p_n=fit.pose.joint_p_n + np.array([0.0, apart_m, 0.0]))
+    return replace(fit, pose=pose, odds=odds, middles=fit.middles + apart_m * RIG.left.fx / 40.0)
+
+
+@pytest.mark.parametrize(("sigma_m", "told"), [(1.5, True), (0.3, False)])
+def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: float, told: bool) -> None:
+    """4 m, 85 px apart: less than 4.1 of (2 x 1.5^2)^(1/2) m, more than that of 0.3 m."""
+    best = replace(fitted(whole(), MARKS), odds=2.0)
+    best = replace(best, pose=replace(best.pose, joint_covariance=np.diag([sigma_m**2] * 3 + [1e-4] * 3)))
+    assert (decided([elsewhere(best, 4.0, 1.0), best], VerifyConfig()) is best) is told
 
 
 def test_odds_of_a_place_by_hand() -> None:
