@@ -37,7 +37,8 @@ _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider o
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
 _SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands,
-_SURE_HIDDEN = math.log(0.999 / 0.001)  # and from which it does though more of it is hidden
+_SURE_HIDDEN = math.log(0.999 / 0.001)  # from which it does though more of it is hidden,
+_SURE_ANYHOW = math.log(0.9999 / 0.0001)  # and however little of it the last look finds
 _LEAST_SHARE = 0.5  # of what the better picture shows
 _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
@@ -68,7 +69,9 @@ class Fitter:
             for window in (_WINDOW_PX, _ALONE_PX)
         )
         self._gone = gone
-        self._stands, self._stands_hidden = (odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN))  # ratios
+        self._stands, self._stands_hidden, self._stands_anyhow = (  # ratios
+            odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN, _SURE_ANYHOW)
+        )
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
@@ -162,7 +165,7 @@ class Fitter:
         v = self._config
         whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
         hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
-        return np.asarray((whole | hidden) & (_off_map(marks, fit) < v.off_map))
+        return np.asarray((whole | hidden | (seen.stands > self._stands_anyhow)) & (_off_map(marks, fit) < v.off_map))
 
     def _odds(
         self,

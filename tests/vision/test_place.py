@@ -14,6 +14,7 @@ from vision.coarse import Candidate
 from vision.pictures import Pictures
 from vision.place import Fitter
 from vision.pose import PoseConfig, retract
+from vision.recheck import Recheck
 from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -179,6 +180,18 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
     again = fitter.joined(pictures, list(MARKS), replace(at, p_n=p_n, R_nb=R_nb), off, prior)
     assert again.used == [0, 1, 2]
     assert np.linalg.norm(again.pose.joint_p_n - view.p_n) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("share", "stands", "used"),
+    [(0.6, 2.5, True), (0.6, 2.3, False), (0.4, 4.8, True), (0.4, 4.6, False), (0.0, 7.1, True), (0.0, 6.9, False)],
+)
+def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, stands: float, used: bool) -> None:
+    """99, 99.9 and 99.99 %, with one of ten gone: 4.6, 6.9 and 9.2 less ln 9."""
+    fit = fitted(whole(), MARKS).pose
+    seen = Recheck(np.full(len(MARKS), share), np.full(len(MARKS), stands), (1.0, 1.0), None)
+    stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._stand(list(MARKS), fit, seen)
+    assert stood.tolist() == [used] * len(MARKS)
 
 
 def test_a_second_look_at_a_picture_still_knows_the_picture_before() -> None:
