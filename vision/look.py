@@ -4,7 +4,7 @@ line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated
 
@@ -53,7 +53,7 @@ _DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roo
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
 _NOTHING = np.zeros((0, 0))
-_COARSE = 1.5  # how much farther apart points are before the last look
+_COARSE = 1.5  # how much farther apart points are in a search
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
 
@@ -73,7 +73,7 @@ class Look:
     """What one look gave, of E edges in K pictures.
 
     line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P), how lines depend on the pose, H, and on errors of map and rig, N;
-    opened: (K, E) px^2, what gaps leave open of the offsets; lines: of each picture; share: of the points in view that was found.
+    opened: (K, E) px^2, what gaps leave open of the offsets; lines: of each picture; usable: points in view, of all pictures.
     """
 
     edges: ModelEdges
@@ -83,7 +83,17 @@ class Look:
     found: Mask
     A: Array
     opened: Array
-    share: float
+    usable: int
+
+    @property
+    def share(self) -> float:
+        """Of the points in view, of all pictures, that was found."""
+        points = np.array([line.points for line in self.lines]).T
+        return float(points[self.found].sum()) / max(self.usable, 1)
+
+    def within(self, off_px: Array, farthest_px: float) -> "Look":
+        """Without the edges whose offset (E, K) px is more than farthest_px."""
+        return replace(self, found=self.found & (np.abs(off_px) <= farthest_px))
 
     @property
     def H(self) -> Array:
@@ -131,7 +141,7 @@ class Scene:
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == _ROOF if search_px else None
-        spacing = config.spacing_px * (1.0 if farthest_px == config.farthest_px[-1] else _COARSE)
+        spacing = config.spacing_px * (_COARSE if search_px else 1.0)
         samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
         count, with_rig = len(edges.kind), not search_px
         lines, points = list[EdgeLines](), 0
@@ -156,8 +166,7 @@ class Scene:
             lines.append(EdgeLines(*line))
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
             points += usable
-        share = sum(float(line.points.sum()) for line in lines) / max(points, 1)
-        return Look(edges, samples, lines, line_all, found, A, opened, share)
+        return Look(edges, samples, lines, line_all, found, A, opened, points)
 
     def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""

@@ -35,7 +35,8 @@ from vision.look import Image, Look, LookConfig, Scene
 
 Mask = NDArray[np.bool_]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
-_NEAR, _MOST = 0.5, 0.8  # of the first fit's reach: if most offsets are below, no further search is needed
+_MOST = 0.8  # if so many offsets are within the first fit's reach, no further search is needed
+_SETTLED_PX = 0.8  # a step that moves the edges by less, RMS, is followed by no further look
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
 _STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
@@ -233,12 +234,20 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             seen = fit.look(config.look, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
-            near = float(np.mean(np.abs(seen.line[:, :, 0][seen.found]) < _NEAR * config.look.farthest_px[0])) > _MOST
+            near = float(np.mean(np.abs(seen.line[:, :, 0][seen.found]) < config.look.farthest_px[0])) > _MOST
             fit.move(_robust_step(fit, seen, 1.0))
-    for number, farthest in enumerate(config.look.farthest_px):
-        if number:
-            fit.move(_robust_step(fit, seen, 0.3))
-        seen = fit.look(config.look, farthest_px=farthest)
+    farthest, *nearer = config.look.farthest_px
+    seen = fit.look(config.look, farthest_px=farthest)
+    if refusal := _not_enough(seen, config):
+        return refusal
+    for farthest in nearer:
+        step = _robust_step(fit, seen, 0.3)
+        left = step.residual.reshape(seen.line.shape)
+        if _rms((seen.line - left)[:, :, 0][seen.found]) < _SETTLED_PX:
+            seen = seen.within(left[:, :, 0], farthest)
+        else:
+            fit.move(step)
+            seen = fit.look(config.look, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
     if seen.share < config.least_fitted:
@@ -253,6 +262,10 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             return refusal
         system, step = _final_step(fit, seen, config)
     return _report(fit, seen, system, step, config)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _bend_px(seen: Look, dx: Array) -> float:
@@ -350,7 +363,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     return PoseEstimate(
         p_n, R_nb, _symmetric(image), _symmetric(common), directions, readings,
         by_landmark, _symmetric(by_rig @ by_rig.T), joint_p_n, joint_R_nb, joint,
-        float(np.sqrt(np.mean(step.residual[:, ::2][used] ** 2))), factor, seen.share, system.count, fit.shift_m,
+        _rms(step.residual[:, ::2][used]), factor, seen.share, system.count, fit.shift_m,
         chi2 + float(delta @ fit.information @ delta),
     )  # fmt: skip
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vision.look import _roof_beside
+from tests.vision.test_pose import flight
+from vision.look import LookConfig, Scene, _roof_beside
 from vision.outline import profiles
 
 POINTS, HALF = 20, 8
@@ -20,3 +21,16 @@ def test_what_lies_farther_inside_is_the_other_slope_of_a_roof_but_other_paint_o
     values = profiles(picture, px, normal, HALF, 1.0, 1, usable)
     beside = _roof_beside(picture, values, px, normal, edge, landmark, one, np.array([raised]), HALF, usable)
     np.testing.assert_allclose(beside, expected, atol=1.0)
+
+
+def test_edges_farther_off_are_not_found_any_more() -> None:
+    view = flight(1)
+    scene, as_mapped = Scene(view.rig, view.pictures, view.landmarks), np.zeros((3, 6))
+    seen = scene.look(view.p_n, view.R_nb, as_mapped, view.rig, LookConfig(), farthest_px=2.5)
+    off_px = np.zeros(seen.found.shape)
+    off_px[np.argmax(seen.found[:, 1]), 1] = -1.6
+    near = seen.within(off_px, 1.5)
+    np.testing.assert_array_equal(near.found, seen.found & (off_px == 0.0))
+    assert near.found.sum() == seen.found.sum() - 1
+    assert seen.share - near.share == pytest.approx(seen.lines[1].points[np.argmax(seen.found[:, 1])] / seen.usable)
+    assert seen.within(off_px, 1.6).share == seen.share

@@ -1,6 +1,7 @@
 """Pose from identified landmarks on rendered pictures whose truth is known: accuracy, honesty, what repeats, what is refused."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -11,9 +12,10 @@ from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
 from tests.vision.roofs import nadir_rig
+from vision import look
 from vision.identify import Prior
-from vision.look import Image
-from vision.pose import NoPose, PoseEstimate, combine, difference, estimate_pose
+from vision.look import Image, LookConfig, Scene
+from vision.pose import NoPose, PoseConfig, PoseEstimate, combine, difference, estimate_pose
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
@@ -294,6 +296,32 @@ def test_a_start_elsewhere_is_no_confident_wrong_pose(view: Flight) -> None:
     if isinstance(found, PoseEstimate):
         e = difference(found.p_n, found.R_nb, view.p_n, so3.from_matrix(view.R_nb))
         assert e @ np.linalg.solve(total(found), e) < 40.0
+
+
+@pytest.mark.parametrize(("east_m", "reaches"), [(0.0, [2.5]), (0.02, [2.5]), (0.12, [2.5, 1.5])])
+def test_edges_that_hardly_move_are_looked_at_once(
+    view: Flight, east_m: float, reaches: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """15 px a metre; one look and two give the same pose."""
+    given, looked = list[float](), Scene.look
+
+    def noted(*args: Any, **kwargs: Any) -> look.Look:
+        given.append(kwargs["farthest_px"])
+        return looked(*args, **kwargs)
+
+    def at(east: float, farthest: tuple[float, ...]) -> PoseEstimate:
+        start = view.p_n + np.array([0.0, east, 0.0]), view.R_nb
+        config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
+        found = estimate_pose(view.rig, view.pictures, view.landmarks, start, view.prior, config)
+        assert isinstance(found, PoseEstimate)
+        return found
+
+    best = at(0.0, (2.5, 1.5, 1.5))
+    monkeypatch.setattr(Scene, "look", lambda self, *args: noted(self, *args[:5], search_px=args[5], farthest_px=args[6]))
+    found = at(east_m, (2.5, 1.5))
+    assert given == reaches
+    off = difference(found.joint_p_n, found.joint_R_nb, best.joint_p_n, so3.from_matrix(best.joint_R_nb))
+    assert off @ np.linalg.solve(best.joint_covariance, off) < 0.3
 
 
 def test_same_input_same_bits(view: Flight) -> None:
