@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 _MOST_FITS = 3
 _MOST_ALONE = 3  # landmarks of which each tells where to begin
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
+_AGAIN_PX = ()  # where a fit was that had wrong landmarks as well: it is good to a pixel
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
 _PAIR_PX = 0.8  # shifts between the two pictures that do no harm
 _SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands,
@@ -64,9 +65,9 @@ class Fitter:
     def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
         self._rig, self._config, self._most = rig, config, most
         self._wide = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
-        self._pose, self._alone = (
+        self._pose, self._again, self._alone = (
             msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=window))
-            for window in (_WINDOW_PX, _ALONE_PX)
+            for window in (_WINDOW_PX, _AGAIN_PX, _ALONE_PX)
         )
         self._gone = gone
         self._stands, self._stands_hidden, self._stands_anyhow = (  # ratios
@@ -122,9 +123,10 @@ class Fitter:
         """The fit of what is left when landmarks and a picture that contradict it are gone, or why there is none."""
         eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
         views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
+        before: tuple[Pose, Array] | None = None
         for _ in range(_MOST_FITS):
             some = [marks[k] for k in chosen]
-            fit = estimate_pose(self._rig, views, some, start.pose, prior, self._pose, start.shift_m[chosen])
+            fit = self._estimated(views, some, (start.pose, start.shift_m[chosen]), before, prior)
             if isinstance(fit, NoPose):
                 return f"{remark}{fit.reason} {fit.detail}".strip()
             seen = recheck(self._rig, views, some, fit, self._pose.look)
@@ -132,11 +134,12 @@ class Fitter:
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, start, chosen, prior):
                     return "left and right picture are swapped"
-                views, remark = (views[0], None), f"right camera not used: {problem}; "
+                views, remark, before = (views[0], None), f"right camera not used: {problem}; ", None
             elif len(good) < len(chosen):
                 if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
                     return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks are not where the others say"
                 unseen = {k for k, share in zip(chosen, seen.share, strict=True) if np.isnan(share)}
+                before = (fit.joint_p_n, fit.joint_R_nb), fit.shift_m[np.isin(chosen, good)]
                 chosen, asked = good, [k for k in asked if k not in unseen]
             elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
                 return f"the fit left the place that was found by {far:.0f} px"
@@ -146,6 +149,18 @@ class Fitter:
                 odds = self._odds(views, marks, place, chosen, fit, seen, prior)
                 return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), middles, odds)
         return f"{remark}the landmarks do not agree"
+
+    def _estimated(
+        self, views: Views, marks: list[Landmark], start: tuple[Pose, Array], before: tuple[Pose, Array] | None, prior: Prior
+    ) -> PoseEstimate | NoPose:
+        """The fit from the pose and map errors (L, M) of the fit before, else, where there is none there, from the start."""
+        if before is not None:
+            pose, shift_m = before
+            again = estimate_pose(self._rig, views, marks, pose, prior, self._again, shift_m)
+            if isinstance(again, PoseEstimate):
+                return again
+        pose, shift_m = start
+        return estimate_pose(self._rig, views, marks, pose, prior, self._pose, shift_m)
 
     def _most_seen(self, place: Candidate) -> list[int]:
         """Landmarks that have votes, those with most first, as many as are fitted."""

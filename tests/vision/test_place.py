@@ -1,6 +1,7 @@
 """From a place of the coarse search to a fit."""
 
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,10 +11,11 @@ from models.landmarks import Landmark
 from models.messages import Array
 from models.so3 import from_matrix
 from tests.vision.test_predict import MARKS, RIG, View, drawn, look_at, whole
+from vision import place as places
 from vision.coarse import Candidate
 from vision.pictures import Pictures
 from vision.place import Fitter
-from vision.pose import PoseConfig, retract
+from vision.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, retract
 from vision.recheck import Recheck
 from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
@@ -143,6 +145,22 @@ def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: 
     assert (first.used, again.used) == ([0, 1], [0, 1, 2] if joins else [0, 1])
     if grown_m is not None:
         assert again.pose.shift_m[2, MapError.GROWTH] == pytest.approx(grown_m, abs=0.1)
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_what_is_left_is_fitted_from_the_fit_before(found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of three is mapped aside and goes; without it nothing has to be searched again, unless there is no fit so."""
+    view, searched = whole(), list[tuple[int, tuple[int, ...]]]()
+
+    def noted(*args: Any) -> PoseEstimate | NoPose:
+        searched.append((len(args[2]), args[5].look.search_px))
+        return estimate_pose(*args) if found or args[5].look.search_px else NoPose("not_found")
+
+    monkeypatch.setattr(places, "estimate_pose", noted)
+    fit = fitted(view, (*MARKS[:2], aside(MARKS[2], (0.0, 2.0))))
+    assert fit.used == [0, 1]
+    assert searched == [(3, (8, 8)), (2, ()), *([] if found else [(2, (8, 8))])]
+    assert np.linalg.norm(fit.pose.joint_p_n - view.p_n) < 0.5
 
 
 def test_where_all_together_contradict_each_other_one_tells_the_place() -> None:
