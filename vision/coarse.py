@@ -44,6 +44,7 @@ Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced picture
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
 _PLACE_PX = 1.0  # of the level: how well a landmark's place is found
+_STILL_PX = 1.5  # of the level: a place that a look moves by less is not looked at again
 _APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
 _FEW_VOTES = 300_000  # are quicker than to reduce the picture once more, and to look again in it
@@ -114,7 +115,7 @@ class Search:
         apart_px = _APART_PX * size
         found = self._best(middle, [self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], apart_px)
         found = [self._climb(middle, c, steps) for c in found]
-        return self._best(middle, [self._climb(fine, self._again(fine, c, 2), 2) for c in found], apart_px)
+        return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
     def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
         """The best places, apart from each other, so that those near the best one do not crowd out its rivals."""
@@ -159,6 +160,13 @@ class Search:
     def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
         """The better of a place and the place near it: turn and scale follow only from the look before."""
         return max(place, self._again(stage, place, steps), key=_score)
+
+    def _nearest(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+        """The place near a place; where that is another one, the better of it and the place near it."""
+        near = self._again(stage, place, steps)
+        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - place.error)
+        moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
+        return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
 
     def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
         """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""

@@ -1,5 +1,6 @@
 """The coarse search on rendered pictures: votes, places, what moves how, and what it must not believe."""
 
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from vision.motion import motion, moved, straight
 from vision.rectify import Image
 from vision.reduced import Field, Level, levels
 from vision.sensitivity import Eye, eyes
+from vision.stage import Stage
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render
@@ -113,6 +115,30 @@ def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_picture(mon
     wide, narrow = reduced
     assert narrow[0] == wide[0]
     assert narrow[-1] < wide[-1]
+
+
+@pytest.mark.parametrize(("off_px", "looks"), [(0.0, 1), (2.5, 2)])
+def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
+    off_px: float, looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, voted, vote_of = seen(), list[int](), Stage.vote
+    moves = motion(EYE, view.marks, prior_off(view, np.zeros(6)))
+    assert moves is not None
+    search = Search(EYE, view.marks, moves, CoarseConfig())
+    (level,) = levels(view.picture, EYE.camera, (1,))
+    stage = Stage(level, EYE, view.marks, moves, 0.2, 160.0, 160)
+    as_told = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
+    true = search._again(stage, as_told, 2)
+    place = replace(true, error=true.error + moves.gain[:, 0] * off_px)
+
+    def noted(stage: Stage, *args: Array) -> tuple[Array, Array]:
+        voted.append(1)
+        return vote_of(stage, *args)
+
+    monkeypatch.setattr(Stage, "vote", noted)
+    near = search._nearest(stage, place, 2)
+    assert len(voted) == looks
+    assert np.abs(moves.J @ (near.error - true.error))[:2].max() < 1.0
 
 
 def test_landmarks_that_are_off_the_map_find_their_own_places() -> None:
