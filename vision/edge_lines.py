@@ -7,7 +7,7 @@ two numbers per edge instead of dozens of dependent ones.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -38,6 +38,14 @@ class EdgeLines:
     unit: Array
     square: Array
     points: Array
+
+    def only(self, wanted: NDArray[np.bool_], edge: Indices) -> "EdgeLines":
+        """Without the edges not wanted (E,); edge (N,): of the points."""
+        found, used = self.found & wanted, wanted[edge]
+        return replace(
+            self, found=found, gain=self.gain * used[:, None], weight=self.weight * used, square=self.square * wanted,
+            points=self.points * wanted,
+        )  # fmt: skip
 
 
 def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int) -> EdgeLines:

@@ -88,12 +88,13 @@ class Look:
     @property
     def share(self) -> float:
         """Of the points in view, of all pictures, that was found."""
-        points = np.array([line.points for line in self.lines]).T
-        return float(points[self.found].sum()) / max(self.usable, 1)
+        return sum(float(line.points.sum()) for line in self.lines) / max(self.usable, 1)
 
     def within(self, off_px: Array, farthest_px: float) -> "Look":
         """Without the edges whose offset (E, K) px is more than farthest_px."""
-        return replace(self, found=self.found & (np.abs(off_px) <= farthest_px))
+        found = self.found & (np.abs(off_px) <= farthest_px)
+        lines = [line.only(near, self.samples.edge) for line, near in zip(self.lines, found.T, strict=True)]
+        return replace(self, lines=lines, found=found)
 
     @property
     def H(self) -> Array:

@@ -265,6 +265,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
 
 
 def _rms(values: Array) -> float:
+    """Root of the mean square of values (N,)."""
     return float(np.sqrt(np.mean(values**2)))
 
 

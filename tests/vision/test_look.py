@@ -34,3 +34,9 @@ def test_edges_farther_off_are_not_found_any_more() -> None:
     assert near.found.sum() == seen.found.sum() - 1
     assert seen.share - near.share == pytest.approx(seen.lines[1].points[np.argmax(seen.found[:, 1])] / seen.usable)
     assert seen.within(off_px, 1.6).share == seen.share
+    gone = seen.samples.edge == np.argmax(seen.found[:, 1])
+    assert not near.lines[1].weight[gone].any()
+    assert not near.lines[1].gain[gone].any()
+    np.testing.assert_array_equal(near.lines[1].weight[~gone], seen.lines[1].weight[~gone])
+    np.testing.assert_array_equal(near.lines[0].square, seen.lines[0].square)
+    assert near.lines[1].square.sum() < seen.lines[1].square.sum()
