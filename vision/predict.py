@@ -137,7 +137,7 @@ class PredictPath:
             outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
-        at = next(k for k, one in enumerate(tried) if one is outcome)
+        at = next(k for k, one in enumerate(tried) if isinstance(one, Fitted) and one.pose is outcome.pose)
         outcome = self._fitter.joined(pictures, marks, places[at], outcome, prior)
         grade, reason = verify.grade(evidence, outcome, v)
         if grade == "sure" and at >= likely:

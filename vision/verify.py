@@ -10,7 +10,7 @@ error, one of the two is wrong, however sure the second looks by itself: it wait
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import msgspec
@@ -24,6 +24,7 @@ from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.pose import PoseEstimate, difference
 
+_ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two places
 _FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
 Grade = Literal["sure", "weak", "refused"]
 
@@ -125,16 +126,22 @@ def place_odds(stands: Array, gone: float, squared: float, found: float) -> floa
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
-    """The one fit of several places that is left, or why none is."""
+    """The one fit of several places that is left, or why none is.
+
+    Where several lead to one fit, it has what the least of them has kept: none of them was more right than the others.
+    """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
         return str(tried[0])
     best = max(fits, key=lambda one: one.odds)
+    kept = best.kept
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
+        if apart < _ONE_FIT_PX:
+            kept = min(kept, other.kept)
         if apart > config.moved_px and not _same(best.pose, other.pose, config) and other.odds > best.odds - config.decides:
             return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
-    return best
+    return best if kept == best.kept else replace(best, kept=kept)
 
 
 def _same(one: PoseEstimate, other: PoseEstimate, config: VerifyConfig) -> bool:

@@ -53,6 +53,14 @@ def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, to
     assert outcome is best if told else "another place, 106 px off" in str(outcome)
 
 
+@pytest.mark.parametrize(("apart_m", "kept"), [(0.01, 0.6), (0.5, 0.9)])
+def test_one_fit_from_two_places_has_kept_what_the_least_has(apart_m: float, kept: float) -> None:
+    best = replace(fitted(whole(), MARKS), odds=4.5, kept=0.9)
+    outcome = decided([replace(elsewhere(best, apart_m, 4.2), kept=0.6), best], VerifyConfig())
+    assert isinstance(outcome, Fitted)
+    assert outcome.kept == kept
+
+
 def elsewhere(fit: Fitted, apart_m: float, odds: float) -> Fitted:
     """The same fit, so far east."""
     pose = replace(fit.pose, joint_p_n=fit.pose.joint_p_n + np.array([0.0, apart_m, 0.0]))
