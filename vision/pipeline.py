@@ -114,10 +114,7 @@ class LandmarkPipeline:
             located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
         result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
         if not doubtful:
-            result = whole(
-                result, self._rig, pictures, marks, move, places, self._config.predict.coarse,
-                lambda fit: self._predict.agrees(fit, t_ns, prior),
-            )  # fmt: skip
+            result = whole(result, self._rig, pictures, marks, move, places, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed

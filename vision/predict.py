@@ -25,7 +25,7 @@ from vision.identify import Prior
 from vision.motion import Motion, motion, roofs_in_view, straight
 from vision.pictures import Pictures
 from vision.place import Fitter
-from vision.pose import PoseConfig, PoseEstimate
+from vision.pose import PoseConfig
 from vision.reports import RegionReport, Result, fix_of, report_of
 from vision.sensitivity import Eye, eyes
 from vision.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
@@ -110,10 +110,6 @@ class PredictPath:
         detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
-
-    def agrees(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> bool:
-        """Whether the picture before showed the same error of the prior as a place that waits for it; it is held from now on."""
-        return self._waiting.agrees(fit, t_ns, prior)
 
     def _decide(
         self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior

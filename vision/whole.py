@@ -5,13 +5,12 @@
 dx: the prior's error, of covariance P; the sum tells by how many nats the directions of the gradients under the outlines are
 likelier at a place than by chance, c. Kerbs under trees, roofs of many panels, hips: no side shows one clean edge between two
 colours, but all sides together have one place. From each place that the coarse search found, L is climbed along the directions in
-which the prior lets the outlines move; so it is from the best of all shifts of the place that leads, for these are its rivals,
-until none of them leads. The best place is told if it is SURE nats likelier than any other; if it is WEAK, the next picture must
-agree.
+which the prior lets the outlines move; so it is from the best of all shifts of the place that leads, for these are its rivals.
+The best place is told if it is SURE nats likelier than any other.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -29,7 +28,7 @@ from vision.motion import Motion, moved
 from vision.pattern import NAME, refused
 from vision.pictures import Pictures
 from vision.point_pose import PointConfig, Points, fit_points
-from vision.pose import Pose, PoseEstimate
+from vision.pose import Pose
 from vision.reduced import Field, Level, levels
 from vision.reports import Result, fix_of, pose_flaw
 from vision.sensitivity import Eye, eyes
@@ -37,9 +36,7 @@ from vision.sightings import one_eyed
 from vision.visibility import Prisms
 from vision.voters import Voters, chromas, voters
 
-# Nats. Where nothing of the map is in the picture (280 rendered pairs, the map turned) the best place leads by 2 on the average,
-# by 8 at most, and its L is up to 20.
-SURE, WEAK, _LEAST_NATS = 15.0, 10.0, 18.0
+SURE = 10.0  # nats; the best two of all wrong places of a picture are up to 5 apart (120 rendered pairs with a turned map)
 _NATS = 0.36  # a: of one point; that of independent ones would be 2.5, but edges of things lie under a whole side or none of it
 _INDEPENDENT_PX = 3.0  # points nearer to each other have less to say
 _POINTS = 600
@@ -47,7 +44,7 @@ _LEAST = 3  # outlines in view: one or two alone are the shape of many things
 _FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
 _APART_PX = 8.0  # nearer places are one
 _AROUND_PX = 40.0  # searched all around, at least: what the prior excludes still tells what chance makes
-_STARTS, _RIVALS, _ROUNDS = 5, 8, 3
+_STARTS, _RIVALS = 5, 8
 _STEPS_PX = np.array([6.0, 3.0, 1.5, 0.75])
 _LAST_PX = np.array([1.5, 0.75, 0.375])
 _CLIMBS = 4  # rounds with steps of one size
@@ -67,12 +64,9 @@ class _Place:
 
 def whole(
     result: Result, rig: StereoRig, pictures: Pictures, marks: Sequence[Landmark], move: Motion, found: Sequence[Candidate],
-    config: CoarseConfig, agrees: Callable[[PoseEstimate], bool],
+    config: CoarseConfig,
 ) -> Result:  # fmt: skip
-    """What predict and verify says; the place of all outlines together where it has none.
-
-    found: places of the coarse search; agrees: whether the picture before showed the same error of the prior.
-    """
+    """What predict and verify says; the place of all outlines together where it has none. found: places of the coarse search."""
     picture, eye = pictures.right if pictures.only_right else pictures.left, eyes(rig)[int(pictures.only_right)]
     if result.fix is not None or picture is None or config.sigmas * move.shift_px > limit_px(eye.camera, config):
         return result
@@ -80,23 +74,11 @@ def whole(
     places = body.climbed([one.error for one in found[:_STARTS]])
     if not places:
         return result
+    places += body.climbed(body.rivals(max(places, key=lambda place: place.value).error))
     best = max(places, key=lambda place: place.value)
-    for _ in range(_ROUNDS):  # a better place has another turn and scale, and so other rivals
-        before = best
-        places += body.climbed(body.rivals(best.error))
-        best = max(places, key=lambda place: place.value)
-        if best is before:
-            break
     others = [place.value for place in places if np.linalg.norm(place.middle - best.middle) > _APART_PX]
     margin = best.value - max([0.0, *others])
-    if margin < WEAK or best.value < _LEAST_NATS:
-        return result
-    told = _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best, margin)
-    if told.pose is None or margin >= SURE or agrees(told.pose):
-        return told
-    return refused(
-        result, "waiting", f"all outlines together have a place, {margin:.0f} nats above the second: the next picture must agree"
-    )
+    return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best, margin) if margin >= SURE else result
 
 
 class _Body:
@@ -119,7 +101,7 @@ class _Body:
     def _climbed(self, error: Array) -> _Place | None:
         for steps in (_STEPS_PX, _LAST_PX):  # what is seen of walls and sides changes on the way
             seen = self._seen(error)
-            if seen is None or len(np.unique(seen.mark)) < _LEAST or (weight := _NATS * _weights(seen)).sum() < 2.0 * WEAK:
+            if seen is None or len(np.unique(seen.mark)) < _LEAST or (weight := _NATS * _weights(seen)).sum() < 2.0 * SURE:
                 return None
             if self._by_chance is None:
                 self._by_chance = chance(*self._shifted(self._fine, seen, error, _APART_PX))

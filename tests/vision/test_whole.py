@@ -12,7 +12,6 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision import whole
 from vision.identify import Prior
 from vision.pattern import NAME
 from vision.pipeline import LandmarkPipeline, PipelineConfig
@@ -87,24 +86,6 @@ def test_of_two_camps_alike_none_is_chosen() -> None:
     assert looked(drawn(both), camp(near), error, wide).fix is None
     # and one of them alone is found
     assert looked(drawn(camp(near)), camp(near), error, wide).fix is not None
-
-
-def test_what_leads_by_little_waits_until_the_next_picture_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    # GIVEN a place that is not sure by itself
-    monkeypatch.setattr(whole, "SURE", 1e9)
-    picture, prior = drawn(camp()), Prior(TRUTH + SIGMA[:3] * 0.5, so3.quat_exp(np.zeros(3)), np.diag(SIGMA**2))
-    pipeline = LandmarkPipeline(RIG, LandmarkMap.from_landmarks((47.0, 8.0, 400.0), camp()), PipelineConfig(path="predict"))
-    # WHEN it is seen twice
-    first, second = (pipeline.process(picture, None, k * 200_000_000, prior) for k in (1, 2))
-    # THEN it waits, and is believed
-    assert first.fix is None
-    assert first.report.outcome == "waiting"
-    assert "the next picture must agree" in first.report.detail
-    assert second.fix is not None
-    # AND where the next picture shows another place it is not
-    pipeline.process(picture, None, 10_000_000_000, prior)
-    other = Prior(prior.p_n + np.array([1.0, -1.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
-    assert pipeline.process(picture, None, 10_200_000_000, other).fix is None
 
 
 def test_two_outlines_are_too_few() -> None:
