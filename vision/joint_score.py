@@ -32,14 +32,8 @@ class Summit:
 def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> Array:
     """S (U, V) at shifts su (U,), sv (V,) px; aimed (N, 11), camera, floor (g_0): as vote() takes them."""
     total, count = _sums(field, camera, aimed, floor, su, sv)
-    by_chance = total.sum() / max(count.sum(), 1.0)
-    return np.asarray((total - by_chance * count) / max(len(aimed), 1))
-
-
-def chance(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> float:
-    """c, the mean of c_i over these shifts; arguments as of joint_score()."""
-    total, count = _sums(field, camera, aimed, floor, su, sv)
-    return float(total.sum() / max(count.sum(), 1.0))
+    chance = total.sum() / max(count.sum(), 1.0)
+    return np.asarray((total - chance * count) / max(len(aimed), 1))
 
 
 def summit(score: Array, su: Array, sv: Array, apart_px: float) -> Summit:

@@ -28,7 +28,6 @@ from vision.rectify import Image, rectification
 from vision.reports import RegionReport, Result, nothing, with_regions
 from vision.segment import Space
 from vision.segmented import Identified, SegmentConfig, SegmentPath
-from vision.whole import whole
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
 
@@ -93,7 +92,7 @@ class LandmarkPipeline:
         moves = self._predict.moves(found.pictures, near, found.place)
         if moves is None:
             return nothing(t_ns, "no_pose", found.pictures.remark)
-        result = self._predict.locate(found.pictures, moves[0], self._predict.search(found.pictures, *moves), t_ns, prior)
+        result = self._predict.locate(found.pictures, *moves, t_ns, prior)
         if result.fix is not None:
             self._segment.clear()
         return with_regions(result, found.reports)
@@ -107,14 +106,11 @@ class LandmarkPipeline:
         marks, move = moves
         if not only and not self._predict.narrow(pictures, move):
             return None
-        places = self._predict.search(pictures, marks, move)
-        located = self._predict.locate(pictures, marks, places, t_ns, prior)
+        located = self._predict.locate(pictures, marks, move, t_ns, prior)
         doubtful = _may_be_the_next_house(located, self._config.predict.most_fitted, near, prior)
         if doubtful:
             located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
         result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
-        if not doubtful:
-            result = whole(result, self._rig, pictures, marks, move, places, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed

@@ -85,15 +85,11 @@ class PredictPath:
         shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
         return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
 
-    def search(self, pictures: Pictures, marks: list[Landmark], move: Motion) -> list[Candidate]:
-        """Where the outlines may lie, best first; `move` may allow less than what the prior of the fit leaves open."""
-        picture = pictures.right if pictures.only_right else pictures.left
+    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
+        """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
+        eye, picture = self._eye(pictures), pictures.right if pictures.only_right else pictures.left
         assert picture is not None
-        return Search(self._eye(pictures), marks, move, self._config.coarse).candidates(picture)
-
-    def locate(self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], t_ns: int, prior: Prior) -> Result:
-        """Fix or reason, from the places that were searched out."""
-        eye = self._eye(pictures)
+        candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)
         found = self._decide(pictures, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
         found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found

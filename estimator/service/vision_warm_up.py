@@ -1,6 +1,6 @@
 """Each way of looking once, at pictures drawn here: no picture of the flight then waits for a kernel to be compiled or loaded."""
 
-from itertools import cycle, product
+from itertools import product
 from typing import Final
 
 import cv2
@@ -26,7 +26,6 @@ _ROOFS: Final = (  # north, east of the corners [m]: large, small, L-shaped, cut
     (((11.0, 10.0), (27.0, 12.3), (25.5, 22.3), (9.5, 20.0)), (70, 165, 35)),
 )
 _GROUND, _GRAIN = 110.0, 8.0
-_PANELS: Final = (65.0, 155.0)
 
 
 def warm_up() -> None:
@@ -45,25 +44,16 @@ def warm_up() -> None:
         shots = [_shot(t_ns, p[:, :, 1] if is_grey else p, is_jpeg) for p in (left, right)]
         sight.look(VisionRequest(t_ns, t_ns, _PLACE, _LEVEL, covariance, None, None), (shots[0], shots[1] if is_stereo else None))
     sight.draw("aided")
-    tents = _drawn(marks, rig.left, *rig.camera_pose(p_n, np.eye(3)), _PANELS)
-    Sight(rig, LandmarkMap.from_landmarks(_ORIGIN, marks)).look(
-        VisionRequest(0, 0, _PLACE, _LEVEL, np.diag(np.repeat([1.0, 0.02], 3) ** 2), None, None), (_shot(0, tents, False), None)
-    )
 
 
-def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array, panels: tuple[float, ...] = ()) -> Picture:
-    """Roofs on grainy ground, as a camera at p_nc (3,) with axes R_nc (3, 3) sees them; panels: their grey values in turn, if not
-    of one colour.
-    """
+def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Picture:
+    """Roofs on grainy ground, as a camera at p_nc (3,) with axes R_nc (3, 3) sees them."""
     grain = np.random.default_rng(0).normal(_GROUND, _GRAIN, (camera.height, camera.width, 3))
     picture = np.clip(grain, 0.0, 255.0).astype(np.uint8)
     for mark in marks:
         corners_n = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
         px = camera.project((corners_n - p_nc) @ R_nc)
-        if not panels:
-            cv2.fillPoly(picture, [np.round(px).astype(np.int32)], mark.colour_bgr or (0, 0, 0))
-        for grey, a, b in zip(cycle(panels), px, np.roll(px, -1, axis=0), strict=False):
-            cv2.fillPoly(picture, [np.round([px.mean(axis=0), a, b]).astype(np.int32)], (grey, grey, grey))
+        cv2.fillPoly(picture, [np.round(px).astype(np.int32)], mark.colour_bgr or (0, 0, 0))
     return cv2.GaussianBlur(picture, (3, 3), 0).astype(np.uint8)
 
 

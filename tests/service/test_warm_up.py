@@ -70,9 +70,7 @@ for k, sigma_m in enumerate((0.2, 1.0, 4.0, 10.0, 30.0, 100.0)):
         request = VisionRequest(t_ns, t_ns, PLACE, (1.0, 0.0, 0.0, 0.0), covariance, None, None)
         outcomes.add(len(sight.look(request, tuple(shots))))
         sight.draw("aided")
-from tests.vision.test_whole import SIGMA, camp, drawn, looked
-together = looked(drawn(camp()), camp(), SIGMA).fix is not None
-tell(warm, "vision.synthetic", outcomes=len(outcomes), together=together)
+tell(warm, "vision.synthetic", outcomes=len(outcomes))
 """
 
 _SCENARIO = """
@@ -125,4 +123,3 @@ def test_no_kernel_is_compiled_when_pictures_come() -> None:
     assert said["warm"] > 20
     assert said["new"] == []
     assert said["outcomes"] > 1  # some gave a fix, some did not
-    assert said["together"]
