@@ -48,7 +48,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
-    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 3.0
+    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 5.0
     sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
     weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
     decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
