@@ -15,7 +15,7 @@ from models.frames import GRAVITY
 from models.imu import ImuNoise
 from models.messages import Array
 
-EUROC_NOISE: Final = ImuNoise(gyro_noise=1.6968e-4, accel_noise=2e-3, gyro_walk=1.9393e-5, accel_walk=3e-3)
+EUROC_NOISE: Final = ImuNoise(gyro_noise=1.6968e-4, accel_noise=2e-3, gyro_walk=1.9393e-5, accel_walk=3e-3, gyro_scale=0.0)
 _START_NS: Final = 1_700_000_000_000_000_000
 _EPSILON = 1e-4  # s, for derivatives of the path
 

@@ -86,7 +86,7 @@ def test_odds_of_a_place_by_hand() -> None:
 
 @pytest.mark.parametrize(
     ("odds", "looked", "expected"),
-    [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (3.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
+    [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (4.9, 1.0, "weak"), (5.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
 )
 def test_how_far_a_fit_is_believed_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
     """Above 12 however little of the outlines is found."""

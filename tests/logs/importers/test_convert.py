@@ -74,7 +74,14 @@ def test_the_configuration_beside_it(flight: Path, tmp_path: Path) -> None:
     summary = convert("csv", flight, tmp_path / "out.mcap", options=ImportOptions(pose_fix_hz=5.0))
     assert summary.config == str(tmp_path / "out.toml")
     config = tomllib.loads(Path(summary.config).read_text())
-    assert config["imu"] == {"axes": "flu", "gyro_noise": 5e-3, "accel_noise": 0.3, "gyro_walk": 1e-4, "accel_walk": 5e-3}
+    assert config["imu"] == {
+        "axes": "flu",
+        "gyro_noise": 5e-3,
+        "accel_noise": 0.3,
+        "gyro_walk": 1e-4,
+        "accel_walk": 5e-3,
+        "gyro_scale": 3e-3,
+    }
     assert config["inputs"] == {
         "imu": ["/imu"],
         "gnss": ["/gnss"],
@@ -109,7 +116,14 @@ def test_all_of_settings_reaches_the_text() -> None:
     text = settings.toml("csv", Path("/somewhere/flight"), ("/imu", "/gnss", "/gnss2", "/gnss/velocity", "/baro", "/truth"))
     config = tomllib.loads(text)
     assert config == {
-        "imu": {"axes": "flu", "gyro_noise": 1.5e-3, "accel_noise": 0.25, "gyro_walk": 3e-5, "accel_walk": 4e-3},
+        "imu": {
+            "axes": "flu",
+            "gyro_noise": 1.5e-3,
+            "accel_noise": 0.25,
+            "gyro_walk": 3e-5,
+            "accel_walk": 4e-3,
+            "gyro_scale": 3e-3,
+        },
         "inputs": {"imu": ["/imu"], "gnss": ["/gnss", "/gnss2"], "gnss_velocity": ["/gnss/velocity"], "baro": ["/baro"]},
         "gnss": {"delay_s": 0.21, "antenna_b_m": [0.1, -0.2, 0.3], "slow_sigma_m": 0.02},
         "map": {"origin": [47.3977412345, -8.5455, 488.25]},
