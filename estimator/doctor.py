@@ -30,6 +30,7 @@ TYPICAL_NOISE = {
     "accel_noise": (1e-4, 2.0),
     "gyro_walk": (1e-8, 1e-2),
     "accel_walk": (1e-7, 1e-1),
+    "gyro_scale": (0.0, 5e-2),
 }
 
 
@@ -119,7 +120,7 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
     for name, (low, high) in TYPICAL_NOISE.items():
         value = getattr(config.imu, name)
         found = f"{value:g} (typical {low:g} to {high:g})"
-        advice = "units are rad, m, s and sqrt(Hz); data sheets give degrees/hour or ug"
+        advice = "units are rad, m, s and sqrt(Hz), gyro_scale is a share; data sheets give degrees/hour, ug and percent"
         checks.append(judge(f"imu.{name}", found, warn=not low <= value <= high, advice=advice))
     folder = path.parent if path else Path()
     known = config.map

@@ -274,7 +274,7 @@ def _add_noise(p: Array, h: float, gyro: float, accel: float, gyro_walk: float, 
 
 @njit(cache=True, inline="always")
 def _turning(w: Array, bg: Array, c: Array) -> float:
-    """Density s^2 T |w - b_g|^2, (rad/s)^2/Hz: scale and axes are wrong by a share s of the rate, in turns that last T."""
+    """Density s^2 T |w - b_g|^2, (rad/s)^2/Hz, of w, b_g (3,) rad/s: a share s of the rate is wrong for T, as a turn lasts."""
     x, y, z = w[0] - bg[0], w[1] - bg[1], w[2] - bg[2]
     density: float = c[_C_SCALE_PSD] * (x * x + y * y + z * z)
     return density
