@@ -9,7 +9,7 @@ it later: it keeps the lie and locks the truth out. So the decision stays open w
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are told with the chance that
-they are a look-alike.
+they are a look-alike, until that is less than 1 in 10,000: 500 m with a chance of 1 in a million make no ellipsoid of use.
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
@@ -44,7 +44,7 @@ MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
 _MARGIN = 3.0  # ln: by which another must be better
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
-_SHOWS = 10.0  # ln: unless it still shows in the covariance, no further behind than this
+_SHOWS = 9.2  # ln: nor told in the covariance: less likely than 1 in 10,000, what a gate refuses of good readings
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
 _LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
@@ -92,7 +92,11 @@ class Hypothesis:
 
     def matters_beside(self, lead: "Hypothesis") -> bool:
         """It may still lead, or it shows in the covariance."""
-        return self.weight > lead.weight - _FORGET or (self.benefit > 0 and self.weight + self.benefit > lead.weight - _SHOWS)
+        return self.weight > lead.weight - _FORGET or self.shows_beside(lead)
+
+    def shows_beside(self, lead: "Hypothesis") -> bool:
+        """It is likely enough for the covariance to tell of it."""
+        return self.weight + self.benefit > lead.weight - _SHOWS
 
     def has_settled(self, t_ns: int) -> bool:
         """It has agreed with the leading hypothesis for so long that there is no question any more."""
@@ -133,14 +137,15 @@ class Hypotheses:
         return self.members[0].filter
 
     def covariance(self) -> Array:
-        """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that may be true."""
-        lead = self.members[0].filter
-        if len(self.members) == 1:
-            return lead.cov[_OF_STATE].copy()
-        weights = [math.exp(m.weight + m.benefit) for m in self.members]
+        """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
+        lead = self.members[0]
+        if len(self.members) == 1:  # most of the time
+            return lead.filter.cov[_OF_STATE].copy()
+        shown = [m for m in self.members if m.shows_beside(lead)]
+        weights = [math.exp(m.weight + m.benefit) for m in shown]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
-        for weight, member in zip(weights, self.members, strict=True):
-            _mix(total, weight / whole, member.filter.cov, local(lead.x, member.filter.x))
+        for weight, member in zip(weights, shown, strict=True):
+            _mix(total, weight / whole, member.filter.cov, local(lead.filter.x, member.filter.x))
         return total
 
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:

@@ -211,6 +211,19 @@ def _turn(yaw: float) -> Array:
     return dx
 
 
+@pytest.mark.parametrize(
+    ("weight", "benefit", "told"), [(-9.1, 0.0, True), (-9.3, 0.0, False), (-12.0, 2.9, True), (-12.0, 2.7, False)]
+)
+def test_covariance_does_not_tell_of_what_is_less_likely_than_one_in_ten_thousand(
+    weight: float, benefit: float, told: bool
+) -> None:
+    """The variance of 500 m with a chance of one in a million is (0.5 m)^2, though nothing is half a metre away."""
+    lead, other = _member(_state(0.0, 0.0, 0.0)), _member(_state(500.0, 0.0, 0.0), weight=weight)
+    other.benefit = benefit
+    sigma = math.sqrt(Hypotheses([lead, other]).covariance()[0, 0])
+    assert (sigma > 4.0) if told else sigma == pytest.approx(0.1)
+
+
 def test_covariance_of_one_is_its_own_and_a_copy() -> None:
     one = Hypotheses([_member(_state(1.0, 2.0, 3.0))])
     cov = one.covariance()
