@@ -324,6 +324,24 @@ def test_edges_that_hardly_move_are_looked_at_once(
     assert off @ np.linalg.solve(best.joint_covariance, off) < 0.3
 
 
+def test_a_side_that_stays_off_is_not_found_though_nothing_else_moves(view: Flight) -> None:
+    """A porch: the side stands 2 px farther out than mapped, within reach of the first look and not of the second."""
+    outline = view.landmarks[0].outline_n.copy()
+    along = outline[1] - outline[0]
+    inwards = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    inwards *= np.sign(inwards @ (outline[2] - outline[0]))
+    outline[:2] += 2.0 / 15.0 * inwards
+    marks = [msgspec.structs.replace(view.landmarks[0], outline_n=outline), *view.landmarks[1:]]
+
+    def share(*farthest: float) -> float:
+        config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
+        found = estimate_pose(view.rig, view.pictures, marks, (view.p_n, view.R_nb), view.prior, config)
+        assert isinstance(found, PoseEstimate)
+        return found.found
+
+    assert share(2.5, 1.5) < share(2.5, 2.5) - 0.05
+
+
 def test_same_input_same_bits(view: Flight) -> None:
     first, second = estimate(view), estimate(view)
     assert first.p_n.tobytes() == second.p_n.tobytes()
