@@ -51,7 +51,7 @@ class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     accel_walk: Annotated[float, msgspec.Meta(gt=0, description="m/s^3/sqrt(Hz): random walk of the accel bias")] = 3e-3
     gyro_scale: Annotated[
         float, msgspec.Meta(ge=0, lt=1, description="share of a turn that is wrong: scale and axes of the gyroscope; 0: none")
-    ] = 3e-3
+    ] = 1e-3
 
 
 class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

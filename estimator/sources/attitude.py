@@ -13,7 +13,7 @@ from estimator.sources.pose import PoseConfig, given_components, pose_aid
 from estimator.sources.source import Aid, Refusal
 from models.messages import AttitudePrior, PoseFix, Reason
 
-_CONFIG: Final = PoseConfig(tilt_deg=0.0)
+_CONFIG: Final = PoseConfig(tilt_deg=0.0, mount_deg=0.0)
 
 
 def attitude_aid(prior: AttitudePrior) -> Aid | Refusal:

@@ -1,7 +1,7 @@
 """Pose fixes, from outside or from our own landmarks: position and attitude of the body on the map, whole or in part."""
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from itertools import compress
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -45,7 +45,9 @@ _ATTITUDES: dict[tuple[bool, ...], str] = {
 _Tilt: TypeAlias = Annotated[
     float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
 ]
-
+_Mount: TypeAlias = Annotated[
+    float, Meta(ge=0, description="deg: how well the axes of fixes and IMU agree on the body, where they do not say; 0: exactly")
+]
 
 _Share: TypeAlias = Annotated[
     float, Meta(ge=0, lt=1, description="share of the variance that a fix claims for itself that the next one still has")
@@ -57,6 +59,7 @@ class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: _Tilt = 0.2
+    mount_deg: _Mount = 0.2
     lasting_share: _Share = 0.0
     lasting_s: Annotated[float, Meta(gt=0, description="s: for so long it lasts")] = 3.0
 
@@ -65,6 +68,7 @@ class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
     """[landmark_fix]: our own fixes say which of their errors repeat."""
 
     tilt_deg: _Tilt = 0.0
+    mount_deg: _Mount = 0.0
     lasting_share: _Share = 0.6
 
 
@@ -180,7 +184,7 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     """
     common = fix.covariance_common
     if common is None:
-        return _tilted(fix.topic, config.tilt_deg) if config.tilt_deg > 0 else ()
+        return () if given.attitude == "none" else _misaligned(fix.topic, config.tilt_deg, config.mount_deg)
     apart = isinstance(fix, LandmarkFix) and fix.landmark_errors is not None and len(fix.landmarks) <= _MOST_LANDMARKS
     rest = fix.covariance_rig if apart and isinstance(fix, LandmarkFix) else common
     rest = _NOTHING if rest is None else np.array(rest, dtype=float, order="C")
@@ -201,7 +205,7 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     each = zip(fix.landmarks, errors, sizes, strict=True)
     blocks = [_steady(f"{fix.topic}/{name}", moved) for name, moved, size in each if size > 0.0]
     if largest > 0.0:
-        blocks.append(_on_the_body(f"{fix.topic}.rig", root, np.array(fix.q_nb_wxyz)))
+        blocks.append(_on_the_body(f"{fix.topic}.rig", _turned_back(so3.normalise(np.array(fix.q_nb_wxyz)), root)))
     return tuple(blocks)
 
 
@@ -219,9 +223,13 @@ def _largest(errors: Array) -> Array:
 
 
 @cache
-def _tilted(topic: str, tilt_deg: float) -> tuple[SlowError, ...]:
-    """The frame of the fixes is level but for this, about both horizontal axes."""
-    return (_steady(f"{topic}.tilt", np.eye(6)[:, 3:5] * math.radians(tilt_deg)),)
+@lru_cache(maxsize=64)
+def _misaligned(topic: str, tilt_deg: float, mount_deg: float) -> tuple[SlowError, ...]:
+    """The frame of the fixes is tilted about both horizontal axes, and their axes on the body are turned against the IMU's."""
+    turns = np.eye(6)[:, 3:]
+    tilt = _steady(f"{topic}.tilt", turns[:, :2] * math.radians(tilt_deg))
+    mount = _on_the_body(f"{topic}.mount", turns * math.radians(mount_deg))
+    return (tilt,) * (tilt_deg > 0) + (mount,) * (mount_deg > 0)
 
 
 def _steady(block: str, moved: Array) -> SlowError:
@@ -234,15 +242,14 @@ def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
     return SlowError(f"{topic}.look", _unit(_SIX), config.lasting_s, symmetric_root(covariance * config.lasting_share)[0])
 
 
-def _on_the_body(block: str, root: Array, q_nb: Array) -> SlowError:
-    """Six errors of what is mounted on the body, which turn with it: R_x R_z^T L R_z, where L was told at the attitude R_z."""
-    still = _turned_back(so3.normalise(q_nb), root)
-    return SlowError(block, _unit(_SIX), math.inf, lambda x: _turned(x[X.Q], still))
+def _on_the_body(block: str, moved: Array) -> SlowError:
+    """k errors of variance 1 of what is mounted on the body, which turn with it: by T moved (6, k), T = diag(R, R)."""
+    return SlowError(block, _unit(moved.shape[1]), math.inf, lambda x: _turned(x[X.Q], moved))
 
 
 @njit(cache=True)
 def _turned_back(q: Array, root: Array) -> Array:
-    """T^T L T (6, 6), T = diag(R, R), of a symmetric L."""
+    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was told at the attitude R."""
     back = so3.conjugate(q)
     return _turned(back, _turned(back, root).T.copy())
 

@@ -49,7 +49,7 @@ def write_flight(folder: Path) -> tuple[Path, Path]:
     (folder / "map.geojson").write_bytes(seen.map.to_geojson())
     save_rig(folder / "rig.yaml", seen.rig)
     config = folder / "flight.toml"
-    config.write_text('[map]\nlandmarks = "map.geojson"\n[rig]\nfile = "rig.yaml"\n[pose_fix]\ntilt_deg = 0.0\n')
+    config.write_text('[map]\nlandmarks = "map.geojson"\n[rig]\nfile = "rig.yaml"\n[pose_fix]\ntilt_deg = 0.0\nmount_deg = 0.0\n')
     last_ns = EPOCH_NS + round(ALIGNED_S * SECOND)
     messages = [
         (m.arrived_ns, encode_input(m)) for m in hover(9.0, place=PLACE) if not (isinstance(m, PoseFix) and m.t_ns > last_ns)

@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     origin = ", ".join(map(str, ORIGIN))
     (out / "flight.toml").write_text(
         f'[map]\norigin = [{origin}]\npicture = "ortho.png"\npicture_epsg = {UTM}\npicture_sigma_m = 0.2\n'
-        'picture_height_m = 488.0\n[rig]\nfile = "rig.yaml"\n[pose_fix]\ntilt_deg = 0.0\n'
+        'picture_height_m = 488.0\n[rig]\nfile = "rig.yaml"\n[pose_fix]\ntilt_deg = 0.0\nmount_deg = 0.0\n'
     )
     last_ns = EPOCH_NS + round(ALIGNED_S * SECOND)
     messages = [

@@ -22,7 +22,7 @@ COVARIANCE = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
 W, QX, QY, QZ = so3.from_euler(0.1, 0.2, 0.3).tolist()
 STATE = np.zeros(X.SIZE)
 STATE[X.Q] = (W, QX, QY, QZ)
-ALONE = PoseConfig(tilt_deg=0.0)
+ALONE = PoseConfig(tilt_deg=0.0, mount_deg=0.0)
 
 
 def _fix(**changes: Any) -> LandmarkFix:
@@ -96,7 +96,7 @@ def test_it_is_absolute_where_the_place_is_known_once_the_attitude_is(rows: Arra
     assert _aid(_fix(directions=rows)).absolute is absolute
 
 
-@pytest.mark.parametrize("config", [PoseConfig(tilt_deg=0.0), LandmarkFixConfig()])
+@pytest.mark.parametrize("config", [PoseConfig(tilt_deg=0.0, mount_deg=0.0), LandmarkFixConfig()])
 def test_errors_that_repeat_are_seen_along_the_directions(config: PoseConfig) -> None:
     """What is fused as new, what lasts and what landmarks and rig repeat make up D (C + C_common) D^T."""
     errors = np.random.default_rng(3).standard_normal((2, 6, 4)) * 0.1
@@ -117,7 +117,7 @@ def test_errors_that_repeat_are_seen_along_the_directions(config: PoseConfig) ->
 
 
 def test_noise_scale_multiplies_sigma() -> None:
-    scaled = _measurement(_fix(), PoseConfig(tilt_deg=0.0, noise_scale=3.0))
+    scaled = _measurement(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.0, noise_scale=3.0))
     np.testing.assert_allclose(scaled.noise, 9.0 * ROWS @ COVARIANCE @ ROWS.T)
 
 

@@ -142,13 +142,31 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
 
 
 def test_a_frame_that_does_not_say_how_level_it_is_leans_about_both_horizontal_axes() -> None:
-    (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5)).slow_errors
+    (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5, mount_deg=0.0)).slow_errors
     assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix tells: it has other states
     moved = slow.moves(LEVEL)
     assert moved is not None
     lean = math.radians(0.5) ** 2
     np.testing.assert_allclose(moved @ slow.covariance @ moved.T, np.diag([0.0, 0.0, 0.0, lean, lean, 0.0]), atol=1e-15)
-    assert _aid(_fix(), PoseConfig(tilt_deg=0.0)).slow_errors == ()
+    assert _aid(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.0)).slow_errors == ()
+
+
+def test_axes_of_fixes_that_do_not_say_how_they_are_mounted_are_turned_against_the_imus() -> None:
+    """All that is given of the attitude, and the same on the body wherever it turns."""
+    (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.5)).slow_errors
+    assert slow.block == "/pose_fix.mount"
+    moved = slow.moves(LEVEL)
+    assert moved is not None
+    np.testing.assert_allclose(moved, np.vstack((np.zeros((3, 3)), np.eye(3) * math.radians(0.5))), atol=1e-15)
+    turned = LEVEL.copy()
+    turned[X.Q] = so3.quat_exp(np.array([0.3, -0.2, 1.1]))
+    np.testing.assert_allclose(slow.moves(turned)[3:], so3.matrix(turned[X.Q]) @ moved[3:], atol=1e-15)
+
+
+def test_positions_alone_have_no_axes() -> None:
+    position = _fix(covariance=_without([3, 4, 5], 1e6))
+    assert _aid(position, PoseConfig(tilt_deg=0.5, mount_deg=0.5)).slow_errors == ()
+    assert len(_aid(_fix(), PoseConfig(tilt_deg=0.5, mount_deg=0.5)).slow_errors) == 2
 
 
 def test_a_common_part_of_what_is_not_given_is_left_out() -> None:
@@ -231,7 +249,7 @@ def test_a_landmark_fix_is_a_pose_fix_too() -> None:
 
 
 def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() -> None:
-    config = PoseConfig(tilt_deg=0.0, lasting_share=0.6, lasting_s=2.0)
+    config = PoseConfig(tilt_deg=0.0, mount_deg=0.0, lasting_share=0.6, lasting_s=2.0)
     aid = _aid(_fix(), config)
     (look,) = aid.slow_errors
     z = aid.measurement(None)
@@ -243,5 +261,5 @@ def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() 
 
 
 def test_landmark_fixes_last_and_others_do_not_unless_told_so() -> None:
-    assert _aid(_fix(), PoseConfig(tilt_deg=0.0)).slow_errors == ()
+    assert _aid(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.0)).slow_errors == ()
     assert [s.block for s in _aid(_landmark_fix(Q), LandmarkFixConfig()).slow_errors][-1] == "/landfix/fix.look"

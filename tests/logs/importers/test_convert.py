@@ -80,7 +80,7 @@ def test_the_configuration_beside_it(flight: Path, tmp_path: Path) -> None:
         "accel_noise": 0.3,
         "gyro_walk": 1e-4,
         "accel_walk": 5e-3,
-        "gyro_scale": 3e-3,
+        "gyro_scale": 1e-3,
     }
     assert config["inputs"] == {
         "imu": ["/imu"],
@@ -122,7 +122,7 @@ def test_all_of_settings_reaches_the_text() -> None:
             "accel_noise": 0.25,
             "gyro_walk": 3e-5,
             "accel_walk": 4e-3,
-            "gyro_scale": 3e-3,
+            "gyro_scale": 1e-3,
         },
         "inputs": {"imu": ["/imu"], "gnss": ["/gnss", "/gnss2"], "gnss_velocity": ["/gnss/velocity"], "baro": ["/baro"]},
         "gnss": {"delay_s": 0.21, "antenna_b_m": [0.1, -0.2, 0.3], "slow_sigma_m": 0.02},
