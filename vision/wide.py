@@ -56,9 +56,10 @@ class Grid:
         return len(self.su) * len(self.sv) * len(self.others)
 
 
-def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array]]:
-    """Score and q of the local summits in each turn and scale, best first."""
-    information, found = np.linalg.inv(motion.covariance).astype(np.float64), list[tuple[float, Array]]()
+def summits(stage: Stage, motion: Motion, grid: Grid) -> tuple[Array, Array]:
+    """Scores (N,) and q (N, 4) of the local summits in each turn and scale, best first."""
+    information = np.linalg.inv(motion.covariance).astype(np.float64)
+    scores, found = list[Array](), list[Array]()
     for shape, others in _by_shape(grid.others, _width(stage.own_radius(), stage.level.size)).items():
         start = _middles(stage, motion, shape)
         middles = [_middles(stage, motion, other) for other in others]
@@ -68,9 +69,12 @@ def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array
         for other, middle in zip(others, middles, strict=True):
             total = _together(votes, middle, px, window, stage.camera, grid.su, grid.sv)
             _score(total, stage.level.size, grid.su, grid.sv, other, information, grid.chi2)
-            for score, v, u in zip(*_peaks(total), strict=True):
-                found.append((float(score), np.array([grid.su[u], grid.sv[v], *other])))
-    return sorted(found, key=lambda one: -one[0])
+            score, v, u = _peaks(total)
+            scores.append(score)
+            found.append(np.column_stack((grid.su[u], grid.sv[v], np.full(len(u), other[0]), np.full(len(u), other[1]))))
+    every = np.concatenate(scores)
+    order = np.argsort(-every, kind="stable")
+    return every[order], np.concatenate(found)[order]
 
 
 def _width(radius: float, step: int) -> float:
