@@ -215,7 +215,7 @@ def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, i
 
     Corners that are not before the camera do not count; without any there is nothing.
     """
-    good, limit = np.isfinite(px).all(axis=1)[:, None], np.array([eye.camera.width, eye.camera.height])
+    good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
     low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
     high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])
     shown = np.isfinite(low)
