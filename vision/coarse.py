@@ -153,8 +153,8 @@ class Search:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
         if stage.voters is None:
             return []
-        found = summits(stage, self.motion, self._grid(stage.level.size))
-        peaks = [q for score, q in found[: _CLOSE * self.config.summits] if score >= min(_LOW * found[0][0], found[0][0])]
+        score, q = (most[: _CLOSE * self.config.summits] for most in summits(stage, self.motion, self._grid(stage.level.size)))
+        peaks = list(q[score >= np.minimum(_LOW * score[:1], score[:1])])
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
 
     def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:

@@ -62,17 +62,7 @@ class Measured:
         G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
         Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
         """
-        size = len(omega)
-        limited, floor, others = omega / factor, self._floor(), np.arange(POSE, size)
-        limited[others, others] += 1.0 - 1.0 / factor
-        limited[:POSE, :POSE] += floor
-        inverse = _of_pose(limited)
-        every = system.A.reshape(-1, size)
-        gain = system.W @ (every @ inverse).reshape(*system.z.shape, POSE) / factor  # G^T (E, M, 6)
-        gains = gain.reshape(-1, POSE)
-        noise = factor * gains.T @ (system.R @ gain).reshape(-1, POSE)
-        image = noise + (inverse[:POSE] @ floor) @ inverse[:POSE]
-        moved = gains.T @ every[:, POSE:]
+        image, moved = _covariances(system.A, system.W, system.R, omega, self._floor(), factor)
         if self.rank == POSE:
             return image, moved
         through = self.through
@@ -133,6 +123,39 @@ def _white(omega: Array, low: Array) -> Array:
     cholesky.forward(low, white)
     cholesky.symmetrise(white)
     return white
+
+
+@njit(cache=True)
+def _covariances(A: Array, W: Array, R: Array, omega: Array, floor: Array, factor: float) -> tuple[Array, Array]:
+    """image (6, 6) and moved (6, P) of Measured.covariances, where all directions are measured; floor (6, 6): what is added."""
+    edges, numbers, size = A.shape
+    limited = omega / factor
+    limited[:POSE, :POSE] += floor
+    for k in range(POSE, size):
+        limited[k, k] += 1.0 - 1.0 / factor
+    inverse = _of_pose(limited)
+    image, moved = inverse[:POSE] @ floor @ inverse[:POSE], np.zeros((POSE, size - POSE))
+    for e in range(edges):
+        if not W[e].any():
+            continue
+        seen, gain = np.zeros((numbers, POSE)), np.zeros((numbers, POSE))  # A Omega^-1, and G^T
+        for i in range(numbers):
+            for k in range(size):
+                if A[e, i, k] != 0.0:
+                    for p in range(POSE):
+                        seen[i, p] += A[e, i, k] * inverse[k, p]
+        for i in range(numbers):
+            for j in range(numbers):
+                for p in range(POSE):
+                    gain[i, p] += W[e, i, j] * seen[j, p] / factor
+        for i in range(numbers):
+            for p in range(POSE):
+                for j in range(numbers):
+                    for q in range(POSE):
+                        image[p, q] += factor * gain[i, p] * R[e, i, j] * gain[j, q]
+                for k in range(size - POSE):
+                    moved[p, k] += gain[i, p] * A[e, i, POSE + k]
+    return image, moved
 
 
 @njit(cache=True)

@@ -23,12 +23,9 @@ from vision.edge_lines import EdgeLines, compress, lines_of
 from vision.joint import POSE
 from vision.sensitivity import (
     MAPPED_FROM,
-    EdgeView,
-    Eye,
     Samples,
     derived,
     ends_of,
-    ends_px,
     eyes,
     partners_off,
     sample_edges,
@@ -107,7 +104,7 @@ class Scene:
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
-        self.images = [None if image is None else _channels(image) for image in views]
+        self.images = [None if image is None else channels(image) for image in views]
         self.map_sigma = np.array([_sigmas(m) for m in landmarks])  # (L, M)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
         self.map_column = np.full(self.map_sigma.size, -1)
@@ -191,7 +188,7 @@ def _looked(
     px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     if search:
-        offsets, usable = _search(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search)
+        offsets, usable = roof_offsets(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search)
         opened[k] = 0.0
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
@@ -247,7 +244,8 @@ def _sigmas(mark: Landmark) -> tuple[float, ...]:
     return mark.sigma_m, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m, ground, ground
 
 
-def _channels(image: Image) -> Image:
+def channels(image: Image) -> Image:
+    """(H, W, C)."""
     return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
 
 
@@ -267,23 +265,12 @@ def _root(covariance: Array | None) -> Array:
     return root
 
 
-def roof_offsets(
-    image: Image, edges: ModelEdges, samples: Samples, seen: EdgeView, pose: tuple[Array, Array], eye: Eye, half: int
-) -> tuple[Array, Mask]:
-    """Offsets (N,) px of roof edges from where the roof's colour ends, and usable samples (N,)."""
-    offsets, usable = _search(
-        image, seen.px, seen.normal, seen.usable, samples.edge, edges.kind, edges.raised, edges.landmark, edges.partner,
-        ends_px(edges, eye, pose), half,
-    )  # fmt: skip
-    return offsets, usable
-
-
 @njit(cache=True)
-def _search(
+def roof_offsets(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, half: int,
 ) -> tuple[Array, Mask]:  # fmt: skip
-    """Offsets (N,) px and usable samples (N,), as roof_offsets."""
+    """Offsets (N,) px of roof edges from where the roof's colour ends, and usable samples (N,); ends (2 E, 2) px of the edges."""
     roof = kind == _ROOF
     usable = seen & ~outline.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
     values = outline.profiles(image, px, normal, half, 1.0, 1, usable)

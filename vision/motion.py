@@ -22,6 +22,7 @@ from models.messages import Array
 from vision.identify import Prior
 from vision.pose import Pose
 from vision.sensitivity import Eye, part_in_view
+from vision.visibility import Prisms
 
 _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
 
@@ -74,7 +75,7 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
     pinhole = straight(eye)
     p_n = np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
-    aside, corners = _ASIDE * eye.camera.width, np.concatenate([np.empty((0, 3)), *(_roof(mark) for mark in landmarks)])
+    aside, corners = _ASIDE * eye.camera.width, Prisms.of(landmarks).roofs
     points = corners[pinhole.camera.contains(pinhole.camera.project((corners - p_nk) @ R_nk), -aside)]
     if len(points) < _LEAST and landmarks:  # of what is larger than the picture sides are seen, not corners
         points = roofs_in_view(pinhole, landmarks, (p_n, prior.R_nb), aside)[0]
@@ -101,11 +102,9 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
 def roofs_in_view(eye: Eye, landmarks: Sequence[Landmark], pose: Pose, aside_px: float) -> tuple[Array, NDArray[np.int64]]:
     """Ends (N, 3) of what the picture, enlarged by aside_px all around, shows of the roofs' sides, and whose they are (N,)."""
     wide = Eye(enlarged(eye.camera, math.ceil(aside_px)), eye.R_kb, eye.p_bk, eye.right)
-    count = np.array([len(mark.outline_n) for mark in landmarks])
-    outlines = np.concatenate([mark.outline_n for mark in landmarks])
-    start = np.column_stack((outlines, np.repeat([mark.roof_d for mark in landmarks], count)))
-    last, following = np.cumsum(count) - 1, np.arange(1, len(start) + 1)
-    following[last] -= count
+    bodies = Prisms.of(landmarks)
+    start, count, following = bodies.roofs, np.diff(bodies.offsets), np.arange(1, len(bodies.vertices) + 1)
+    following[bodies.offsets[1:] - 1] -= count
     end = start[following]
     part = part_in_view(wide, start, end, pose)
     seen = part[:, 0] < part[:, 1]
@@ -137,10 +136,6 @@ def straight(eye: Eye) -> Eye:
 @lru_cache(maxsize=8)
 def _pinhole(c: CameraModel) -> CameraModel:
     return CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy)
-
-
-def _roof(mark: Landmark) -> Array:
-    return np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
 
 
 def similarity(r: Array) -> Array:

@@ -247,7 +247,8 @@ def _moved_px(eye: Eye, marks: list[Landmark], place: Candidate, chosen: list[in
     """How far the middles of the roofs moved from where the search found them: the median, px."""
     before = _middles(eye, marks, place.pose, place.shift_m[chosen])
     after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
-    return float(np.nanmedian(np.linalg.norm(after - before, axis=1)))
+    moved = np.linalg.norm(after - before, axis=1)
+    return float(np.median(moved[~np.isnan(moved)]))
 
 
 def _whole(fit: PoseEstimate) -> bool:

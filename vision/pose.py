@@ -111,8 +111,8 @@ class _Fit:
 
     def __init__(self, scene: Scene, start: Pose, prior: Prior, shift_m: Array | None) -> None:
         self.scene, self.prior = scene, prior
-        self.p_n, self.R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
-        self.p0, self.q0 = np.asarray(prior.p_n, dtype=float), np.asarray(prior.q_nb_wxyz, dtype=float)
+        self.p_n, self.R_nb = (np.array(part, dtype=np.float64, order="C") for part in start)
+        self.p0, self.q0 = (np.ascontiguousarray(part, dtype=np.float64) for part in (prior.p_n, prior.q_nb_wxyz))
         self.information = prior.information
         sigma = scene.map_sigma
         self.shift_m = np.zeros_like(sigma) if shift_m is None else np.where(sigma > 0.0, shift_m, 0.0)
@@ -121,7 +121,7 @@ class _Fit:
 
     def delta(self) -> Array:
         """x (-) x0: how far the pose is from the prior's, (6,)."""
-        return difference(self.p_n, self.R_nb, self.p0, self.q0)
+        return np.asarray(_difference(self.p_n, self.R_nb, self.p0, self.q0))
 
     def turned(self, seen: Look) -> Array:
         """(E, K, 2, T) as Look.A: round landmarks turned about their middles by any angle, which nobody sees.

@@ -31,6 +31,7 @@ from vision.sensitivity import Eye, eyes
 from vision.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
 from vision.visibility import Prisms
 
+Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
@@ -195,26 +196,28 @@ def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -
     """One line for each landmark that would be in view."""
     p_nk, R_nk = eye.pose(*place.pose)
     bodies, said = Prisms.of(marks), []
-    roofs = np.column_stack((bodies.vertices, np.repeat(bodies.base_d - bodies.height_m, np.diff(bodies.offsets))))
+    roofs = bodies.roofs
     roofs[:, :2] += np.repeat(place.shift_m[:, :2], np.diff(bodies.offsets), axis=0)
-    corners = eye.camera.project((roofs - p_nk) @ R_nk)
+    boxes = _boxes(eye, eye.camera.project((roofs - p_nk) @ R_nk), bodies.offsets)
     for k, mark in enumerate(marks):
         if place.length[k] <= 0.0:
             continue
-        px = corners[bodies.offsets[k] : bodies.offsets[k + 1]]
         share = float(place.support[k] / place.length[k])
         said.append(RegionReport(
-            "open" if trusted[k] else "not_found", _box(eye, px), mark.id, min(share, 1.0), 0.0, int(trusted[k]),
+            "open" if trusted[k] else "not_found", boxes[k], mark.id, min(share, 1.0), 0.0, int(trusted[k]),
             f"{share:.0%} of its outline lies on edges", PATH,
         ))  # fmt: skip
     return said
 
 
-def _box(eye: Eye, px: Array) -> tuple[int, int, int, int]:
-    good = px[np.isfinite(px).all(axis=1)]
-    if not len(good):
-        return 0, 0, 0, 0
-    limit = np.array([eye.camera.width, eye.camera.height])
-    low = np.clip(np.floor(good.min(axis=0)), 0, limit).astype(int)
-    high = np.clip(np.ceil(good.max(axis=0)), 0, limit).astype(int)
-    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
+    """Left, top, width and height of what the picture holds of each landmark, whose corners are px[offsets[k] : offsets[k + 1]].
+
+    Corners that are not before the camera do not count; without any there is nothing.
+    """
+    good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
+    low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
+    high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])
+    shown = np.isfinite(low)
+    low, high = np.where(shown, np.clip(np.floor(low), 0, limit), 0), np.where(shown, np.clip(np.ceil(high), 0, limit), 0)
+    return [(u, v, w, h) for u, v, w, h in np.column_stack((low, high - low)).astype(int).tolist()]

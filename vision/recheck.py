@@ -17,15 +17,19 @@ from numpy.typing import NDArray
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.look import LookConfig, Scene, roof_offsets
-from vision.pose import Pose, PoseEstimate
+from vision.look import LookConfig, channels, roof_offsets
+from vision.pose import PoseEstimate
 from vision.rectify import Image
-from vision.sensitivity import Eye, Samples, edge_gaps, eyes, sample_edges, view
+from vision.sensitivity import ends_of, eyes, partners_off, sample_edges, viewed
 from vision.stands import across, log_likelihood_ratio
-from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
+from vision.visibility import Kind, Prisms, visible_edges
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Drawn = tuple[Array, Array, Indices, Indices, Indices, Mask]
+OnEdges = tuple[Array, Array, Indices]
+Bodies = tuple[Array, Indices, Array, Array]
+Stand = tuple[Array, Array, Array, Array]
 _ROOF = int(Kind.ROOF)
 _HALF_PX = 8
 _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
@@ -59,25 +63,25 @@ def recheck(
     rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
 ) -> Recheck:
     """Look at the roofs from the pose that prior and pictures gave together."""
-    scene = Scene(rig, views, landmarks)
-    pose = fit.joint_p_n, fit.joint_R_nb
-    shown = [(eye, image) for eye, image in zip(eyes(rig), scene.images, strict=True) if image is not None]
-    prisms, edges = scene.prisms.moved(fit.shift_m), visible_edges(scene.prisms, shown[0][0].pose(*pose)[0], fit.shift_m)
-    samples, walls = (
+    pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
+    shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
+    prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
+    roofs, walls = (
         sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, wanted)
         for wanted in (edges.kind == _ROOF, edges.kind != _ROOF)
     )
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
+    drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised
+    bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
+    on_roofs, on_walls = ((some.points_n, some.t, some.edge) for some in (roofs, walls))
     offsets, normals, sums = [], [], []
     for k, (eye, image) in enumerate(shown):
-        seen = view(edges, samples, eye, *pose, prisms)
-        offset, good = roof_offsets(image, edges, samples, seen, pose, eye, _HALF_PX)
-        _count(offset, good, seen.x_c, samples.edge, edges.landmark, eye.camera.fx * outline_sigma, found[k], given[k])
+        stand, camera, slack = eye.stand(*pose), eye.camera.parameters, _OF_MAP * eye.camera.fx * outline_sigma
+        offset, normal, told = _looked_at(image, drawn, on_roofs, on_walls, bodies, stand, camera, slack, found[k], given[k])
         offsets.append(offset)
-        normals.append(seen.normal)
-        roofs = across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable)
-        sums.append(roofs + _walls(image, edges, walls, eye, pose, prisms))
+        normals.append(normal)
+        sums.append(told)
     pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
     stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), edges.kind != _ROOF)
@@ -85,27 +89,43 @@ def recheck(
     return Recheck(np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), stands, pictures, apart)
 
 
-def _walls(image: Image, edges: ModelEdges, samples: Samples, eye: Eye, pose: Pose, prisms: Prisms) -> Array:
-    """across() of feet and corners of walls; none of feet so near the roof's edge that this one's gradient is theirs as well."""
-    seen = view(edges, samples, eye, *pose, prisms)
-    apart = (edges.partner < 0) | (np.abs(edge_gaps(edges, samples, seen, eye, *pose)) > _GAP_PX)
-    return across(image, seen.px, seen.normal, samples.edge, len(edges.kind), seen.usable & apart[samples.edge])
+@njit(cache=True)
+def _looked_at(
+    image: Image, drawn: Drawn, roofs: OnEdges, walls: OnEdges, bodies: Bodies, stand: Stand, camera: Array, slack: Array,
+    found: Array, given: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Offsets (N,) px and normals (N, 2) of the samples of roofs in one picture, and across() (E, C + 1) of roofs and walls;
+    counts in found and given (L,) as _count. drawn: ModelEdges; roofs, walls: Samples; bodies: Prisms; stand: as Eye.stand.
+
+    Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
+    """
+    start, end, landmark, kind, partner, raised = drawn
+    points, _, edge = roofs
+    px, normal, _, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
+    ends = ends_of(start, end, *stand, camera)
+    offset, good = roof_offsets(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, _HALF_PX)
+    _count(offset, good, x_c, edge, landmark, slack, found, given)
+    told = across(image, px, normal, edge, len(kind), seen)
+    points, t, edge = walls
+    px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
+    gap = partners_off(start, end, partner, edge, t, *stand, camera, px, along)
+    apart = (partner < 0) | (np.abs(gap) > _GAP_PX)
+    return offset, normal, told + across(image, px, along, edge, len(kind), seen & apart[edge])
 
 
 @njit(cache=True)
 def _count(
-    offset: Array, usable: Mask, x_c: Array, edge: Indices, landmark: Indices, sigma: Array, found: Array, given: Array
+    offset: Array, usable: Mask, x_c: Array, edge: Indices, landmark: Indices, slack: Array, found: Array, given: Array
 ) -> None:
     """Count usable points of each landmark in given (L,), and in found (L,) those whose offset (N,) px is near enough.
 
-    x_c (N, 3) m in the camera; edge (N,), landmark (E,); sigma (L,) of the map's outline, px m.
+    x_c (N, 3) m in the camera; edge (N,), landmark (E,); slack (L,): what the map leaves open of the outline, px m.
     """
     for i in range(len(offset)):
         if usable[i]:
             m = landmark[edge[i]]
-            slack = _OF_MAP * sigma[m] / max(x_c[i, 2], 1e-3)
             given[m] += 1.0
-            if abs(offset[i]) < min(math.hypot(_NEAR_PX, slack), _FARTHEST_PX):
+            if abs(offset[i]) < min(math.hypot(_NEAR_PX, slack[m] / max(x_c[i, 2], 1e-3)), _FARTHEST_PX):
                 found[m] += 1.0
 
 

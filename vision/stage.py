@@ -148,4 +148,4 @@ def _across(aimed: Array, camera: Array, width: int, height: int, size: int, mid
 def _growths(open_m: Array, metre_px: Array) -> Array:
     """Growths (K, L) m up to open_m (L,), none first; from the next of them sides are off by a pixel, as turns and scales."""
     n = math.ceil(max(float(np.max(open_m * metre_px)) / 2.0 - 0.5, 0.0))
-    return np.outer(sorted(range(-n, n + 1), key=abs), open_m / max(n, 1))
+    return np.array(sorted(range(-n, n + 1), key=abs))[:, None] * (open_m / max(n, 1))

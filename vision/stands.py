@@ -63,19 +63,17 @@ def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, w
 
     Pictures of one pair show the same texture, so their points count once.
     """
-    shown = np.sum([one[:, -1] > 0.0 for one in sums], axis=0)
-    hidden, elsewhere = np.where(wall, _WALL_HIDDEN, _HIDDEN), np.where(wall, _WALL_ELSEWHERE, _ELSEWHERE)
-    return np.asarray(_log_ratio(np.sum(sums, axis=0), shown, landmark, landmarks, hidden, elsewhere))
+    return np.asarray(_log_ratio(np.array(sums), landmark, landmarks, wall))
 
 
 @njit(cache=True)
-def _log_ratio(total: Array, shown: Indices, landmark: Indices, landmarks: int, hidden: Array, elsewhere: Array) -> Array:
-    """log LR (L,) of the sum (E, C + 1) over all pictures, each edge in shown (E,) of them; hidden, elsewhere (E,): h, q."""
-    told = np.zeros(landmarks)
-    for e in range(len(total)):
-        h, q = hidden[e], elsewhere[e]
+def _log_ratio(sums: Array, landmark: Indices, landmarks: int, wall: Mask) -> Array:
+    """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all pictures."""
+    told, total = np.zeros(landmarks), np.sum(sums, axis=0)
+    for e in range(len(landmark)):
+        h, q = (_WALL_HIDDEN, _WALL_ELSEWHERE) if wall[e] else (_HIDDEN, _ELSEWHERE)
         points = total[e, -1]
-        n = points / max(shown[e], 1)
+        n = points / max(np.count_nonzero(sums[:, e, -1]), 1)
         if n >= _LEAST_POINTS:
             a = math.sqrt(np.sum(total[e, :-1] ** 2)) / points
             edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz

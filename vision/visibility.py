@@ -70,6 +70,11 @@ class Prisms:
             np.array([mark.height_m for mark in landmarks], dtype=np.float64),
         )
 
+    @property
+    def roofs(self) -> Array:
+        """Corners (V, 3) of the roofs."""
+        return np.column_stack((self.vertices, np.repeat(self.base_d - self.height_m, np.diff(self.offsets))))
+
     def moved(self, shift_m: Array) -> "Prisms":
         """As they stand if they are off the map by shift_m (L, M): what hides is as much elsewhere as what is hidden."""
         vertices = _moved(self.vertices, self.offsets, shift_m)

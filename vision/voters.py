@@ -168,12 +168,7 @@ def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) ->
 
 def chromas(landmarks: Sequence[Landmark]) -> Array:
     """Unit vectors (L, 3) of the colours without their grey part, 0 where there is none."""
-    return np.array([_chroma(mark) for mark in landmarks])
-
-
-def _chroma(mark: Landmark) -> Array:
-    if mark.colour_bgr is None:
-        return np.zeros(3)
-    chroma = np.array(mark.colour_bgr, dtype=float) - np.mean(mark.colour_bgr)
-    size = float(np.linalg.norm(chroma))
-    return chroma / size if size > _LEAST_CHROMA else np.zeros(3)
+    colour = np.array([mark.colour_bgr or (0, 0, 0) for mark in landmarks], dtype=np.float64).reshape(-1, 3)
+    chroma = colour - np.mean(colour, axis=1, keepdims=True)
+    size = np.linalg.norm(chroma, axis=1, keepdims=True)
+    return np.where(size > _LEAST_CHROMA, chroma / np.maximum(size, _LEAST_CHROMA), 0.0)

@@ -34,65 +34,61 @@ def vote(
     """
     rows, columns = field.shape[0], field.shape[1]
     pixels = field.reshape(rows * columns, field.shape[2])
-    support = np.zeros((marks, len(su), len(sv)))
-    seen = np.zeros((marks, len(su), len(sv)))
-    scale, cx, cy = np.array([camera[0], camera[1], 1.0]), camera[2] + 0.5, camera[3] + 0.5
-    most = int(np.max(np.diff(first)))
-    row = np.empty((most, 6))  # an edge's points at one shift in v: K x_c, its step in u;
-    at = np.empty((most, len(su)), np.int32)  # and the pixels they meet at each shift in u
+    shifts = len(su) * len(sv)
+    u, v = np.repeat(su, len(sv)), np.empty(shifts)
+    for k in range(shifts):
+        v[k] = sv[k % len(sv)]
+    support, seen = np.zeros((marks, shifts)), np.zeros((marks, shifts))
+    at = np.empty((int(np.max(np.diff(first))), shifts), np.int32)  # the pixels that an edge's points meet at each shift
     for e in range(len(mark)):  # edge by edge: what it meets of the field stays in the cache
         points, m, begin = first[e + 1] - first[e], mark[e], first[e]
         for i in range(points):
-            for k in range(3):
-                row[i, 3 + k] = scale[k] * aimed[begin + i, 3 + k]
-        for b in range(len(sv)):
+            _pixels_met(aimed[begin + i], camera, u, v, rows, columns, at[i])
+        for k in range(shifts):
+            g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
+            own, own_total = 0.0, 0.0
             for i in range(points):
-                for k in range(3):
-                    row[i, k] = scale[k] * (aimed[begin + i, k] + sv[b] * aimed[begin + i, 6 + k])
-                _pixels_met(row[i], su, cx, cy, rows, columns, at[i])
-            for a in range(len(su)):
-                g0, g1, g2, total, count = 0.0, 0.0, 0.0, 0.0, 0
-                own, own_total = 0.0, 0.0
-                for i in range(points):
-                    if at[i, a] < 0:
-                        continue
-                    here = pixels[np.uint64(at[i, a])]
-                    if here[6] < 0.0:
-                        continue
-                    nu, nv, size = aimed[begin + i, 9], aimed[begin + i, 10], here[6] + floor
-                    h0, h1, h2 = here[0] * nu + here[3] * nv, here[1] * nu + here[4] * nv, here[2] * nu + here[5] * nv
-                    g0 += h0
-                    g1 += h1
-                    g2 += h2
-                    own += h0 * h0 + h1 * h1 + h2 * h2
-                    total += size
-                    own_total += size * size
-                    count += 1
-                if count < LEAST_POINTS:
+                if at[i, k] < 0:
                     continue
-                n = count * length[e]
-                share = (g0 * g0 + g1 * g1 + g2 * g2 - own) / (total * total - own_total)
-                if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0 and share > 0.0:
-                    share *= WRONG_SIDE
-                support[m, a, b] += n * share
-                seen[m, a, b] += n
-    return support, seen
+                here = pixels[np.uint64(at[i, k])]
+                if here[6] < 0.0:
+                    continue
+                nu, nv, size = aimed[begin + i, 9], aimed[begin + i, 10], here[6] + floor
+                h0, h1, h2 = here[0] * nu + here[3] * nv, here[1] * nu + here[4] * nv, here[2] * nu + here[5] * nv
+                g0 += h0
+                g1 += h1
+                g2 += h2
+                own += h0 * h0 + h1 * h1 + h2 * h2
+                total += size
+                own_total += size * size
+                count += 1
+            if count < LEAST_POINTS:
+                continue
+            n = count * length[e]
+            share = (g0 * g0 + g1 * g1 + g2 * g2 - own) / (total * total - own_total)
+            if g0 * chroma[e, 0] + g1 * chroma[e, 1] + g2 * chroma[e, 2] > 0.0 and share > 0.0:
+                share *= WRONG_SIDE
+            support[m, k] += n * share
+            seen[m, k] += n
+    return support.reshape(marks, len(su), len(sv)), seen.reshape(marks, len(su), len(sv))
 
 
 @njit(cache=True, error_model="numpy")
-def _pixels_met(row: Array, su: Array, cx: float, cy: float, rows: int, columns: int, at: NDArray[np.int32]) -> None:
-    """Number at (U,) of the pixel that a point meets at shifts su (U,), -1 outside: K (x_c + su d x_c) = row.
+def _pixels_met(aimed: Array, camera: Array, su: Array, sv: Array, rows: int, columns: int, at: NDArray[np.int32]) -> None:
+    """Number at (S,) of the pixel that a point aimed (11,) meets at shifts su, sv (S,), -1 outside: K (x_c + su d_u + sv d_v).
 
     Without a branch, so that it is done for several shifts at once.
     """
-    x, y, z0, dx, dy, dz = row[0], row[1], row[2], row[3], row[4], row[5]
+    fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5
+    x, y, z, xv, yv, zv = aimed[0], aimed[1], aimed[2], aimed[6], aimed[7], aimed[8]
+    xu, yu, zu = fx * aimed[3], fy * aimed[4], aimed[5]
     right, bottom = columns - 1.0, rows - 1.0
-    for a in range(len(su)):
-        z = z0 + su[a] * dz
-        u, v = (x + su[a] * dx) / z + cx, (y + su[a] * dy) / z + cy
-        met = (z > 0.0) & (u >= 1.0) & (v >= 1.0) & (u < right) & (v < bottom)
+    for k in range(len(at)):
+        depth = z + sv[k] * zv + su[k] * zu
+        u, v = (fx * (x + sv[k] * xv) + su[k] * xu) / depth + cx, (fy * (y + sv[k] * yv) + su[k] * yu) / depth + cy
+        met = (depth > 0.0) & (u >= 1.0) & (v >= 1.0) & (u < right) & (v < bottom)
         pixel = np.int32(v) * np.int32(columns) + np.int32(u)
-        at[a] = pixel if met else np.int32(-1)
+        at[k] = pixel if met else np.int32(-1)
 
 
 @njit(cache=True)

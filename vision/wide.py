@@ -56,21 +56,24 @@ class Grid:
         return len(self.su) * len(self.sv) * len(self.others)
 
 
-def summits(stage: Stage, motion: Motion, grid: Grid) -> list[tuple[float, Array]]:
-    """Score and q of the local summits in each turn and scale, best first."""
-    information, found = np.linalg.inv(motion.covariance).astype(np.float64), list[tuple[float, Array]]()
+def summits(stage: Stage, motion: Motion, grid: Grid) -> tuple[Array, Array]:
+    """Scores (N,) and q (N, 4) of the local summits in each turn and scale, best first."""
+    information = np.linalg.inv(motion.covariance).astype(np.float64)
+    scores, found = list[Array](), list[Array]()
     for shape, others in _by_shape(grid.others, _width(stage.own_radius(), stage.level.size)).items():
         start = _middles(stage, motion, shape)
-        middles = [_middles(stage, motion, other) for other in others]
+        middles = np.array([_middles(stage, motion, other) for other in others])
         px = np.where(start[:, 2:3] > 0.0, start[:, :2] / start[:, 2:3] * stage.camera[:2], np.nan)
-        window = _window(np.array(middles), px, stage.camera, grid.su, grid.sv)
+        window = _window(middles, px, stage.camera, grid.su, grid.sv)
         votes = stage.rigid_votes(stage.aimed(motion.pose(motion.gain @ np.array([0.0, 0.0, *shape]))), window)
-        for other, middle in zip(others, middles, strict=True):
-            total = _together(votes, middle, px, window, stage.camera, grid.su, grid.sv)
-            _score(total, stage.level.size, grid.su, grid.sv, other, information, grid.chi2)
-            for score, v, u in zip(*_peaks(total), strict=True):
-                found.append((float(score), np.array([grid.su[u], grid.sv[v], *other])))
-    return sorted(found, key=lambda one: -one[0])
+        score, q = _summits(
+            votes, middles, np.array(others), px, window, stage.camera, grid.su, grid.sv, stage.level.size, information, grid.chi2
+        )
+        scores.append(score)
+        found.append(q)
+    every = np.concatenate(scores)
+    order = np.argsort(-every, kind="stable")
+    return every[order], np.concatenate(found)[order]
 
 
 def _width(radius: float, step: int) -> float:
@@ -112,6 +115,23 @@ def _window(middles: Array, start_px: Array, camera: Array, su: Array, sv: Array
     return int(np.rint(left)), int(np.rint(right)), int(np.rint(top)), int(np.rint(bottom))
 
 
+@njit(cache=True)
+def _summits(
+    votes: Array, middles: Array, others: Array, start_px: Array, window: Window, camera: Array, su: Array, sv: Array,
+    size: float, information: Array, most: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Scores (N,) and q (N, 4) of the local summits in turns and scales (K, 2), where middles (K, L, 11) are as aimed."""
+    scores, q, n = np.empty(_SUMMITS * len(others)), np.empty((_SUMMITS * len(others), 4)), 0
+    for k in range(len(others)):
+        total = _together(votes, middles[k], start_px, window, camera, su, sv)
+        _score(total, size, su, sv, others[k], information, most)
+        score, v, u = _peaks(total)
+        for i in range(len(score)):
+            scores[n], q[n, 0], q[n, 1], q[n, 2], q[n, 3] = score[i], su[u[i]], sv[v[i]], others[k, 0], others[k, 1]
+            n += 1
+    return scores[:n].copy(), q[:n].copy()
+
+
 @njit(cache=True, error_model="numpy")
 def _together(votes: Array, middle: Array, start_px: Array, window: Window, camera: Array, su: Array, sv: Array) -> Array:
     """Sum (V, U) of the votes (L, rows, columns) of landmarks in a window about start_px (L, 2), where a shift puts their middle
@@ -137,7 +157,7 @@ def _together(votes: Array, middle: Array, start_px: Array, window: Window, came
 
 
 @njit(cache=True)
-def _score(total: Array, size: float, su: Array, sv: Array, other: Other, information: Array, most: float) -> None:
+def _score(total: Array, size: float, su: Array, sv: Array, other: Array, information: Array, most: float) -> None:
     """From votes, in pixels that are `size` wide, to scores (V, U) of all shifts with one turn and scale:
     size total - q^T Q^-1 q / 2, and _NEVER where q^T Q^-1 q is more than `most`.
     """
