@@ -160,7 +160,9 @@ def test_axes_of_fixes_that_do_not_say_how_they_are_mounted_are_turned_against_t
     np.testing.assert_allclose(moved, np.vstack((np.zeros((3, 3)), np.eye(3) * math.radians(0.5))), atol=1e-15)
     turned = LEVEL.copy()
     turned[X.Q] = so3.quat_exp(np.array([0.3, -0.2, 1.1]))
-    np.testing.assert_allclose(slow.moves(turned)[3:], so3.matrix(turned[X.Q]) @ moved[3:], atol=1e-15)
+    with_it = slow.moves(turned)
+    assert with_it is not None
+    np.testing.assert_allclose(with_it[3:], so3.matrix(turned[X.Q]) @ moved[3:], atol=1e-15)
 
 
 def test_positions_alone_have_no_axes() -> None:
