@@ -159,7 +159,7 @@ def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
 
 
 def _draw_events(axes: Axes, evidence: Evidence, outages: Spans) -> None:
-    """Outages as shades, fixes as ticks along the lower edge (used) and crosses along the upper one (not used)."""
+    """Outages as shades, fixes as ticks along the lower edge (used) and crosses on the upper one itself (not used)."""
     start, edge = int(evidence.estimate.t_ns[0]), axes.get_xaxis_transform()
     for k, span in enumerate(outages):
         label = None if k else "outage"
@@ -167,10 +167,10 @@ def _draw_events(axes: Axes, evidence: Evidence, outages: Spans) -> None:
     if evidence.fixes:
         t = np.concatenate([_seconds(f.t_ns, start) for f in evidence.fixes.values()])
         used = np.concatenate([f.used for f in evidence.fixes.values()])
-        low, high = np.full(int(used.sum()), 0.015), np.full(int((~used).sum()), 0.975)
+        low, high = np.full(int(used.sum()), 0.015), np.ones(int((~used).sum()))
         axes.plot(t[used], low, "|", color=GREEN, markersize=6, label="fix used", transform=edge)
         if len(high):
-            axes.plot(t[~used], high, "x", color=VERMILLION, markersize=4, label="fix not used", transform=edge)
+            axes.plot(t[~used], high, "x", color=VERMILLION, markersize=5, label="fix not used", transform=edge, clip_on=False)
 
 
 def _draw_fixes_from_above(axes: Axes, evidence: Evidence) -> None:
