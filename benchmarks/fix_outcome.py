@@ -18,7 +18,7 @@ class Outcome(msgspec.Struct, frozen=True):
     error_m, bound_m: of the position, prior and pictures together; position, pose: squared Mahalanobis distances of that
     posterior over 3 and 6; alone: per direction, of the pictures without the prior; wrong: off by more than 3 m and outside its
     own 99.99 % ellipse. name: what was tried; number: of the view; share: of the outlines in view; seconds, sift_s: what the fix,
-    and SIFT + FLANN, took.
+    and SIFT + FLANN, took; at_once: from the first pair.
     """
 
     height_m: float
@@ -39,6 +39,7 @@ class Outcome(msgspec.Struct, frozen=True):
     share: float = 1.0
     seconds: float = 0.0
     sift_s: float = 0.0
+    at_once: bool = True
 
 
 def outcome_of(view: View, fit: PoseEstimate | None, reason: str) -> Outcome:

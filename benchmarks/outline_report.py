@@ -33,13 +33,15 @@ def cells(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, list[Outcome]]]:
 def as_text(outcomes: Sequence[Outcome]) -> str:
     """The table for a person; a star marks what is out of the band."""
     lines = [
-        f"{'':36} {'views':>6} {'fixes':>7} {'right':>7} {'wrong':>6} {'RMS m':>7} {'/bound':>7}"
+        f"{'':36} {'views':>6} {'fixes':>7} {'at once':>7} {'right':>7} {'wrong':>6} {'RMS m':>7} {'/bound':>7}"
         f" {'d2/3':>7} {'d2/6':>7} {'alone':>7}"
     ]
     for name, some in cells(outcomes):
         fixes = [o for o in some if not o.reason]
+        once = [o for o in fixes if o.at_once]
         right = [o for o in fixes if o.position * 3.0 < GATE * 6.0]
-        line = f"{name:36} {len(some):6} {_part(fixes, some)} {_part(right, some)} {sum(o.wrong for o in fixes):6}"
+        parts = " ".join(_part(those, some) for those in (fixes, once, right))
+        line = f"{name:36} {len(some):6} {parts} {sum(o.wrong for o in fixes):6}"
         if fixes:
             rms = float(np.sqrt(np.mean([o.error_m**2 for o in fixes])))
             bounded = [(o.error_m / o.bound_m) ** 2 for o in fixes if o.bound_m > 0.0]

@@ -25,6 +25,8 @@ PRIOR_PX = 55.0  # 1 sigma of the shift: 3 sigma are the limit of the search
 TURN_DEG, TILT_DEG, HEIGHT = 2.0, 0.5, 0.03  # 1 sigma; HEIGHT of the height above ground
 DECOYS = ("turned", "shifted", "empty", "row", "gone", "one gone")
 _POINTS = 40  # of an outline, where its visible share is counted
+_ON, _TURN_RAD = 0.03, 0.02  # 1 sigma, from one picture to the next: of the height flown on, and turned
+_SLIP_M, _SLIP_RAD = 0.03, 1e-3  # 1 sigma, by which dead reckoning errs over that
 
 
 @dataclass(frozen=True)
@@ -48,27 +50,45 @@ def draw(seed: int, number: int, *, partial: bool = False) -> Shown:
 
 
 def prior_of(view: View, sigma_px: float, off_px: float | None = None, *, only_shift: bool = False) -> Prior:
-    """About the truth: drawn, or with a common shift of the outlines by off_px in a direction that is drawn, or only_shift."""
-    height = view.cell.height_m
+    """About the truth, drawn: the common shift of the outlines is known to sigma_px, as seen from the prior.
+
+    off_px: how far they are shifted, in a direction that is drawn; only_shift: and nothing else.
+    """
     tilt, turn = math.radians(TILT_DEG), math.radians(TURN_DEG)
-    sigma = np.array([*[sigma_px * height / 600.0] * 2, HEIGHT * height, tilt, tilt, turn])
-    error, direction = view.rng.normal(size=6) * sigma, view.rng.uniform(0.0, 2.0 * math.pi)
-    if off_px is None:
-        return _off(view, error, sigma)
-    if only_shift:
-        error[2:] = 0.0
-    shift = off_px * np.array([math.cos(direction), math.sin(direction)])
+    root = np.diag([0.0, 0.0, HEIGHT * view.cell.height_m, tilt, tilt, turn])
+    unit, direction = view.rng.normal(size=6), view.rng.uniform(0.0, 2.0 * math.pi)
+    shift = (off_px or 0.0) * np.array([math.cos(direction), math.sin(direction)])
+    error = np.zeros(6) if only_shift else root @ unit
     for _ in range(4):  # the prior's own view says how far a metre is
-        about = motion(eyes(view.rig)[0], view.landmarks, _off(view, error, sigma))
-        assert about is not None
-        error[:2] = np.linalg.solve(about.J[:2, :2], shift - about.J[:2, 2:] @ error[2:])
-    return _off(view, error, sigma)
+        J = _px_a_metre(view, _off(view, error, np.eye(6)))
+        root[:2, :2] = sigma_px * np.linalg.inv(J[:, :2])
+        error[:2] = root[:2, :2] @ unit[:2] if off_px is None else np.linalg.solve(J[:, :2], shift - J[:, 2:] @ error[2:])
+    return _off(view, error, root @ root.T)
 
 
-def _off(view: View, error: Array, sigma: Array) -> Prior:
+def _px_a_metre(view: View, prior: Prior) -> Array:
+    """By how many px the outlines as a whole are shifted as the prior errs, (2, 6)."""
+    about = motion(eyes(view.rig)[0], view.landmarks, prior)
+    assert about is not None
+    return about.J[:2]
+
+
+def _off(view: View, error: Array, covariance: Array) -> Prior:
     """A prior that is off by an error (6,)."""
     q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(np.ascontiguousarray(view.R_nb)))
-    return Prior(view.p_n - error[:3], so3.normalise(q), np.diag(sigma**2))
+    return Prior(view.p_n - error[:3], so3.normalise(q), covariance)
+
+
+def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
+    """Half a second on: the view from there, its pictures, and the prior, which errs as before but for a slip."""
+    rng = view.rng
+    way, turn = rng.normal(size=3) * _ON * view.cell.height_m, so3.quat_exp(rng.normal(size=3) * _TURN_RAD)
+    slip = np.array([_SLIP_M] * 3 + [_SLIP_RAD] * 3)
+    error = rng.normal(size=6) * slip
+    moved = replace(view, p_n=view.p_n + way, R_nb=so3.matrix(turn) @ view.R_nb)
+    q = so3.normalise(so3.multiply(so3.quat_exp(error[3:]), so3.multiply(turn, prior.q_nb_wxyz)))
+    pictures = render_pair(moved.world, moved.true_rig, moved.p_n, moved.R_nb, moved.conditions, rng)
+    return moved, pictures, Prior(prior.p_n + way + error[:3], q, prior.covariance + np.diag(slip**2))
 
 
 def visible_share(view: View) -> float:

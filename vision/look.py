@@ -188,7 +188,11 @@ def _looked(
     px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     if search:
-        offsets, usable = roof_offsets(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search)
+        distance, usable, hidden = distance_from_roof(
+            image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search
+        )
+        usable &= ~hidden
+        offsets = outline.search(distance, edge, len(kind), 1.0, usable)
         opened[k] = 0.0
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
@@ -266,17 +270,20 @@ def _root(covariance: Array | None) -> Array:
 
 
 @njit(cache=True)
-def roof_offsets(
+def distance_from_roof(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, half: int,
-) -> tuple[Array, Mask]:  # fmt: skip
-    """Offsets (N,) px of roof edges from where the roof's colour ends, and usable samples (N,); ends (2 E, 2) px of the edges."""
+) -> tuple[Array, Mask, Mask]:  # fmt: skip
+    """How far from the roof's colour profiles (N, 2 half + 1) across roof edges are, usable samples (N,), and those of them that
+    something covers (N,); ends (2 E, 2) px of the edges.
+    """
     roof = kind == _ROOF
     usable = seen & ~outline.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
     values = outline.profiles(image, px, normal, half, 1.0, 1, usable)
     beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
+    hidden = outline.covered(values, beside, edge, landmark, roof, usable)
     distance = outline.off_roof(values, beside, edge, roof, usable)
-    return outline.search(distance, edge, len(kind), 1.0, usable), usable
+    return distance, usable, hidden
 
 
 @njit(cache=True)
@@ -305,7 +312,8 @@ def _fit_steps(
     usable &= ~((kind == _BASE) & near)[edge]
     values = outline.profiles(image, px, normal, half, 1.0, 3, usable)
     beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
-    usable &= ~outline.alien(values, beside, edge, roof, usable)[edge]
+    usable &= ~outline.covered(values, beside, edge, landmark, roof, usable)
+    usable &= ~(raised & outline.alien(values, beside, edge, roof, usable))[edge]
     grey, clipped = outline.along_contrast(values, edge, count, usable)
     narrow = roof & (gap > 0.0) & near
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)

@@ -23,7 +23,9 @@ _SECOND = 0.75  # a rival that has this share of the best vote makes an edge amb
 _STANDS_OUT = 3.0  # standard deviations of the mean of its points that a step has: by chance the largest of a dozen has no more
 _CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
 _UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which are not clipped
-_ALIEN = 0.4  # of the contrast: how far the inner side of a roof edge may be from the roof's colour
+_ENDING, _MOST_CONTRAST = 0.5, 0.8  # what ends at a rim has so much of the contrast that is exceeded by one point in five
+_OTHER, _SCATTER, _LEAST_OTHER = 0.4, 4.0, 4.0  # of the contrast; of the lower quartile; grey values: farther off is not the roof
+_SHADOW = 0.35  # of the light that a roof has in the sun
 _SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
 _BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
@@ -116,27 +118,41 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
 
 
 @njit(cache=True)
-def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
-    """Colour (L, C) of each landmark's roof: the median of the inner ends of its edges' profiles; NaN where none is usable.
-
-    values (N, S, C): profiles that run outwards; landmark, roof: (E,) of the edges.
-    """
+def _ends(values: Array) -> tuple[Array, Array]:
+    """Colours (N, C) of the inner and the outer quarter of profiles (N, S, C)."""
     n, size, channels = values.shape
-    inner, marks = size // 4, 1 + (landmark.max() if len(landmark) else 0)
-    colour, rim, found = np.full((marks, channels), np.nan), np.empty((marks, channels, n)), np.zeros(marks, np.int64)
+    quarter = size // 4
+    inside, outside = np.zeros((n, channels)), np.zeros((n, channels))
     for i in range(n):
-        if usable[i] and roof[edge[i]]:
-            m = landmark[edge[i]]
+        for j in range(quarter):
             for c in range(channels):
-                total = 0.0
-                for j in range(inner):
-                    total += values[i, j, c]
-                rim[m, c, found[m]] = total / inner
-            found[m] += 1
-    for m in range(marks):
-        for c in range(channels):
-            if found[m] > 0:
-                colour[m, c] = np.median(rim[m, c, : found[m]])
+                inside[i, c] += values[i, j, c] / quarter
+                outside[i, c] += values[i, size - 1 - j, c] / quarter
+    return inside, outside
+
+
+@njit(cache=True)
+def _rims(edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> list[Indices]:
+    """The usable points of roof edges, landmark by landmark; landmark, roof: (E,) of the edges."""
+    whose = np.where(usable & roof[edge], landmark[edge], -1)
+    return [np.flatnonzero(whose == m) for m in range(1 + (landmark.max() if len(landmark) else 0))]
+
+
+@njit(cache=True)
+def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
+    """Colour (L, C) of each landmark's roof: the median, along its rim, of what ends there; NaN where no point is usable.
+
+    What hides a part of a roof goes on beyond its rim. values (N, S, C): profiles that run outwards; roof: (E,).
+    """
+    inside, outside = _ends(values)
+    contrast = np.sqrt(np.sum((outside - inside) ** 2, axis=1))
+    rims = _rims(edge, landmark, roof, usable)
+    colour = np.full((len(rims), values.shape[2]), np.nan)
+    for m in range(len(rims)):
+        if len(rims[m]) > 0:
+            ending = rims[m][contrast[rims[m]] >= _ENDING * np.quantile(contrast[rims[m]], _MOST_CONTRAST)]
+            for c in range(values.shape[2]):
+                colour[m, c] = np.median(inside[ending, c])
     return colour
 
 
@@ -185,28 +201,42 @@ def off_roof(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Ma
 
 @njit(cache=True)
 def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Mask:
-    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), on their inner side."""
-    n, size, channels = values.shape
-    inner, edges = size // 4, len(roof)
-    ours, inside, outside = np.zeros((edges, channels)), np.zeros((edges, channels)), np.zeros((edges, channels))
-    count = np.zeros(edges)
-    for i in range(n):
-        e = edge[i]
-        if usable[i] and roof[e]:
-            count[e] += inner
-            for c in range(channels):
-                ours[e, c] += inner * beside[i, c]
-                for j in range(inner):
-                    inside[e, c] += values[i, j, c]
-                    outside[e, c] += values[i, size - 1 - j, c]
-    found = np.zeros(edges, dtype=np.bool_)
-    for e in range(edges):
-        if count[e] > 0.0:
-            off = across = 0.0
-            for c in range(channels):
-                off += ((inside[e, c] - ours[e, c]) / count[e]) ** 2
-                across += ((outside[e, c] - inside[e, c]) / count[e]) ** 2
-            found[e] = math.sqrt(off) > _ALIEN * math.sqrt(across) + 4.0
+    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), all along inside: the foot of a wall."""
+    inside, outside = _ends(values)
+    found = np.zeros(len(roof), dtype=np.bool_)
+    for e in range(len(roof)):
+        along = np.flatnonzero(usable & (edge == e))
+        if roof[e] and len(along) > 0:
+            ours, ends, beyond = _mean(beside, along), _mean(inside, along), _mean(outside, along)
+            off, across = math.sqrt(np.sum((ends - ours) ** 2)), math.sqrt(np.sum((beyond - ends) ** 2))
+            found[e] = off > _OTHER * across + _LEAST_OTHER
+    return found
+
+
+@njit(cache=True)
+def _mean(colours: Array, of: Indices) -> Array:
+    """Of some of colours (N, C)."""
+    mean: Array = np.sum(colours[of], axis=0) / len(of)
+    return mean
+
+
+@njit(cache=True)
+def covered(values: Array, beside: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Mask:
+    """Points (N,) of roof edges inside of which there is something else than the roof, of colour beside (N, C): a tree, ground.
+
+        d_i > max(0.4 median |outside - beside|, 4 quartile d) + 4,    d = min_k |inside - k beside|, k = 0.35 ... 1
+
+    of the points along a landmark's rim: what lies in a shadow is the roof still. The arguments are those of roof_colours.
+    """
+    inside, outside = _ends(values)
+    lit = np.sum(inside * beside, axis=1) / np.maximum(np.sum(beside**2, axis=1), 1.0)
+    shaded = np.expand_dims(np.minimum(np.maximum(lit, _SHADOW), 1.0), 1) * beside
+    off, across = np.sqrt(np.sum((inside - shaded) ** 2, axis=1)), np.sqrt(np.sum((outside - beside) ** 2, axis=1))
+    found = np.zeros(len(values), dtype=np.bool_)
+    for rim in _rims(edge, landmark, roof, usable):
+        if len(rim) > 0:
+            usual = max(_OTHER * np.median(across[rim]), _SCATTER * np.quantile(off[rim], 0.25))
+            found[rim] = off[rim] > usual + _LEAST_OTHER
     return found
 
 
@@ -272,7 +302,7 @@ def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
                 continue
             if value**2 < _STANDS_OUT**2 * (square[e, j] - value**2 / count[e]):
                 continue
-            if mean[e, max(j - 4, 0)] > _ALIEN * mean[e, min(j + 4, size - 1)] + 8.0 * count[e]:
+            if mean[e, max(j - 4, 0)] > _OTHER * mean[e, min(j + 4, size - 1)] + 8.0 * count[e]:
                 continue
             if value > top:
                 rival = top if at >= 0 and j - at > _BOX else rival

@@ -203,15 +203,16 @@ class Fitter:
 
     def _pair_flaw(self, seen: Recheck) -> str:
         """Why the right picture does not belong to the left one; empty where it does."""
+        if seen.apart is not None:
+            du, dv, sigma = seen.apart
+            limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
+            if abs(dv) > limit:
+                return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
+            if abs(du) > limit:
+                return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together"
         if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
             return f"{seen.pictures[0]:.0%} of the outlines found in the left picture, {seen.pictures[1]:.0%} in the right one"
-        if seen.apart is None:
-            return ""
-        du, dv, sigma = seen.apart
-        limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
-        if abs(dv) > limit:
-            return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
-        return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together" if abs(du) > limit else ""
+        return ""
 
     def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
         """Whether the outlines lie in both pictures once they are taken the other way round."""

@@ -3,12 +3,13 @@
     r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two pictures, px)
 
 A fit leaves out edges that disagree; a landmark of which most disagree is not there, and pictures that are swapped, or were not
-taken together, or belong to another calibration, differ by one shift for all.
+taken together, or belong to another calibration, differ by one shift for all. What hides a part of a roof hides it in both.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.look import LookConfig, channels, roof_offsets
+from vision import outline
+from vision.look import LookConfig, channels, distance_from_roof
 from vision.pose import PoseEstimate
 from vision.rectify import Image
 from vision.sensitivity import ends_of, eyes, partners_off, sample_edges, viewed
@@ -59,6 +61,19 @@ class Recheck:
     apart: tuple[float, float, float] | None
 
 
+class _Looked(NamedTuple):
+    """What one picture shows of the samples of roofs: offsets (N,) px, normals (N, 2), places x_c (N, 3) m in the camera; usable
+    ones (N,), and those of them that something hides (N,); across() (E, C + 1) of roofs and walls.
+    """
+
+    offset: Array
+    normal: Array
+    x_c: Array
+    usable: Mask
+    hidden: Mask
+    told: Array
+
+
 def recheck(
     rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
 ) -> Recheck:
@@ -75,13 +90,12 @@ def recheck(
     drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised
     bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
     on_roofs, on_walls = ((some.points_n, some.t, some.edge) for some in (roofs, walls))
-    offsets, normals, sums = [], [], []
-    for k, (eye, image) in enumerate(shown):
-        stand, camera, slack = eye.stand(*pose), eye.camera.parameters, _OF_MAP * eye.camera.fx * outline_sigma
-        offset, normal, told = _looked_at(image, drawn, on_roofs, on_walls, bodies, stand, camera, slack, found[k], given[k])
-        offsets.append(offset)
-        normals.append(normal)
-        sums.append(told)
+    seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
+    offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
+    hidden = np.logical_and.reduce([one.hidden for one in seen])
+    for k, (eye, one) in enumerate(zip((eye for eye, _ in shown), seen, strict=True)):
+        slack = _OF_MAP * eye.camera.fx * outline_sigma
+        _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
     pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
     stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), edges.kind != _ROOF)
@@ -91,11 +105,9 @@ def recheck(
 
 @njit(cache=True)
 def _looked_at(
-    image: Image, drawn: Drawn, roofs: OnEdges, walls: OnEdges, bodies: Bodies, stand: Stand, camera: Array, slack: Array,
-    found: Array, given: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Offsets (N,) px and normals (N, 2) of the samples of roofs in one picture, and across() (E, C + 1) of roofs and walls;
-    counts in found and given (L,) as _count. drawn: ModelEdges; roofs, walls: Samples; bodies: Prisms; stand: as Eye.stand.
+    image: Image, drawn: Drawn, roofs: OnEdges, walls: OnEdges, bodies: Bodies, stand: Stand, camera: Array
+) -> _Looked:
+    """drawn: ModelEdges; roofs, walls: Samples; bodies: Prisms; stand: as Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
     """
@@ -103,14 +115,15 @@ def _looked_at(
     points, _, edge = roofs
     px, normal, _, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
-    offset, good = roof_offsets(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, _HALF_PX)
-    _count(offset, good, x_c, edge, landmark, slack, found, given)
+    distance, usable, hidden = distance_from_roof(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, _HALF_PX)
+    offset = outline.search(distance, edge, len(kind), 1.0, usable)
     told = across(image, px, normal, edge, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     gap = partners_off(start, end, partner, edge, t, *stand, camera, px, along)
     apart = (partner < 0) | (np.abs(gap) > _GAP_PX)
-    return offset, normal, told + across(image, px, along, edge, len(kind), seen & apart[edge])
+    told += across(image, px, along, edge, len(kind), seen & apart[edge])
+    return _Looked(offset, normal, x_c, usable, hidden, told)
 
 
 @njit(cache=True)

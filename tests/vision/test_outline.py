@@ -3,17 +3,22 @@
 import numpy as np
 import pytest
 
-from vision.outline import alien, along_contrast, crossed, off_roof, profiles, roof_beside, search
+from vision.outline import alien, along_contrast, covered, crossed, off_roof, profiles, roof_beside, search
 
 POINTS, HALF = 12, 12
 ONE = np.zeros(POINTS, dtype=np.int64)
 ROOF = np.ones(1, dtype=np.bool_)
+MARK = np.zeros(1, dtype=np.int64)
 
 
 def bars(*widths_and_colours: tuple[int, tuple[float, float, float]]) -> np.ndarray:
     """Profiles (N, 25, 3) of bars one after the other."""
     profile = np.concatenate([np.tile(colour, (width, 1)) for width, colour in widths_and_colours])
     return np.tile(profile, (POINTS, 1, 1)).astype(float)
+
+
+def every(values: np.ndarray) -> np.ndarray:
+    return np.ones(len(values), dtype=np.bool_)
 
 
 def everything() -> np.ndarray:
@@ -53,20 +58,44 @@ def test_the_roof_ends_where_its_colour_ends_not_where_the_shadow_does(shift: in
     """The shadow's rim has the larger contrast in green; the roof ends before it."""
     values = bars((12 + shift, RED), (4, DARK), (9 - shift, GREEN))
     distance = off_roof(values, beside(values, ONE), ONE, ROOF, everything())
-    assert not alien(values, beside(values, ONE), ONE, ROOF, everything()).any()
+    assert not covered(values, beside(values, ONE), ONE, MARK, ROOF, everything()).any()
     offsets = search(distance, ONE, 1, 1.0, everything())
     np.testing.assert_allclose(offsets, shift - 0.5, atol=0.6)
 
 
-def test_an_edge_inside_the_ground_is_alien() -> None:
+def test_points_of_an_edge_inside_the_ground_are_not_the_roofs() -> None:
     """Two edges of one landmark: one has the roof inside, the other ground on both sides."""
-    edge = np.repeat([0, 1], POINTS // 2)
+    edge = np.repeat([0, 1], (POINTS, POINTS // 2))
+    values = np.concatenate((
+        bars((13, RED), (12, GREEN)),  # the roof's colour is the majority's
+        bars((13, GREEN), (12, (90.0, 150.0, 140.0)))[: POINTS // 2],
+    ))  # fmt: skip
+    found = covered(values, beside(values, edge), edge, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_), every(values))
+    np.testing.assert_array_equal(found, edge == 1)
+
+
+@pytest.mark.parametrize("hidden", [0, 4, 8])
+def test_a_roof_keeps_its_colour_where_a_tower_hides_most_of_its_rim(hidden: int) -> None:
+    """The tower goes on beyond the rim, the roof ends there; what the tower covers tells nothing of the edge."""
     values = bars((13, RED), (12, GREEN))
-    values[POINTS // 2 :] = bars((13, GREEN), (12, (90.0, 150.0, 140.0)))[: POINTS // 2]
-    values = np.concatenate((values[: POINTS // 2], values))  # the roof's colour is the majority's
-    edge = np.concatenate((np.zeros(POINTS // 2, dtype=np.int64), edge))
-    found = alien(values, beside(values, edge), edge, np.ones(2, dtype=np.bool_), np.ones(len(edge), dtype=np.bool_))
-    assert found.tolist() == [False, True]
+    values[:hidden] = bars((25, (150.0, 152.0, 150.0)))[:hidden]
+    ours = beside(values, ONE)
+    np.testing.assert_allclose(ours, np.tile(RED, (POINTS, 1)))
+    found = covered(values, ours, ONE, MARK, ROOF, everything())
+    np.testing.assert_array_equal(found, np.arange(POINTS) < hidden)
+
+
+def test_a_shadow_across_a_roof_covers_nothing() -> None:
+    values = bars((13, RED), (12, GREEN))
+    values[:5] *= 0.4
+    assert not covered(values, beside(values, ONE), ONE, MARK, ROOF, everything()).any()
+
+
+def test_texture_of_a_roof_covers_nothing() -> None:
+    """Shingles as rough as the roof's contrast with the ground is small."""
+    rng = np.random.default_rng(4)
+    values = bars((13, (150.0, 150.0, 150.0)), (12, (138.0, 138.0, 138.0))) + 6.0 * rng.normal(size=(POINTS, 25, 1))
+    assert not covered(values, beside(values, ONE), ONE, MARK, ROOF, everything()).any()
 
 
 def test_a_slope_in_other_light_is_roof_and_a_wall_is_not() -> None:
@@ -82,6 +111,7 @@ def test_a_slope_in_other_light_is_roof_and_a_wall_is_not() -> None:
     ours = beside(values, edge, interior)
     np.testing.assert_allclose(ours[edge == 1], dark[None].repeat(POINTS // 2, axis=0))
     roof, everywhere = np.ones(3, dtype=np.bool_), np.ones(len(values), dtype=np.bool_)
+    assert not covered(values, ours, edge, np.zeros(3, dtype=np.int64), roof, everywhere).any()
     assert alien(values, ours, edge, roof, everywhere).tolist() == [False, False, True]
     offsets = search(off_roof(values, ours, edge, roof, everywhere), edge, 3, 1.0, everywhere)
     np.testing.assert_allclose(offsets[edge == 1], 0.5, atol=0.6)

@@ -194,7 +194,7 @@ def test_a_wrong_calibration(turn: tuple[float, float, float]) -> None:
     result = pipeline(rig=wrong).process(v.left, v.right, 0, v.prior)
     assert_not_confidently_wrong(result, v)
     if turn[0]:
-        assert "right camera not used: rows differ" in result.report.detail
+        assert "right camera not used" in result.report.detail
 
 
 def test_no_landmark_near() -> None:

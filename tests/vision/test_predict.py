@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.outline_views import decoy
+from benchmarks.fix_outcome import outcome_of
+from benchmarks.outline_views import decoy, later
 from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
@@ -18,6 +19,7 @@ from tests.vision.roofs import nadir_rig
 from vision.identify import Prior
 from vision.motion import motion
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
+from vision.predict import PredictConfig
 from vision.rectify import Image
 from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
@@ -25,6 +27,7 @@ from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
 from vision.synthetic.shapes import rectangle
 from vision.synthetic.world import Look, Sun, World
+from vision.verify import VerifyConfig
 
 ORIGIN = (47.0, 8.0, 400.0)
 CHI2_9999_OF_3 = 21.108
@@ -333,3 +336,19 @@ def test_every_place_that_is_nearly_as_good_is_a_rival() -> None:
     view, (left, right), prior, _ = decoy(91, 93, "row")
     result = pipeline(view.landmarks, view.rig).process(left, right, 0, prior)
     assert (result.fix, result.report.outcome) == (None, "ambiguous")
+
+
+@pytest.mark.parametrize(("number", "kind"), [(15, "gone"), (23, "shifted"), (26, "shifted")])
+def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None:
+    """Ground where nothing of the map stands. Odds apart, two pictures that agree make a fix of it, 6 to 35 m off and sure."""
+    view, pictures, prior, _ = decoy(95, number, kind)
+    moved, then, later_prior = later(view, prior)
+    blind = PipelineConfig(path="predict", predict=PredictConfig(verify=VerifyConfig(odds=-1e3, weak_odds=-1e3, decides=1e-9)))
+    wrong = []
+    for config in (PipelineConfig(path="predict"), blind):
+        looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
+        first, second = looking.process(*pictures, 1, prior), looking.process(*then, 500_000_001, later_prior)
+        outcomes = (outcome_of(view, first.pose, first.report.detail), outcome_of(moved, second.pose, second.report.detail))
+        assert config is blind or first.fix is None
+        wrong.append(any(one.wrong for one in outcomes))
+    assert wrong == [False, True]

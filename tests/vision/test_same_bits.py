@@ -16,7 +16,8 @@ import vision
 LOOK = """
 import hashlib
 import numpy as np
-from vision.look import roof_offsets
+from vision.look import distance_from_roof
+from vision.outline import search
 
 rng = np.random.default_rng(1)
 picture = rng.integers(60, 100, (480, 640, 3), dtype=np.uint8)
@@ -31,10 +32,12 @@ for roof in range(4):
         normal.append(np.tile(n, (20, 1)))
         edge += [4 * roof + k] * 20
 nothing_beside = np.full((32, 2), -1e3)
-offsets, usable = roof_offsets(
-    picture, np.concatenate(px), np.concatenate(normal), np.ones(320, np.bool_), np.array(edge), np.zeros(16, np.int64),
+edge = np.array(edge)
+distance, usable, hidden = distance_from_roof(
+    picture, np.concatenate(px), np.concatenate(normal), np.ones(320, np.bool_), edge, np.zeros(16, np.int64),
     np.ones(16, np.bool_), np.arange(16) // 4, np.full(16, -1), nothing_beside, 16,
 )
+offsets = search(distance, edge, 16, 1.0, usable & ~hidden)
 print(int(np.isfinite(offsets).sum()), hashlib.sha256(offsets.tobytes() + usable.tobytes()).hexdigest())
 """
 
