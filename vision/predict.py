@@ -100,7 +100,7 @@ class PredictPath:
                 self._waiting.nothing(t_ns)
             report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
             return Result(None, report, tuple(said))
-        self._waiting.fixed(found.fitted.pose, t_ns, prior)
+        self._waiting.fixed(found.fitted, t_ns, prior)
         fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
         said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
         used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
@@ -141,8 +141,8 @@ class PredictPath:
         """What is weak, or not what the picture before showed, waits until the next one agrees."""
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
-        doubtful = found.grade == "weak" or self._waiting.holds(t_ns)
-        if doubtful and not self._waiting.agrees(found.fitted.pose, t_ns, prior):
+        doubtful = found.grade == "weak" or self._waiting.holds(t_ns, found.fitted.odds)
+        if doubtful and not self._waiting.agrees(found.fitted, t_ns, prior):
             return _Refused(
                 "waiting", f"{found.reason or 'the picture before showed another place'}: the next picture must agree"
             )

@@ -5,7 +5,7 @@
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
 
 A place with little to be seen is held until the next picture shows the same error of the prior. Where that one shows another
-error, one of the two is wrong, however sure the second looks by itself: it waits for a third.
+error, one of the two is wrong, and even a sure one waits for a third, unless it is much likelier than the one that was held.
 """
 
 import math
@@ -179,12 +179,14 @@ class _Held:
     error: Array  # x (-) x0, (6,)
     covariance: Array
     prior: Array  # its variances
+    odds: float
     sure: bool
 
     @classmethod
-    def of(cls, fit: PoseEstimate, t_ns: int, prior: Prior, *, sure: bool) -> "_Held":
+    def of(cls, fitted: Fitted, t_ns: int, prior: Prior, *, sure: bool) -> "_Held":
+        fit = fitted.pose
         error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
-        return cls(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy(), sure)
+        return cls(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy(), fitted.odds, sure)
 
 
 class Waiting:
@@ -202,13 +204,14 @@ class Waiting:
         """No place was found at t_ns: later pictures know of none before."""
         self._nothing_ns = t_ns
 
-    def fixed(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> None:
+    def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
         """A fix was made: it makes no other one wait, but a weak place that agrees with it is believed."""
-        self._held, self._nothing_ns = _Held.of(fit, t_ns, prior, sure=True), None
+        self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
 
-    def holds(self, t_ns: int) -> bool:
-        """Whether the picture before t_ns showed a weak place."""
-        return (before := self._before(t_ns)) is not None and not before.sure
+    def holds(self, t_ns: int, odds: float) -> bool:
+        """Whether the picture before t_ns showed a weak place, and not a much less likely one than one of these odds."""
+        before = self._before(t_ns)
+        return before is not None and not before.sure and before.odds > odds - self._config.decides
 
     def _before(self, t_ns: int) -> _Held | None:
         """The place of the picture before t_ns, if that was not long ago."""
@@ -217,9 +220,9 @@ class Waiting:
             return None
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
-    def agrees(self, fit: PoseEstimate, t_ns: int, prior: Prior) -> bool:
+    def agrees(self, fitted: Fitted, t_ns: int, prior: Prior) -> bool:
         """Whether the place held before shows the same error of the prior; this one is held from now on."""
-        before, now = self._before(t_ns), _Held.of(fit, t_ns, prior, sure=False)
+        before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         self._held, self._nothing_ns = now, None
         if before is None:
             return False

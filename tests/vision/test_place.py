@@ -222,20 +222,28 @@ def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: flo
 
 def test_a_second_look_at_a_picture_still_knows_the_picture_before() -> None:
     """Where prediction finds nothing and segmentation then does; the picture after one that showed nothing does not."""
-    fit, prior, memory = fitted(whole(), MARKS).pose, drawn(whole(), 1), Waiting(VerifyConfig())
+    fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     assert not memory.agrees(fit, 1, prior)
     memory.nothing(2)
     assert memory.agrees(fit, 2, prior)
-    assert memory.holds(3)
+    assert memory.holds(3, fit.odds)
     memory.nothing(3)
-    assert not memory.holds(4)
+    assert not memory.holds(4, fit.odds)
     assert not memory.agrees(fit, 4, prior)
 
 
+def test_a_much_likelier_place_does_not_wait_for_one_that_does() -> None:
+    """Ten times, ln 10 = 2.3: as where two places in one picture are compared."""
+    fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
+    memory.agrees(replace(fit, odds=4.0), 1, prior)
+    assert memory.holds(2, 6.2)
+    assert not memory.holds(2, 6.4)
+
+
 def test_a_fix_speaks_for_a_weak_place_that_agrees_and_makes_none_wait() -> None:
-    fit, prior, memory = fitted(whole(), MARKS).pose, drawn(whole(), 1), Waiting(VerifyConfig())
+    fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     memory.fixed(fit, 1, prior)
-    assert not memory.holds(2)
+    assert not memory.holds(2, fit.odds)
     assert memory.agrees(fit, 2, prior)
     memory.fixed(fit, 3, prior)
     assert not memory.agrees(fit, 4, replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0])))
