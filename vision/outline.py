@@ -25,7 +25,7 @@ _CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
 _UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which are not clipped
 _ENDING, _MOST_CONTRAST = 0.5, 0.8  # what ends at a rim has so much of the contrast that is exceeded by one point in five
 _OTHER, _SCATTER, _LEAST_OTHER = 0.4, 4.0, 4.0  # of the contrast; of the lower quartile; grey values: farther off is not the roof
-_SHADOW = 0.35  # of the light that a roof has in the sun
+_SHADOW = 0.5  # of the light that a roof has in the sun
 _SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
 _BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
@@ -224,7 +224,7 @@ def _mean(colours: Array, of: Indices) -> Array:
 def covered(values: Array, beside: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Mask:
     """Points (N,) of roof edges inside of which there is something else than the roof, of colour beside (N, C): a tree, ground.
 
-        d_i > max(0.4 median |outside - beside|, 4 quartile d) + 4,    d = min_k |inside - k beside|, k = 0.35 ... 1
+        d_i > max(0.4 median |outside - beside|, 4 quartile d) + 4,    d = min_k |inside - k beside|, k = 0.5 ... 1
 
     of the points along a landmark's rim: what lies in a shadow is the roof still. The arguments are those of roof_colours.
     """

@@ -59,7 +59,7 @@ class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
 
     noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: _Tilt = 0.2
-    mount_deg: _Mount = 0.2
+    mount_deg: _Mount = 0.17
     lasting_share: _Share = 0.0
     lasting_s: Annotated[float, Meta(gt=0, description="s: for so long it lasts")] = 3.0
 

@@ -87,7 +87,7 @@ def test_a_roof_keeps_its_colour_where_a_tower_hides_most_of_its_rim(hidden: int
 
 def test_a_shadow_across_a_roof_covers_nothing() -> None:
     values = bars((13, RED), (12, GREEN))
-    values[:5] *= 0.4
+    values[:5] *= 0.55
     assert not covered(values, beside(values, ONE), ONE, MARK, ROOF, everything()).any()
 
 
