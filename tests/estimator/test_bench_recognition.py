@@ -224,8 +224,11 @@ def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
     assert recognisers.landfix(views.draw("description", "pale", 402, 0), timed=False).verdict == "recognised"
 
 
-def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    hidden = views.draw("partial", "painted", 622, 53)
+@pytest.mark.parametrize(("roof", "seed", "number"), [("painted", 621, 47), ("pale", 703, 33)])
+def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt(
+    monkeypatch: pytest.MonkeyPatch, roof: views.Roof, seed: int, number: int
+) -> None:
+    hidden = views.draw("partial", roof, seed, number)
     assert hidden.seen < 0.5
     assert recognisers.landfix(hidden, timed=False).verdict == "recognised"
     monkeypatch.setattr(place, "_SURE_ANYHOW", math.inf)
