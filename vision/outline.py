@@ -201,7 +201,12 @@ def off_roof(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Ma
 
 @njit(cache=True)
 def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Mask:
-    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), all along inside: the foot of a wall."""
+    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), all along inside: the foot of a wall.
+
+        |inside - beside| > 0.4 |outside - inside| + 4
+
+    of the means along the edge.
+    """
     inside, outside = _ends(values)
     found = np.zeros(len(roof), dtype=np.bool_)
     for e in range(len(roof)):

@@ -93,7 +93,7 @@ def recheck(
     seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
     offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
     hidden = np.logical_and.reduce([one.hidden for one in seen])
-    for k, (eye, one) in enumerate(zip((eye for eye, _ in shown), seen, strict=True)):
+    for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
         slack = _OF_MAP * eye.camera.fx * outline_sigma
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
     pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
