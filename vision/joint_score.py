@@ -5,8 +5,12 @@
 g: gradients of all channels; n_i: normal of the outline at its point i; c: what c_i is on the average over all shifts, which is
 chance; N: number of points. Only directions count, so a shadow's rim has no more to say than a pale roof, and a point outside the
 picture says what chance does: nothing. Every point has its say, and no edge need be seen whole: where each edge shows little
-(hipped roofs, trees), all of them together still tell the place. The second summit tells what this picture makes of a wrong
-place.
+(hipped roofs, trees), all of them together still tell the place, and the prior P has its say as well. The best place is
+
+    q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2
+
+s: standard deviation of S over all shifts, which is what chance makes of it; the first term is the largest likelihood ratio of
+N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, tells what this picture makes of a wrong place.
 
     ratio = S(q_1) / max S(q),   |q - q_1| > apart
 """
@@ -22,7 +26,7 @@ from vision.reduced import Field
 
 @dataclass(frozen=True, slots=True)
 class Summit:
-    """The best shift (2,) px, its score, and how many times that of the second summit it is."""
+    """The best shift (2,) px, its score, and how many times the highest one elsewhere that is (below 1: only the prior prefers it)."""
 
     shift_px: Array
     score: float
@@ -36,12 +40,15 @@ def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Arr
     return np.asarray((total - chance * count) / max(len(aimed), 1))
 
 
-def summit(score: Array, su: Array, sv: Array, apart_px: float) -> Summit:
-    """Of S (U, V); what lies no farther than apart_px from the summit is the same place."""
-    a, b = np.unravel_index(int(np.argmax(score)), score.shape)
+def summit(score: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
+    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from the best is the same place."""
+    q = np.stack(np.meshgrid(su, sv, indexing="ij"), axis=-1)
+    squared = np.sum(q @ np.linalg.inv(covariance) * q, axis=-1)
+    likely = 0.5 * (np.maximum(score, 0.0) / max(float(score.std()), 1e-9)) ** 2 - 0.5 * squared
+    a, b = np.unravel_index(int(np.argmax(likely)), score.shape)
     other = np.hypot(su[:, None] - su[a], sv[None, :] - sv[b]) > apart_px
     second = max(float(score[other].max(initial=0.0)), 1e-9)
-    return Summit(np.array([su[a], sv[b]]), float(score[a, b]), float(score[a, b]) / second)
+    return Summit(q[a, b], float(score[a, b]), float(score[a, b]) / second)
 
 
 @njit(cache=True)

@@ -70,7 +70,7 @@ def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
 
 
 def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
-    """The best of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
+    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
     picture = pictures.right if pictures.only_right else pictures.left
     assert picture is not None
     level = levels(picture, eye.camera, (1,))[0]
@@ -83,7 +83,8 @@ def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Mo
     aimed, c = seen.aimed(straight, pose, move.gain[:, :2]), level.camera
     field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
     floor = _FLOOR * level.typical() + 0.5
-    return summit(joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv), su, sv, _APART_PX)
+    score = joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv)
+    return summit(score, su, sv, move.covariance[:2, :2], _APART_PX)
 
 
 def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:

@@ -11,6 +11,7 @@ from vision.reduced import Level
 SIZE, FLOOR = 200, 2.0
 CAMERA = CameraModel(SIZE, SIZE, 1.0, 1.0, 0.0, 0.0)  # x_c = (u, v, 1)
 SHIFTS = np.arange(-30.0, 31.0)
+OPEN = np.eye(2) * 1e6  # a prior that prefers nothing
 BOXES = ((40, 50, 30, 18), (90, 60, 20, 20), (60, 110, 26, 34))  # u, v, width, height
 Picture = NDArray[np.uint8]
 
@@ -49,7 +50,7 @@ def scores(picture: Picture, aimed: Array) -> Array:
 
 
 def test_the_summit_is_where_the_outlines_are() -> None:
-    best = summit(scores(drawn((13, -8), noise=15.0), outlines()), SHIFTS, SHIFTS, 8.0)
+    best = summit(scores(drawn((13, -8), noise=15.0), outlines()), SHIFTS, SHIFTS, OPEN, 8.0)
     np.testing.assert_allclose(best.shift_px, [13.0, -8.0], atol=1.0)
     assert best.ratio > 1.5
 
@@ -62,7 +63,7 @@ def test_dark_and_bright_roofs_count_alike_and_so_does_any_contrast() -> None:
 
 
 def test_noise_alone_has_no_place() -> None:
-    best = summit(scores(drawn((0, 0), boxes=(), noise=15.0), outlines()), SHIFTS, SHIFTS, 8.0)
+    best = summit(scores(drawn((0, 0), boxes=(), noise=15.0), outlines()), SHIFTS, SHIFTS, OPEN, 8.0)
     assert best.score < 0.15
     assert best.ratio < 1.3
 
@@ -70,8 +71,26 @@ def test_noise_alone_has_no_place() -> None:
 def test_what_stands_there_twice_has_two_summits() -> None:
     one = ((40, 60, 20, 20),)
     picture = drawn((0, 0), boxes=((40, 60, 20, 20), (64, 60, 20, 20)))
-    best = summit(scores(picture, outlines(one)), SHIFTS, SHIFTS, 8.0)
+    best = summit(scores(picture, outlines(one)), SHIFTS, SHIFTS, OPEN, 8.0)
     assert 1.0 <= best.ratio < 1.1
+
+
+def test_of_two_places_as_good_the_prior_takes_its_own_and_no_ratio_says_so() -> None:
+    """Two boxes alike, 24 px apart: beside a prior of 10 px the one it is about is the place, whichever that is."""
+    one = ((40, 60, 20, 20),)
+    picture = drawn((0, 0), boxes=one)
+    picture[60:80, 64:84] = picture[60:80, 40:60]
+    score = scores(picture, outlines(one))
+    for about in (0.0, 24.0):
+        best = summit(score, SHIFTS - about, SHIFTS, np.eye(2) * 10.0**2, 8.0)
+        np.testing.assert_allclose(best.shift_px, [0.0, 0.0], atol=1.0)
+        assert best.ratio < 1.1
+
+
+def test_outlines_speak_louder_than_the_prior() -> None:
+    best = summit(scores(drawn((20, -15), noise=15.0), outlines()), SHIFTS, SHIFTS, np.eye(2) * 10.0**2, 8.0)
+    np.testing.assert_allclose(best.shift_px, [20.0, -15.0], atol=1.0)
+    assert best.ratio > 1.5
 
 
 def test_points_outside_the_picture_say_nothing() -> None:
@@ -81,4 +100,4 @@ def test_points_outside_the_picture_say_nothing() -> None:
     inside = scores(drawn((13, -8), noise=15.0), aimed)
     both = scores(drawn((13, -8), noise=15.0), np.concatenate((aimed, aside)))
     np.testing.assert_allclose(both, 0.5 * inside, atol=1e-9)
-    assert summit(scores(drawn((13, -8)), aside), SHIFTS, SHIFTS, 8.0).score == 0.0
+    assert summit(scores(drawn((13, -8)), aside), SHIFTS, SHIFTS, OPEN, 8.0).score == 0.0
