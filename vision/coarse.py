@@ -64,8 +64,8 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 8_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 20
-    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 5
+    summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 60
+    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 8
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:

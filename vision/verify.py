@@ -133,7 +133,9 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
         return str(tried[0])
-    best = max(fits, key=lambda one: one.odds)
+    likeliest = max(fits, key=lambda one: one.odds)
+    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and _same(one.pose, likeliest.pose, config)]
+    best = min(as_likely, key=lambda one: float(np.trace(one.pose.joint_covariance[:3, :3])))
     kept = best.kept
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
