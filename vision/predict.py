@@ -133,7 +133,8 @@ class PredictPath:
         at = next(k for k, one in enumerate(tried) if isinstance(one, Fitted) and one.pose is outcome.pose)
         outcome = self._fitter.joined(pictures, marks, places[at], outcome, prior)
         grade, reason = verify.grade(evidence, outcome, v)
-        if grade == "sure" and at >= likely:
+        voted = any(isinstance(one, Fitted) and verify.same_place(one, outcome, v) for one in tried[:likely])
+        if grade == "sure" and at >= likely and not voted:
             grade, reason = "weak", "another place has more votes"
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 

@@ -134,25 +134,26 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
     if not fits:
         return str(tried[0])
     likeliest = max(fits, key=lambda one: one.odds)
-    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and _same(one.pose, likeliest.pose, config)]
+    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_place(one, likeliest, config)]
     best = min(as_likely, key=lambda one: float(np.trace(one.pose.joint_covariance[:3, :3])))
     kept = best.kept
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
         if apart < _ONE_FIT_PX:
             kept = min(kept, other.kept)
-        if apart > config.moved_px and not _same(best.pose, other.pose, config) and other.odds > best.odds - config.decides:
+        if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - config.decides:
             return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best if kept == best.kept else replace(best, kept=kept)
 
 
-def _same(one: PoseEstimate, other: PoseEstimate, config: VerifyConfig) -> bool:
+def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
     """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one place have.
 
     Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
     """
-    between = difference(one.joint_p_n, one.joint_R_nb, other.joint_p_n, so3.from_matrix(other.joint_R_nb))
-    return bool(between @ np.linalg.solve(one.joint_covariance + other.joint_covariance, between) < config.agree)
+    a, b = one.pose, other.pose
+    between = difference(a.joint_p_n, a.joint_R_nb, b.joint_p_n, so3.from_matrix(b.joint_R_nb))
+    return bool(between @ np.linalg.solve(a.joint_covariance + b.joint_covariance, between) < config.agree)
 
 
 def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
