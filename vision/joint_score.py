@@ -26,7 +26,7 @@ from vision.reduced import Field
 
 @dataclass(frozen=True, slots=True)
 class Summit:
-    """The best shift (2,) px, its score, and how many times the highest one elsewhere that is (below 1: only the prior prefers it)."""
+    """The best shift (2,) px, its score, and how many times the highest one elsewhere that is (below 1: by the prior alone)."""
 
     shift_px: Array
     score: float
@@ -41,7 +41,7 @@ def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Arr
 
 
 def summit(score: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
-    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from the best is the same place."""
+    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from it is the same place."""
     q = np.stack(np.meshgrid(su, sv, indexing="ij"), axis=-1)
     squared = np.sum(q @ np.linalg.inv(covariance) * q, axis=-1)
     likely = 0.5 * (np.maximum(score, 0.0) / max(float(score.std()), 1e-9)) ** 2 - 0.5 * squared

@@ -128,14 +128,15 @@ def place_odds(stands: Array, gone: float, squared: float, found: float) -> floa
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
     """The one fit of several places that is left, or why none is.
 
-    Where several lead to one fit, it has what the least of them has kept: none of them was more right than the others.
+    Of those that show the likeliest place and are nearly as likely it is the one that knows the position best. Where several lead
+    to one fit, it has what the least of them has kept: none of them was more right than the others.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
         return str(tried[0])
     likeliest = max(fits, key=lambda one: one.odds)
     as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_place(one, likeliest, config)]
-    best = min(as_likely, key=lambda one: float(np.trace(one.pose.joint_covariance[:3, :3])))
+    best = min(as_likely, key=lambda one: (float(np.trace(one.pose.joint_covariance[:3, :3])), -one.odds))
     kept = best.kept
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))

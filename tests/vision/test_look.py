@@ -1,11 +1,16 @@
 """What one look at a picture takes for a landmark's colour."""
 
+import math
+
 import numpy as np
 import pytest
 
+from models.landmarks import Landmark
+from tests.vision.roofs import nadir_rig
 from tests.vision.test_pose import flight
 from vision.look import LookConfig, Scene, _roof_beside
 from vision.outline import profiles
+from vision.sensitivity import eyes
 
 POINTS, HALF = 20, 8
 
@@ -21,6 +26,23 @@ def test_what_lies_farther_inside_is_the_other_slope_of_a_roof_but_other_paint_o
     values = profiles(picture, px, normal, HALF, 1.0, 1, usable)
     beside = _roof_beside(picture, values, px, normal, edge, landmark, one, np.array([raised]), HALF, usable)
     np.testing.assert_allclose(beside, expected, atol=1.0)
+
+
+def test_the_edge_of_a_painted_mark_in_a_shadow_is_its_edge_still() -> None:
+    """White paint, 10 m wide, on grey ground, from 40 m; a shadow, 45 % of the light, lies over one edge and beyond it."""
+    rig, R_nb = nadir_rig(), np.eye(3)
+    p_n = np.array([0.0, 0.0, -40.0])
+    mark = Landmark.of("pad", 5.0 * np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]), 0.0, 0.0)
+    eye = eyes(rig)[0]
+    p_nk, R_nk = eye.pose(p_n, R_nb)
+    corners = eye.camera.project((np.column_stack((mark.outline_n, np.zeros(4))) - p_nk) @ R_nk)
+    picture = np.full((480, 640, 3), 90, np.uint8)
+    left, top, right, bottom = (math.ceil(x) for x in (*corners.min(axis=0), *corners.max(axis=0)))
+    picture[top:bottom, left:right] = 200
+    picture[: top + 20] = (0.45 * picture[: top + 20]).astype(np.uint8)
+    seen = Scene(rig, (picture, None), [mark]).look(p_n, R_nb, np.zeros((1, 6)), rig, LookConfig(), farthest_px=2.5)
+    assert seen.found.all()
+    assert np.abs(seen.line[:, 0, 0]).max() < 0.6
 
 
 def test_edges_farther_off_are_not_found_any_more() -> None:

@@ -108,6 +108,24 @@ def test_a_row_of_equal_houses_is_no_place() -> None:
     assert asked(ROW[1:4], ROW)[0].fix is None
 
 
+@pytest.mark.parametrize("about", [0.0, 18.0])
+def test_where_the_same_houses_stand_twice_the_prior_tells_which(about: float) -> None:
+    """Two equal groups, 36 px apart: the place is the one the prior is about, and the ratio says that the other is as good."""
+    group = VILLAGE[:3]
+    both = group + tuple((north, east + 18.0, a, b) for north, east, a, b in group)
+    prior = Prior(
+        TRUTH - np.array([0.0, about, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.diag([25.0, 25.0, 1.0, 1e-7, 1e-7, 1e-6])
+    )
+    eye, marks = eyes(RIG)[0], [mark(str(k), box) for k, box in enumerate(group)]
+    move = motion(eye, marks, prior)
+    assert move is not None
+    best = pattern.best_shift(eye, drawn(both), marks, move, CoarseConfig())
+    assert best is not None
+    p_n, _ = move.pose(move.gain[:, :2] @ best.shift_px)
+    assert float(np.linalg.norm((p_n - prior.p_n)[:2])) < 1.0
+    assert best.ratio < 1.1
+
+
 def test_where_the_heading_is_open_the_pattern_is_silent() -> None:
     before = nothing(7, "no_pose", "no fit")
     assert asked(VILLAGE, VILLAGE, yaw_rad=math.radians(3.0), result=before)[0] is before

@@ -75,6 +75,17 @@ def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: fl
     assert (decided([elsewhere(best, 4.0, 1.0), best], VerifyConfig()) is best) is told
 
 
+@pytest.mark.parametrize(("odds", "apart_m", "told"), [(5.1, 0.1, True), (4.4, 0.1, False), (5.1, 5.0, False)])
+def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, apart_m: float, told: bool) -> None:
+    """Less likely by 2.3 at most, and not elsewhere: a landmark more tells more of the pose, and is as right."""
+    sure = replace(fitted(whole(), MARKS), odds=odds)
+    vague = replace(elsewhere(sure, apart_m, 7.0), pose=replace(sure.pose, joint_covariance=4.0 * sure.pose.joint_covariance))
+    vague = replace(vague, pose=replace(vague.pose, joint_p_n=sure.pose.joint_p_n + np.array([0.0, apart_m, 0.0])))
+    outcome = decided([vague, sure], VerifyConfig(decides=2.3))
+    assert (outcome is sure) is told
+    assert isinstance(outcome, Fitted) is (apart_m < 1.0)
+
+
 def test_odds_of_a_place_by_hand() -> None:
     """One landmark that stands, 20 to 1, one of which nothing is told, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from tests.vision.test_predict import MARKS, RIG, drawn, whole
 from vision.look import LookConfig
 from vision.pose import PoseEstimate, estimate_pose
 from vision.recheck import recheck
+from vision.sensitivity import eyes
 
 
 def fitted() -> PoseEstimate:
@@ -64,6 +66,24 @@ def test_an_edge_may_be_as_far_off_as_the_map(aside_m: float, sigma_m: float, fo
     seen = recheck(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, LookConfig())
     assert bool(seen.share[0] > 0.6) is found
     assert found or seen.share[0] < 0.5
+
+
+@pytest.mark.parametrize(("over", "asked"), [((0, 1), False), ((0,), True)], ids=["in both pictures", "in one"])
+def test_what_something_covers_in_both_pictures_is_not_asked(over: tuple[int, ...], asked: bool) -> None:
+    """A red sheet, 7 m wide, over a corner of a roof: it hides half of the rim, and the ends of what is left of its sides."""
+    view, fit, turn = whole(), fitted(), np.linspace(0.0, 2.0 * np.pi, 40)
+    corner_n = np.append(MARKS[0].outline_n[0], MARKS[0].roof_d)
+    sheet_n = corner_n + 3.5 * np.column_stack((np.cos(turn), np.sin(turn), np.zeros(40)))
+    pictures = [view.left.copy(), view.right.copy()]
+    for k, eye in enumerate(eyes(RIG)):
+        p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
+        if k in over:
+            corners = eye.camera.project((sheet_n - p_nk) @ R_nk)
+            cv2.fillPoly(pictures[k], [np.rint(corners).astype(np.int32)], (40, 40, 230))
+    seen = recheck(RIG, (pictures[0], pictures[1]), MARKS, fit, LookConfig())
+    assert seen.share[1:].min() > 0.7
+    assert asked or seen.share[0] > 0.55  # 0.46 of all
+    assert bool(seen.pictures[1] - seen.pictures[0] > 0.1) is asked
 
 
 @pytest.mark.parametrize(("du", "dv"), [(3, 0), (0, 2), (-2, -3)])
