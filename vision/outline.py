@@ -26,6 +26,8 @@ _UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which
 _ENDING, _MOST_CONTRAST = 0.5, 0.8  # what ends at a rim has so much of the contrast that is exceeded by one point in five
 _OTHER, _SCATTER, _LEAST_OTHER = 0.4, 4.0, 4.0  # of the contrast; of the lower quartile; grey values: farther off is not the roof
 _SHADOW = 0.5  # of the light that a roof has in the sun
+_STRIP, _LEAST_STRIP = 0.5, 10.0  # of the contrast, and grey values: farther from both sides there is something between them
+_ALIKE, _DARKER = 0.96, 0.8  # the same colour (cosine), in a shadow
 _SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
 _BESIDE = 2  # points on either side that tell its shade along
 _LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
@@ -77,30 +79,30 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
     """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground). A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
+    ground); or between the inner side and a shadow that lies between the two: where the roof ends and not where its shadow does. A
+    channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
     """
     n, size, channels = values.shape
     third = size // 3
-    sums, count = np.zeros((edges, 3, channels)), np.zeros(edges)
+    mean, count = np.zeros((edges, size, channels)), np.zeros(edges)
     bright = np.zeros((edges, channels))
     for i in range(n):
         if usable[i]:
             e = edge[i]
-            count[e] += third
+            count[e] += 1.0
             for j in range(size):
                 for c in range(channels):
+                    mean[e, j, c] += values[i, j, c]
                     bright[e, c] += 1.0 if values[i, j, c] >= _CLIPPED else 0.0
-            for j in range(third):
-                for c in range(channels):
-                    sums[e, 0, c] += values[i, j, c]
-                    sums[e, 1, c] += values[i, third + j, c]
-                    sums[e, 2, c] += values[i, size - 1 - j, c]
     direction, clipped = np.empty((edges, channels)), np.zeros(edges, dtype=np.bool_)
     for e in range(edges):
-        across = sums[e, 2] - sums[e, 0]
-        middle = sums[e, 1] - 0.5 * (sums[e, 0] + sums[e, 2])
+        profile = mean[e] / max(count[e], 1.0)
+        inside, between, outside = _average(profile[:third]), _average(profile[third : 2 * third]), _average(profile[-third:])
+        across, middle, shadow = outside - inside, between - 0.5 * (inside + outside), _shadow_between(profile, inside, outside)
         d = across if np.sum(across**2) >= np.sum(middle**2) else middle
-        free = np.where(bright[e] > 0.1 * count[e], 0.0, d)
+        if np.sum(shadow) > 0.0:
+            d = shadow - inside
+        free = np.where(bright[e] > 0.1 * third * count[e], 0.0, d)
         clipped[e] = np.sum(free**2) < _UNCLIPPED * np.sum(d**2)
         if not clipped[e]:
             d = free
@@ -115,6 +117,39 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
                     total += values[i, j, c] * direction[edge[i], c]
                 result[i, j] = total
     return result, clipped
+
+
+@njit(cache=True)
+def _average(colours: Array) -> Array:
+    """Of colours (S, C)."""
+    mean: Array = np.sum(colours, axis=0) / len(colours)
+    return mean
+
+
+@njit(cache=True)
+def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
+    """Colour (C,) of a profile (S, C) where it is farthest from what one blurred step shows, if that is the outer side's in a
+    shadow; else 0.
+
+        r = |c - a - t (b - a)|,  0 <= t <= 1:    r > |b - a| / 2,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
+
+    a: inside, b: outside.
+    """
+    across = outside - inside
+    square, farthest, at = np.sum(across**2), 0.0, -1
+    for j in range(len(profile)):
+        off = profile[j] - inside
+        t = min(max(np.sum(off * across) / max(square, 1e-9), 0.0), 1.0)
+        r = np.sum((off - t * across) ** 2)
+        if r > farthest:
+            farthest, at = r, j
+    none = np.zeros(len(inside))
+    if farthest < max(_STRIP**2 * square, _LEAST_STRIP**2):
+        return none
+    colour = profile[at]
+    dark, light = math.sqrt(np.sum(colour**2)), math.sqrt(np.sum(outside**2))
+    alike = np.sum(colour * outside) > _ALIKE * dark * light and dark < _DARKER * light
+    return colour.copy() if alike else none
 
 
 @njit(cache=True)
