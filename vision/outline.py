@@ -79,8 +79,8 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
     """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground); or between the inner side and a shadow that lies between the two: where the roof ends and not where its shadow does. A
-    channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
+    ground), or between the inner side and a shadow where one lies between the two: the roof ends there, not where its shadow does.
+    A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
     """
     n, size, channels = values.shape
     third = size // 3

@@ -52,6 +52,9 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
     weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
     decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
+    decides_alike: Annotated[
+        float, Meta(gt=0, description="the same of a place that would be believed by itself: more than one landmark tells")
+    ] = 6.6
     moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
     weak_factor: Annotated[float, Meta(gt=1, description="above it the next picture must agree")] = 2.2
@@ -142,9 +145,14 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
         if apart < _ONE_FIT_PX:
             kept = min(kept, other.kept)
-        if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - config.decides:
+        if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - _decisive(other, config):
             return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best if kept == best.kept else replace(best, kept=kept)
+
+
+def _decisive(other: Fitted, config: VerifyConfig) -> float:
+    """ln of the odds by which another place must be less likely: in a row of equal houses it has one more in view, or one less."""
+    return config.decides if other.odds < config.odds else config.decides_alike
 
 
 def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:

@@ -53,6 +53,15 @@ def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, to
     assert outcome is best if told else "another place, 106 px off" in str(outcome)
 
 
+@pytest.mark.parametrize(
+    ("likelier", "odds", "told"), [(39.3, 36.3, False), (39.3, 32.0, True), (8.0, 4.9, True), (8.0, 5.1, False)]
+)
+def test_one_landmark_does_not_decide_between_places_that_would_be_believed(likelier: float, odds: float, told: bool) -> None:
+    """In a row of equal houses the place one house on has one more of them in view, or one less, and all of them stand."""
+    best = replace(fitted(whole(), MARKS), odds=likelier)
+    assert (decided([elsewhere(best, 11.0, odds), best], VerifyConfig()) is best) is told
+
+
 @pytest.mark.parametrize(("apart_m", "kept"), [(0.01, 0.6), (0.5, 0.9)])
 def test_one_fit_from_two_places_has_kept_what_the_least_has(apart_m: float, kept: float) -> None:
     best = replace(fitted(whole(), MARKS), odds=4.5, kept=0.9)
