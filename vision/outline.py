@@ -79,7 +79,7 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
     """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground), or between the inner side and a shadow where one lies between the two: the roof ends there, not where its shadow does.
+    ground); where a shadow lies between them it is between the inner side and the shadow, for at its far side no roof ends.
     A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
     """
     n, size, channels = values.shape

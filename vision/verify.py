@@ -151,7 +151,7 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
 
 
 def _decisive(other: Fitted, config: VerifyConfig) -> float:
-    """ln of the odds by which another place must be less likely: in a row of equal houses it has one more in view, or one less."""
+    """ln of the odds by which another place must be less likely: in a row of equal houses it shows one more, or one less."""
     return config.decides if other.odds < config.odds else config.decides_alike
 
 
