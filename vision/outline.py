@@ -26,7 +26,7 @@ _UNCLIPPED = 0.36  # share of the squared contrast that channels must keep which
 _ENDING, _MOST_CONTRAST = 0.5, 0.8  # what ends at a rim has so much of the contrast that is exceeded by one point in five
 _OTHER, _SCATTER, _LEAST_OTHER = 0.4, 4.0, 4.0  # of the contrast; of the lower quartile; grey values: farther off is not the roof
 _SHADOW = 0.5  # of the light that a roof has in the sun
-_STRIP, _LEAST_STRIP = 0.5, 10.0  # of the contrast, and grey values: farther from both sides there is something between them
+_STRIP, _LEAST_STRIP = 0.3, 10.0  # of the contrast, and grey values: farther from both sides there is something between them
 _ALIKE, _DARKER = 0.96, 0.8  # the same colour (cosine), in a shadow
 _SHADE = 1.3  # by how much lighter or darker than the roof's colour a slope may be
 _BESIDE = 2  # points on either side that tell its shade along
@@ -131,7 +131,7 @@ def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
     """Colour (C,) of a profile (S, C) where it is farthest from what one blurred step shows, if that is the outer side's in a
     shadow; else 0.
 
-        r = |c - a - t (b - a)|,  0 <= t <= 1:    r > |b - a| / 2,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
+        r = |c - a - t (b - a)|,  0 <= t <= 1:    r > 0.3 |b - a|,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
 
     a: inside, b: outside.
     """
