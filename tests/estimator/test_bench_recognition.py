@@ -19,7 +19,8 @@ from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
 from estimator.cli import app
 from models import colours, so3
 from models.messages import LandmarkFix
-from vision import place
+from vision import place, verify
+from vision.coarse import CoarseConfig
 from vision.identify import Prior
 from vision.pipeline import PipelineConfig
 from vision.predict import PredictConfig
@@ -224,7 +225,7 @@ def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
     assert recognisers.landfix(views.draw("description", "pale", 402, 0), timed=False).verdict == "recognised"
 
 
-@pytest.mark.parametrize(("roof", "seed", "number"), [("painted", 621, 47), ("pale", 703, 33)])
+@pytest.mark.parametrize(("roof", "seed", "number"), [("painted", 621, 47), ("pale", 722, 34)])
 def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt(
     monkeypatch: pytest.MonkeyPatch, roof: views.Roof, seed: int, number: int
 ) -> None:
@@ -234,3 +235,18 @@ def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_do
     monkeypatch.setattr(place, "_SURE_ANYHOW", math.inf)
     strict = PipelineConfig(predict=PredictConfig(verify=VerifyConfig(hidden_found=0.5)))
     assert recognisers.landfix(hidden, strict, timed=False).verdict == "silent"
+
+
+def test_a_place_behind_the_twentieth_summit_is_found() -> None:
+    """Pale roofs of which half is in view: the most reduced picture shows more edges elsewhere."""
+    sample, few = views.draw("partial", "pale", 722, 95), PredictConfig(coarse=CoarseConfig(summits=20, peaks=5))
+    assert recognisers.landfix(sample, timed=False).verdict == "recognised"
+    assert recognisers.landfix(sample, PipelineConfig(predict=few), timed=False).verdict == "silent"
+
+
+def test_a_place_with_more_votes_that_leads_to_the_same_fit_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = views.draw("partial", "pale", 741, 71)
+    assert recognisers.landfix(sample, timed=False).verdict == "recognised"
+    monkeypatch.setattr(verify, "same_place", lambda *_: False)
+    answer = recognisers.landfix(sample, timed=False)
+    assert answer.verdict == "silent"
