@@ -9,10 +9,12 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import msgspec
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 
@@ -54,19 +56,26 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
     parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
+    parser.add_argument(
+        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's belief (1 3)"
+    )
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
     parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
     args = parser.parse_args()
     if args.priors < 1 or not 320 <= args.width <= brighton.WIDTH:
         parser.error(f"--priors must be at least 1, --width between 320 and {brighton.WIDTH}")
+    if not all(0.0 < sigma <= 10.0 for sigma in args.attitude_deg or ()):
+        parser.error("--attitude-deg: both must be above 0 and at most 10")
     return args
 
 
 def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
     """Those of a set."""
     if name == "brighton":
-        return brighton.trials(data, args.seed, args.priors, args.width)
+        level, yaw = np.radians(args.attitude_deg) if args.attitude_deg else brighton.SPREAD.sigma[[3, 5]]
+        spread = replace(brighton.SPREAD, level_sigma_rad=float(level), yaw_sigma_rad=float(yaw))
+        return brighton.trials(data, args.seed, args.priors, args.width, spread)
     if name == "nust":
         return nust.trials(data, args.seed, args.priors)
     return spacenet.trials(data, args.seed, args.priors)

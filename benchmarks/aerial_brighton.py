@@ -39,7 +39,7 @@ def camera(width: int = WIDTH) -> CameraModel:
     return CameraModel(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1), _DISTORTION, np.diag(sigma**2))
 
 
-def trials(data: Path, seed: int, priors: int, width: int) -> Iterator[Trial]:
+def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD) -> Iterator[Trial]:
     """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned."""
     landmarks = landmark_map()
     for name, where in references(data, landmarks, photo_names(data)).items():
@@ -48,7 +48,7 @@ def trials(data: Path, seed: int, priors: int, width: int) -> Iterator[Trial]:
             continue
         for number in range(priors):
             rng = generator(seed, name, number)
-            prior = SPREAD.draw(rng, known.p_n, known.R_nb)
+            prior = spread.draw(rng, known.p_n, known.R_nb)
             yield Trial(known, number, prior)
             if known.group == MANY:
                 decoys = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), known.p_n[:2], rng))
