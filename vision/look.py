@@ -314,8 +314,8 @@ def _fit_steps(
     beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
     usable &= ~outline.covered(values, beside, edge, landmark, roof, usable)
     usable &= ~(raised & outline.alien(values, beside, edge, roof, usable))[edge]
-    grey, clipped = outline.along_contrast(values, edge, count, usable)
     narrow = roof & (gap > 0.0) & near
+    grey, clipped = outline.along_contrast(values, edge, roof & ~narrow, usable)
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)
     offsets, _, variance = step_fit.fit(grey, edge, double, farthest, 1.0, usable)
     variance = _GAP_FACTOR * variance + np.where(narrow & (gap <= _SEEN_GAP_PX), _SEEN_GAP_PX**2, 0.0)

@@ -75,15 +75,16 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
 
 
 @njit(cache=True)
-def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tuple[Array, Mask]:
+def along_contrast(values: Array, edge: Indices, shaded: Mask, usable: Mask) -> tuple[Array, Mask]:
     """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
 
     Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground); where a shadow lies between them it is between the inner side and the shadow, for at its far side no roof ends.
-    A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has contrast.
+    ground); where a shadow may lie between them (shaded, (E,)) and does, it is between the inner side and the shadow, for at its
+    far side no roof ends. A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has
+    contrast.
     """
     n, size, channels = values.shape
-    third = size // 3
+    edges, third = len(shaded), size // 3
     mean, count = np.zeros((edges, size, channels)), np.zeros(edges)
     bright = np.zeros((edges, channels))
     for i in range(n):
@@ -98,10 +99,11 @@ def along_contrast(values: Array, edge: Indices, edges: int, usable: Mask) -> tu
     for e in range(edges):
         profile = mean[e] / max(count[e], 1.0)
         inside, between, outside = _average(profile[:third]), _average(profile[third : 2 * third]), _average(profile[-third:])
-        across, middle, shadow = outside - inside, between - 0.5 * (inside + outside), _shadow_between(profile, inside, outside)
+        across, middle = outside - inside, between - 0.5 * (inside + outside)
         d = across if np.sum(across**2) >= np.sum(middle**2) else middle
-        if np.sum(shadow) > 0.0:
-            d = shadow - inside
+        if shaded[e]:
+            shadow = _shadow_between(profile, inside, outside)
+            d = shadow - inside if np.sum(shadow) > 0.0 else d
         free = np.where(bright[e] > 0.1 * third * count[e], 0.0, d)
         clipped[e] = np.sum(free**2) < _UNCLIPPED * np.sum(d**2)
         if not clipped[e]:

@@ -144,21 +144,21 @@ def test_two_equal_steps_are_ambiguous() -> None:
 
 def test_contrast_leaves_saturated_channels_out() -> None:
     values = bars((12, (255.0, 150.0, 60.0)), (13, (150.0, 20.0, 60.0)))
-    grey, clipped = along_contrast(values, ONE, 1, everything())
+    grey, clipped = along_contrast(values, ONE, ROOF, everything())
     np.testing.assert_allclose(np.abs(grey[:, -1] - grey[:, 0]), 130.0)  # green alone
     assert not clipped[0]
 
 
 def test_contrast_that_is_all_saturated_is_said() -> None:
     values = bars((12, (255.0, 60.0, 60.0)), (13, (100.0, 50.0, 60.0)))
-    grey, clipped = along_contrast(values, ONE, 1, everything())
+    grey, clipped = along_contrast(values, ONE, ROOF, everything())
     assert clipped[0]
     assert np.abs(grey[0, -1] - grey[0, 0]) > 150.0
 
 
 def test_contrast_of_a_dark_wall_between_two_like_colours() -> None:
     values = bars((9, GREEN), (7, DARK), (9, GREEN))
-    grey, _ = along_contrast(values, ONE, 1, everything())
+    grey, _ = along_contrast(values, ONE, ROOF, everything())
     assert np.ptp(grey[0]) > 80.0
 
 
@@ -170,7 +170,7 @@ def test_contrast_of_a_dark_wall_between_two_like_colours() -> None:
 def test_contrast_beside_a_shadow_is_where_the_roof_ends(between: tuple[float, float, float], told: bool) -> None:
     """A green roof that has as little red as the shadow it casts on a meadow: by the red of both sides only this one ends."""
     roof, meadow = (60.0, 146.0, 50.0), (86.0, 160.0, 138.0)
-    grey, _ = along_contrast(bars((12, roof), (3, between), (10, meadow)), ONE, 1, everything())
+    grey, _ = along_contrast(bars((12, roof), (3, between), (10, meadow)), ONE, ROOF, everything())
     strip, outside = abs(grey[0, 13] - grey[0, 0]), abs(grey[0, -1] - grey[0, 0])
     whole_strip, whole_outside = (np.linalg.norm(np.subtract(colour, roof)) for colour in (between, meadow))
     assert np.isclose(strip, whole_strip) == told
