@@ -250,3 +250,10 @@ def test_a_place_with_more_votes_that_leads_to_the_same_fit_is_no_other_place(mo
     monkeypatch.setattr(verify, "same_place", lambda *_: False)
     answer = recognisers.landfix(sample, timed=False)
     assert answer.verdict == "silent"
+
+
+def test_the_thesis_is_asked_for_a_landmark_however_far_the_view_reaches() -> None:
+    """A prior 70 m aside: the landmark asked for is not among those within 50 m of it."""
+    sample = views.draw("accuracy", "painted", 3, 0)
+    aside = dataclasses.replace(sample.prior, p_n=sample.prior.p_n + np.array([70.0, 0.0, 0.0]))
+    assert recognisers.thesis(dataclasses.replace(sample, prior=aside), timed=False).verdict == "recognised"
