@@ -249,17 +249,10 @@ def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask)
     for e in range(len(roof)):
         along = np.flatnonzero(usable & (edge == e))
         if roof[e] and len(along) > 0:
-            ours, ends, beyond = _mean(beside, along), _mean(inside, along), _mean(outside, along)
+            ours, ends, beyond = _average(beside[along]), _average(inside[along]), _average(outside[along])
             off, across = math.sqrt(np.sum((ends - ours) ** 2)), math.sqrt(np.sum((beyond - ends) ** 2))
             found[e] = off > _OTHER * across + _LEAST_OTHER
     return found
-
-
-@njit(cache=True)
-def _mean(colours: Array, of: Indices) -> Array:
-    """Of some of colours (N, C)."""
-    mean: Array = np.sum(colours[of], axis=0) / len(of)
-    return mean
 
 
 @njit(cache=True)
