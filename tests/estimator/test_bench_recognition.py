@@ -248,8 +248,7 @@ def test_a_place_with_more_votes_that_leads_to_the_same_fit_is_no_other_place(mo
     sample = views.draw("partial", "pale", 741, 71)
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
     monkeypatch.setattr(verify, "same_place", lambda *_: False)
-    answer = recognisers.landfix(sample, timed=False)
-    assert answer.verdict == "silent"
+    assert recognisers.landfix(sample, timed=False).verdict == "silent"
 
 
 def test_the_thesis_is_asked_for_a_landmark_however_far_the_view_reaches() -> None:

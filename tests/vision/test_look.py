@@ -2,14 +2,13 @@
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 
 from models.landmarks import Landmark
 from tests.vision.roofs import nadir_rig
 from tests.vision.test_pose import flight
-from tests.vision.test_predict import MARKS, RIG, whole
+from tests.vision.test_predict import MARKS, RIG, under_a_sheet, whole
 from vision.look import LookConfig, Scene, _roof_beside
 from vision.outline import profiles
 from vision.sensitivity import eyes
@@ -67,15 +66,11 @@ def test_edges_farther_off_are_not_found_any_more() -> None:
 
 
 def test_a_search_does_not_ask_what_a_sheet_covers() -> None:
-    """A red sheet, 7 m wide, over a corner of a pale roof: a good part of the rim is not looked at."""
-    view, turn = whole(), np.linspace(0.0, 2.0 * np.pi, 40)
-    sheet_n = np.append(MARKS[0].outline_n[0], MARKS[0].roof_d) + 3.5 * np.column_stack((np.cos(turn), np.sin(turn), 0.0 * turn))
-    p_nk, R_nk = eyes(RIG)[0].pose(view.p_n, view.R_nb)
-    picture = view.left.copy()
-    corners = RIG.left.project((sheet_n - p_nk) @ R_nk)
-    cv2.fillPoly(picture, [np.rint(corners).astype(np.int32)], (40, 40, 230))
+    """A sheet over a corner of a pale roof: a good part of the rim is not looked at."""
+    view = whole()
+    covered = under_a_sheet(view.left, eyes(RIG)[0], view)
     whole_rim, rest = (
         Scene(RIG, (shown, None), MARKS[:1]).look(view.p_n, view.R_nb, np.zeros((1, 6)), RIG, LookConfig(), search_px=8).usable
-        for shown in (view.left, picture)
+        for shown in (view.left, covered)
     )
     assert rest < 0.9 * whole_rim

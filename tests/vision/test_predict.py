@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Literal, NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from vision.motion import motion
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.predict import PredictConfig
 from vision.rectify import Image
-from vision.sensitivity import eyes
+from vision.sensitivity import Eye, eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
@@ -67,6 +68,16 @@ MARKS = tuple(house(str(k), place, angle) for k, (place, angle) in enumerate(PLA
 @cache
 def whole() -> View:
     return look_at(MARKS, np.array([0.0, 0.0, -40.0]))
+
+
+def under_a_sheet(picture: Image, eye: Eye, view: View) -> Image:
+    """The picture that `eye` took with a red sheet, 7 m wide, over a corner of the first roof of the map."""
+    turn, mark = np.linspace(0.0, 2.0 * np.pi, 40), view.marks[0]
+    rim_n = np.append(mark.outline_n[0], mark.roof_d) + 3.5 * np.column_stack((np.cos(turn), np.sin(turn), 0.0 * turn))
+    p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
+    covered = picture.copy()
+    cv2.fillPoly(covered, [np.rint(eye.camera.project((rim_n - p_nk) @ R_nk)).astype(np.int32)], (40, 40, 230))
+    return covered
 
 
 def prior_off(view: View, error: Array, sigma: Array = SIGMA) -> Prior:

@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
 from models.landmarks import Landmark
-from tests.vision.test_predict import MARKS, RIG, drawn, whole
+from tests.vision.test_predict import MARKS, RIG, drawn, under_a_sheet, whole
 from vision.look import LookConfig
 from vision.pose import PoseEstimate, estimate_pose
 from vision.recheck import recheck
@@ -70,16 +69,10 @@ def test_an_edge_may_be_as_far_off_as_the_map(aside_m: float, sigma_m: float, fo
 
 @pytest.mark.parametrize(("over", "asked"), [((0, 1), False), ((0,), True)], ids=["in both pictures", "in one"])
 def test_what_something_covers_in_both_pictures_is_not_asked(over: tuple[int, ...], asked: bool) -> None:
-    """A red sheet, 7 m wide, over a corner of a roof: it hides half of the rim, and the ends of what is left of its sides."""
-    view, fit, turn = whole(), fitted(), np.linspace(0.0, 2.0 * np.pi, 40)
-    corner_n = np.append(MARKS[0].outline_n[0], MARKS[0].roof_d)
-    sheet_n = corner_n + 3.5 * np.column_stack((np.cos(turn), np.sin(turn), np.zeros(40)))
-    pictures = [view.left.copy(), view.right.copy()]
-    for k, eye in enumerate(eyes(RIG)):
-        p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
-        if k in over:
-            corners = eye.camera.project((sheet_n - p_nk) @ R_nk)
-            cv2.fillPoly(pictures[k], [np.rint(corners).astype(np.int32)], (40, 40, 230))
+    """A sheet over a corner of a roof hides half of the rim, and the ends of what is left of its sides."""
+    view, fit, pictures = whole(), fitted(), [whole().left, whole().right]
+    for k in over:
+        pictures[k] = under_a_sheet(pictures[k], eyes(RIG)[k], view)
     seen = recheck(RIG, (pictures[0], pictures[1]), MARKS, fit, LookConfig())
     assert seen.share[1:].min() > 0.7
     assert asked or seen.share[0] > 0.55  # 0.46 of all
