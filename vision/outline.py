@@ -130,8 +130,8 @@ def _average(colours: Array) -> Array:
 
 @njit(cache=True)
 def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
-    """Colour (C,) of a profile (S, C) where it is farthest from what one blurred step shows, if that is the outer side's in a
-    shadow; else 0.
+    """Colour (C,) of a profile (S, C), beyond its inner third, where it is farthest from what one blurred step shows, if that is
+    the outer side's in a shadow; else 0.
 
         r = |c - a - t (b - a)|,  0 <= t <= 1:    r > 0.3 |b - a|,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
 
@@ -139,7 +139,7 @@ def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
     """
     across = outside - inside
     square, farthest, at = np.sum(across**2), 0.0, -1
-    for j in range(len(profile)):
+    for j in range(len(profile) // 3, len(profile)):
         off = profile[j] - inside
         t = min(max(np.sum(off * across) / max(square, 1e-9), 0.0), 1.0)
         r = np.sum((off - t * across) ** 2)

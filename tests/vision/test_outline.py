@@ -177,6 +177,14 @@ def test_contrast_beside_a_shadow_is_where_the_roof_ends(between: tuple[float, f
     assert np.isclose(outside, whole_outside) == (not told)
 
 
+def test_a_dark_line_on_the_roof_is_no_shadow_beside_it() -> None:
+    """A line of the meadow's colour in a shadow, well inside: the roof ends where the meadow begins."""
+    roof, meadow = (60.0, 146.0, 50.0), (86.0, 160.0, 138.0)
+    values = bars((5, roof), (1, (39.0, 72.0, 62.0)), (6, roof), (13, meadow))
+    grey, _ = along_contrast(values, ONE, ROOF, everything())
+    assert abs(grey[0, -1] - grey[0, 8]) > 0.95 * np.linalg.norm(np.subtract(meadow, roof))
+
+
 def test_profiles_crossed_by_another_edge() -> None:
     start, end = np.array([[0.0, 0.0], [0.0, 4.0], [0.0, 6.0]]), np.array([[50.0, 0.0], [20.0, 4.0], [50.0, 6.0]])
     px, normal = np.array([[10.0, 0.0], [30.0, 0.0], [30.0, 0.0]]), np.array([[0.0, 1.0]] * 3)
