@@ -31,6 +31,7 @@ _QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _ALIKE = 0.75  # similarity from which one may be taken for the other, as in identify.py
 _OBLONG, _TURNED_RAD = 1.3, 0.26  # length over width; by which the prior's heading, and a row's houses, may differ
 _STEP_M = 5.0  # to which rows of houses keep their distance
+_ONE_STEP = 0.1  # of a house's width: steps that differ by less are one
 _FEWEST_CORNERS, _OUT_OF_ROUND = 10, 0.05  # of a polygon that stands for a circle; of the corners' distances from the middle
 
 
@@ -57,13 +58,14 @@ def alternatives(p_n: Array, R_nb: Array, landmarks: Sequence[Landmark]) -> list
     return [(turned_p, turned_R), (turned_p, mirrored_R), *quarters]
 
 
-def may_be_a_step_off(
-    p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float
-) -> bool:
-    """Whether the prior allows, at less than `odds` against it, a place from which the map repeats itself.
+def steps_off(
+    p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float,
+    share: float,
+) -> Array:  # fmt: skip
+    """Steps (S, 3) from p_n to places that the prior allows, at less than `odds` against them, and where the map repeats itself.
 
-    That is one step from p_n at which more than a third of the landmarks `used` have one that looks like them: the others may
-    stand there without being in the map.
+    There more than a share of the landmarks `used` have one that looks like them: the others may stand there without being in the
+    map.
     """
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
     places = np.array([(*mark.centre_n, mark.roof_d) for mark in near])
@@ -78,7 +80,16 @@ def may_be_a_step_off(
     allowed = step[np.einsum("sa,ab,sb->s", apart + step, inverse, apart + step) < limit]
     beside = np.linalg.norm(own[None, :, None, :2] + allowed[:, None, None, :2] - places[None, None, :, :2], axis=3) < _STEP_M
     repeated = (beside & alike[None]).any(axis=2).sum(axis=1)
-    return bool((3 * repeated > len(used)).any())
+    return _apart(allowed[repeated > share * len(used)], _ONE_STEP * min((mark.width_m for mark in used), default=0.0))
+
+
+def _apart(steps: Array, least_m: float) -> Array:
+    """Those of steps (S, 3) that are so far from all that are kept before them."""
+    kept = np.zeros((0, 3))
+    for step in steps:
+        if not (np.linalg.norm(kept - step, axis=1) < least_m).any():
+            kept = np.vstack((kept, step))
+    return kept
 
 
 def _as_turned(one: Landmark, other: Landmark) -> bool:

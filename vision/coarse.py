@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from models.camera import CameraModel
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.motion import Motion
+from vision.motion import Motion, roofs_in_view, straight
 from vision.pose import Pose
 from vision.rectify import Image
 from vision.reduced import levels
@@ -84,6 +84,17 @@ class Candidate:
     support: Array
     length: Array
     score: float
+
+    @classmethod
+    def as_mapped(cls, eye: Eye, landmarks: Sequence[Landmark], pose: Pose, error: Array) -> "Candidate":
+        """A place that nothing voted for: landmarks are where the map has them, and count by what the picture shows of them."""
+        pinhole = straight(eye)
+        ends, mark = roofs_in_view(pinhole, landmarks, pose, 0.0)
+        p_nk, R_nk = pinhole.pose(*pose)
+        px = pinhole.camera.project((ends - p_nk) @ R_nk)
+        length = np.zeros(len(landmarks))
+        np.add.at(length, mark[::2], np.linalg.norm(px[1::2] - px[::2], axis=1))
+        return cls(*pose, error, np.zeros((len(landmarks), len(MapError))), length, length, float(length.sum()))
 
     @property
     def pose(self) -> Pose:

@@ -16,7 +16,8 @@ import numpy as np
 
 from models.camera import StereoRig
 from models.landmarks import Landmark, LandmarkMap
-from vision.ambiguity import may_be_a_step_off
+from models.messages import Array
+from vision.ambiguity import steps_off
 from vision.constellation import MemoryConfig
 from vision.identify import IdentifyConfig, Prior
 from vision.map_error import with_map_error
@@ -31,7 +32,8 @@ from vision.segmented import Identified, SegmentConfig, SegmentPath
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
 
-_ENOUGH, _MAJORITY = 4, 2.0 / 3.0  # landmarks, and part of those in view, that look-alikes elsewhere match once in thousands
+_ENOUGH, _MAJORITY = 4, 2.0 / 3.0  # landmarks, and part of those in view, that look-alikes elsewhere match once in thousands,
+_MINORITY = 1.0 / 3.0  # unless so many of them are in the map: of that part, and of fewer landmarks
 _ODDS: Final = 1e3  # of the prior against another place, from which that one is out of the question
 _WIDE: Final = 0.25  # of the limits of the search: from there on the prior is so wide that regions are tried as well
 
@@ -107,7 +109,7 @@ class LandmarkPipeline:
         if not only and not self._predict.narrow(pictures, move):
             return None
         located = self._predict.locate(pictures, marks, move, t_ns, prior)
-        doubtful = _may_be_the_next_house(located, self._config.predict.most_fitted, near, prior)
+        doubtful = self._may_be_the_next_house(located, pictures, near, prior)
         if doubtful:
             located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
         result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
@@ -116,6 +118,13 @@ class LandmarkPipeline:
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed
         narrow = not doubtful and self._predict.narrow(pictures, move, _WIDE)
         return result if only or settled or narrow else None
+
+    def _may_be_the_next_house(self, located: Result, pictures: Pictures, near: list[Landmark], prior: Prior) -> bool:
+        """Whether a place from which the map repeats itself shows the same, or nearly so."""
+        steps = _to_the_next_house(located, self._config.predict.most_fitted, near, prior)
+        if located.pose is None or not len(steps):
+            return False
+        return not self._predict.stands_out(pictures, near, located.pose, steps, prior)
 
     def _near(self, prior: Prior) -> list[Landmark]:
         """Landmarks that may be in view: 4 sigma around what the left camera overlooks, nearest first."""
@@ -134,20 +143,22 @@ class LandmarkPipeline:
         return self._map.near(p_nc[0], p_nc[1], radius)
 
 
-def _may_be_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> bool:
-    """Whether a fix rests on few landmarks of those in view (`most` of them are fitted), of which one may be another.
+def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:
+    """Steps (S, 3) to places that show the same, as far as the landmarks tell that a fix rests on (`most` of them are fitted).
 
     Where houses look alike, each step of the map lays its outlines on houses again. An outline that lies within a few pixels by
     chance (1 in 20) against one that is found where it is (6 in 10) is worth 12, one that is not found costs 2.6; eight houses
-    stand around: four found and one missing reach odds of 1000, three do not.
+    stand around: four found and one missing reach odds of 1000, three do not. But where the houses a step further are in the map
+    as well, chance has no part in it, and any number proves nothing.
     """
     if result.fix is None or result.pose is None:
-        return False
+        return np.zeros((0, 3))
     used, shown = len(result.fix.landmarks), min(len(result.regions), most)
-    if used >= _ENOUGH and used > _MAJORITY * shown:
-        return False
     marks = [mark for mark in near if mark.id in result.fix.landmarks]
-    return bool(marks) and may_be_a_step_off(result.pose.joint_p_n, marks, near, prior.p_n, prior.covariance, _ODDS)
+    if not marks:
+        return np.zeros((0, 3))
+    share = _MAJORITY if used >= _ENOUGH and used > _MAJORITY * shown else _MINORITY
+    return steps_off(result.pose.joint_p_n, marks, near, prior.p_n, prior.covariance, _ODDS, share)
 
 
 def _prior_flaw(prior: Prior) -> str | None:

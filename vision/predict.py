@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
@@ -25,7 +26,7 @@ from vision.identify import Prior
 from vision.motion import Motion, motion, roofs_in_view, straight
 from vision.pictures import Pictures
 from vision.place import Fitter
-from vision.pose import PoseConfig
+from vision.pose import PoseConfig, PoseEstimate, difference
 from vision.reports import RegionReport, Result, fix_of, report_of
 from vision.sensitivity import Eye, eyes
 from vision.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
@@ -35,6 +36,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
+_MOST_STEPS = 12  # places that may be fitted beside a place
 _MOST_TRIED = 3  # places that are fitted if the best one is not sure; all that are nearly as good are in any case
 
 
@@ -107,6 +109,31 @@ class PredictPath:
         detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
+
+    def stands_out(self, pictures: Pictures, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
+        """Whether a place is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
+
+        One that would not be believed by itself is not.
+        """
+        if len(steps) > _MOST_STEPS:
+            return False
+        eye, v = self._eye(pictures), self._config.verify
+        p_0, q_0 = np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float)
+        R_nb, q_nb = here.joint_R_nb, so3.from_matrix(here.joint_R_nb)
+        beside = [here.joint_p_n + step for step in (np.zeros(3), *steps)]
+        shown = [_in_view(eye, near, Prior(p_n, q_nb, prior.covariance), 0.0, self._config.most_voting) for p_n in beside]
+        marks = list({mark.id: mark for some in shown for mark in some}.values())
+        places = [Candidate.as_mapped(eye, marks, (p_n, R_nb), difference(p_n, R_nb, p_0, q_0)) for p_n in beside]
+        fits = [self._fit_at(pictures, marks, place, prior) for place in places]
+        first, likeliest = fits[0], verify.decided(fits, v)
+        if isinstance(first, str) or isinstance(likeliest, str):
+            return False
+        return first.odds >= v.odds and verify.same_place(likeliest, first, v)
+
+    def _fit_at(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+        """The fit from a place, of one landmark where all of them together give none."""
+        fitted = self._fitter.fit(pictures, marks, place, prior)
+        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(pictures, marks, place, prior) or fitted
 
     def _decide(
         self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior

@@ -5,7 +5,7 @@ import pytest
 
 from models.landmarks import Landmark
 from models.messages import Array
-from vision.ambiguity import may_be_a_step_off
+from vision.ambiguity import steps_off
 
 PLACE, ODDS = np.array([0.0, 0.0, -60.0]), 1e3
 
@@ -20,10 +20,10 @@ HERE, NEXT, LARGE = house("here", 0.0, 0.0), house("next", 0.0, 25.0), house("la
 
 def doubted(
     sigma: float, off: tuple[float, float, float] = (0.0, 0.0, 0.0), near: tuple[Landmark, ...] = (HERE, NEXT),
-    used: tuple[Landmark, ...] = (HERE,),
+    used: tuple[Landmark, ...] = (HERE,), share: float = 1.0 / 3.0,
 ) -> bool:  # fmt: skip
     covariance: Array = np.diag([sigma**2] * 3 + [1e-4] * 3)
-    return may_be_a_step_off(PLACE + off, used, near, PLACE, covariance, ODDS)
+    return len(steps_off(PLACE + off, used, near, PLACE, covariance, ODDS, share)) > 0
 
 
 @pytest.mark.parametrize(("sigma", "doubt"), [(2.0, False), (6.0, False), (7.0, True), (20.0, True)])
@@ -55,3 +55,13 @@ def test_a_step_counts_where_the_map_repeats_itself() -> None:
     apart = (row[0], house("a", 30.0, 7.0), house("b", -40.0, 12.0))
     assert doubted(20.0, near=row, used=row[:3])
     assert not doubted(12.0, near=(*apart, row[1]), used=apart)
+
+
+def test_steps_tell_where_the_map_shows_the_same_each_of_them_once() -> None:
+    """Three of a row of five: one step to either side has all three in the map, two steps only two of them."""
+    row = tuple(house(str(k), 0.0, 25.0 * k) for k in range(-2, 3))
+    covariance: Array = np.diag([20.0**2] * 3 + [1e-4] * 3)
+    steps = steps_off(PLACE, row[1:4], row, PLACE, covariance, ODDS, 2.0 / 3.0)
+    assert sorted(steps[:, 1].tolist()) == [-25.0, 25.0]
+    both = steps_off(PLACE, row[1:4], row, PLACE, covariance, ODDS, 1.0 / 3.0)
+    assert sorted(both[:, 1].tolist()) == [-50.0, -25.0, 25.0, 50.0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fix_outcome import outcome_of
-from benchmarks.outline_views import decoy, later
+from benchmarks.outline_views import PRIOR_PX, decoy, draw, later, prior_of
 from benchmarks.single_fix_views import draw_view
 from models import so3
 from models.camera import StereoRig
@@ -18,10 +18,13 @@ from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from tests.vision.part_views import part_view
 from tests.vision.roofs import nadir_rig
+from vision.ambiguity import steps_off
 from vision.identify import Prior
 from vision.motion import motion
+from vision.pictures import Pictures, usable
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
-from vision.predict import PredictConfig
+from vision.pose import PoseConfig
+from vision.predict import PredictConfig, PredictPath
 from vision.rectify import Image
 from vision.sensitivity import Eye, eyes
 from vision.synthetic.camera_effects import Conditions
@@ -370,11 +373,45 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
 def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, outcome: str) -> None:
     """Fifteen equal houses, and a prior one house off. There all of ten stand, at the true place nine: the tenth is cut."""
     view, pictures, prior, _ = decoy(98, 15, "row")
-    config = PipelineConfig(path="predict", predict=PredictConfig(verify=VerifyConfig(decides_alike=decides_alike)))
-    looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
-    result = looking.process(*pictures, 1, prior)
+    looking = PredictPath(view.rig, PredictConfig(verify=VerifyConfig(decides_alike=decides_alike)), PoseConfig(), 0.1)
+    both = usable(*pictures, view.rig)
+    assert isinstance(both, Pictures)
+    moves = looking.moves(both, view.landmarks, prior)
+    assert moves is not None
+    result = looking.locate(both, *moves, 1, prior)
     assert result.report.outcome == outcome
     assert result.pose is None or np.linalg.norm(result.pose.joint_p_n - view.p_n) > 10.0
+
+
+def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found() -> None:
+    """The prior is a house and 3.3 sigma off: the search meets a place two houses off, where all seven in view stand."""
+    view, pictures, prior, _ = decoy(203, 89, "row")
+    looking = PredictPath(view.rig, PredictConfig(), PoseConfig(), 0.1)
+    both = usable(*pictures, view.rig)
+    assert isinstance(both, Pictures)
+    moves = looking.moves(both, view.landmarks, prior)
+    assert moves is not None
+    found = looking.locate(both, *moves, 1, prior)
+    assert found.pose is not None
+    assert np.linalg.norm(found.pose.joint_p_n - view.p_n) > 20.0
+    assert len(found.pose.shift_m) == 7
+    landmarks = LandmarkMap.from_landmarks(ORIGIN, view.landmarks)
+    whole = LandmarkPipeline(view.rig, landmarks, PipelineConfig(path="predict")).process(*pictures, 1, prior)
+    assert (whole.fix, whole.report.outcome) == (None, "ambiguous")
+
+
+@pytest.mark.parametrize("number", [43, 87])
+def test_of_two_that_look_alike_both_seen_the_next_place_would_lack_one(number: int) -> None:
+    """The prior reaches the place a step off; the picture does not show there what the map has there."""
+    shown = draw(98, number)
+    prior = prior_of(shown.view, PRIOR_PX, 160.0)
+    landmarks = LandmarkMap.from_landmarks(ORIGIN, shown.view.landmarks)
+    result = LandmarkPipeline(shown.view.rig, landmarks, PipelineConfig(path="predict")).process(*shown.pictures, 1, prior)
+    assert result.pose is not None, result.report
+    assert not outcome_of(shown.view, result.pose, "").wrong
+    marks = list(shown.view.landmarks)
+    alike = steps_off(result.pose.joint_p_n, marks, marks, prior.p_n, prior.covariance, 1e3, 1.0 / 3.0)
+    assert len(alike) > 0
 
 
 def test_a_green_roof_on_a_meadow_is_not_fitted_to_the_rim_of_its_shadow() -> None:
