@@ -51,6 +51,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 5.0
     sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
     weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
+    both_odds: Annotated[float, Meta(description="the same of both pictures together, where they show one landmark alone")] = 7.0
     decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
     decides_alike: Annotated[
         float, Meta(gt=0, description="the same of a place that would be believed by itself: more than one landmark tells")
@@ -233,10 +234,13 @@ class Waiting:
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def agrees(self, fitted: Fitted, t_ns: int, prior: Prior) -> bool:
-        """Whether the place held before shows the same error of the prior; this one is held from now on."""
+        """Whether the place held before shows the same error of the prior; this one is held from now on.
+
+        One landmark looks in both pictures as it does in one, so that together they must be likelier than each of them.
+        """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         self._held, self._nothing_ns = now, None
-        if before is None:
+        if before is None or (len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds):
             return False
         drift = np.maximum(now.prior - before.prior, 0.0)
         drift[:3] += self._config.drift_m**2

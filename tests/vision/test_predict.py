@@ -369,6 +369,21 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
     assert wrong == [False, True]
 
 
+@pytest.mark.parametrize(("kind", "number"), [("turned", 47), ("shifted", 71)])
+def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int) -> None:
+    """Odds of 3.5 and 2.9, 2.8 and 4.0, of one roof that lies on something else in both pictures, 20 and 8 m off."""
+    view, pictures, prior, _ = decoy(101, number, kind)
+    moved, then, later_prior = later(view, prior)
+    wrong = []
+    for both_odds in (7.0, 4.0):
+        config = PipelineConfig(path="predict", predict=PredictConfig(verify=VerifyConfig(both_odds=both_odds)))
+        looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
+        first, second = looking.process(*pictures, 1, prior), looking.process(*then, 500_000_001, later_prior)
+        assert (first.fix, first.report.outcome) == (None, "waiting")
+        wrong.append(second.fix is not None and outcome_of(moved, second.pose, "").error_m > 5.0)
+    assert wrong == [False, True]
+
+
 @pytest.mark.parametrize(("decides_alike", "outcome"), [(6.6, "ambiguous"), (0.1, "fixed")])
 def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, outcome: str) -> None:
     """Fifteen equal houses, and a prior one house off. There all of ten stand, at the true place nine: the tenth is cut."""
