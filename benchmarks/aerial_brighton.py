@@ -7,6 +7,7 @@ import csv
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -40,19 +41,30 @@ def camera(width: int = WIDTH) -> CameraModel:
 
 
 def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD) -> Iterator[Trial]:
-    """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned."""
-    landmarks = landmark_map()
-    for name, where in references(data, landmarks, photo_names(data)).items():
-        known = case(data, name, where, landmarks, width)
+    """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned.
+
+    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of belief.
+    """
+    landmarks, names = landmark_map(), photo_names(data)
+    cases = {n: case(data, n, where, landmarks, width) for n, where in references(data, landmarks, names).items()}
+    following = dict(pairwise(names))
+    for name, known in cases.items():
         if not known.shown:
             continue
+        after = cases.get(following.get(name, ""))
         for number in range(priors):
             rng = generator(seed, name, number)
             prior = spread.draw(rng, known.p_n, known.R_nb)
-            yield Trial(known, number, prior)
+            then = None if after is None else (after, spread.draw(generator(seed, name, number), after.p_n, after.R_nb))
+            yield Trial(known, number, prior, then)
             if known.group == MANY:
                 decoys = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), known.p_n[:2], rng))
-                yield Trial(replace(known, group=DECOY, landmarks=decoys), number, prior)
+                yield Trial(_lying(known, decoys), number, prior, then and (_lying(then[0], decoys), then[1]))
+
+
+def _lying(known: Case, decoys: LandmarkMap) -> Case:
+    """The same photo under another map."""
+    return replace(known, group=DECOY, landmarks=decoys)
 
 
 def landmark_map() -> LandmarkMap:
