@@ -358,7 +358,9 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
     """Ground where nothing of the map stands. Odds apart, two pictures that agree make a fix of it, 6 to 35 m off and sure."""
     view, pictures, prior, _ = decoy(95, number, kind)
     moved, then, later_prior = later(view, prior)
-    blind = PipelineConfig(path="predict", predict=PredictConfig(verify=VerifyConfig(odds=-1e3, weak_odds=-1e3, decides=1e-9)))
+    blind = PipelineConfig(
+        path="predict", predict=PredictConfig(verify=VerifyConfig(odds=-1e3, weak_odds=-1e3, both_odds=-1e3, decides=1e-9))
+    )
     wrong = []
     for config in (PipelineConfig(path="predict"), blind):
         looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
