@@ -61,7 +61,7 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced picture, at least")] = 6.0
     most_votes: Annotated[
         int, Meta(ge=10_000, description="of points, in the whole search; else the picture is reduced further")
-    ] = 8_000_000
+    ] = 128_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
     summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 60
