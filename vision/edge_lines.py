@@ -3,7 +3,8 @@
     r_i = a + b tau_i + noise,   tau = -1 ... 1 over what is in view of the edge    (offset a and tilt b of the residuals, px)
 
 A straight edge holds no more about the pose than its offset and its tilt, so the fit, its nuisances and its covariance live on
-two numbers per edge instead of dozens of dependent ones.
+two numbers per edge instead of dozens of dependent ones. A landmark too small to have edges (spots.py) holds two as well, its
+shift: r_i = n_i . (du, dv) + noise, with the normals n_i in place of (1, tau_i).
 """
 
 import math
@@ -25,9 +26,9 @@ _ROUNDS = 5
 class EdgeLines:
     """Lines of E edges in one picture.
 
-    line: (E, 2) offset and tilt, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e; weight (N,) of
-    the points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white noise of 1 px;
-    square: (E,) weighted sum of squared residuals; points: (E,) effective number.
+    line: (E, 2) offset and tilt, or shift, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e;
+    weight (N,) of the points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white
+    noise of 1 px; square: (E,) weighted sum of squared residuals; points: (E,) effective number.
     """
 
     line: Array
@@ -50,14 +51,14 @@ class EdgeLines:
 
 def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int) -> EdgeLines:
     """Robust lines through offsets (N,) px, NaN where none was found; an edge needs `least` points. tau: as Samples."""
-    return EdgeLines(*lines_of(offsets, tau, edge, edges, least))
+    return EdgeLines(*lines_of(offsets, np.column_stack((np.ones_like(tau), tau)), edge, edges, least))
 
 
 @njit(cache=True)
 def lines_of(
-    offsets: Array, tau: Array, edge: Indices, edges: int, least: int
+    offsets: Array, x: Array, edge: Indices, edges: int, least: int
 ) -> tuple[Array, NDArray[np.bool_], Array, Array, Array, Array, Array, Array]:
-    """The fields of EdgeLines, as fit_lines."""
+    """The fields of EdgeLines, as fit_lines; x (N, 2): what the two numbers are multiplied with, 1 and tau of an edge."""
     n = offsets.shape[0]
     line, unit, found = np.zeros((edges, 2)), np.zeros((edges, 2, 2)), np.zeros(edges, dtype=np.bool_)
     gain, weight, residual = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
@@ -74,11 +75,11 @@ def lines_of(
                 weight[i] = 1.0
                 given += 1
         if given >= least:
-            found[e] = _robust_line(offsets, tau, start, stop, line[e], unit[e], weight, residual)
+            found[e] = _robust_line(offsets, x, start, stop, line[e], unit[e], weight, residual)
             for i in range(start, stop):
                 if found[e] and weight[i] > 0.0:
-                    gain[i, 0] = weight[i] * (unit[e, 0, 0] + unit[e, 0, 1] * tau[i])
-                    gain[i, 1] = weight[i] * (unit[e, 1, 0] + unit[e, 1, 1] * tau[i])
+                    gain[i, 0] = weight[i] * (unit[e, 0, 0] * x[i, 0] + unit[e, 0, 1] * x[i, 1])
+                    gain[i, 1] = weight[i] * (unit[e, 1, 0] * x[i, 0] + unit[e, 1, 1] * x[i, 1])
                     square[e] += weight[i] * residual[i] ** 2
                     points[e] += weight[i]
             if points[e] < least - 0.5:
@@ -92,7 +93,7 @@ def lines_of(
 
 
 @njit(cache=True)
-def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit: Array, weight: Array, residual: Array) -> bool:
+def _robust_line(r: Array, x: Array, start: int, stop: int, line: Array, unit: Array, weight: Array, residual: Array) -> bool:
     """Tukey's biweight, its scale by MAD, from a least-absolute start; weight must be 0 or 1."""
     values = np.empty(stop - start)
     for step in range(_ROUNDS):
@@ -100,11 +101,11 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
         for i in range(start, stop):
             w = weight[i]
             if w > 0.0:
-                s0 += w
-                s1 += w * tau[i]
-                s2 += w * tau[i] * tau[i]
-                y0 += w * r[i]
-                y1 += w * r[i] * tau[i]
+                s0 += w * x[i, 0] * x[i, 0]
+                s1 += w * x[i, 0] * x[i, 1]
+                s2 += w * x[i, 1] * x[i, 1]
+                y0 += w * r[i] * x[i, 0]
+                y1 += w * r[i] * x[i, 1]
         s2 += 1e-6 * s0
         det = s0 * s2 - s1 * s1
         if s0 <= 0.0 or det <= 1e-9 * s0 * s0:
@@ -116,7 +117,7 @@ def _robust_line(r: Array, tau: Array, start: int, stop: int, line: Array, unit:
         count = 0
         for i in range(start, stop):
             if not math.isnan(r[i]):
-                residual[i] = r[i] - line[0] - line[1] * tau[i]
+                residual[i] = r[i] - line[0] * x[i, 0] - line[1] * x[i, 1]
                 values[count] = abs(residual[i])
                 count += 1
         if step == _ROUNDS - 1:

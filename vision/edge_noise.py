@@ -23,7 +23,7 @@ from vision.edge_lines import EdgeLines
 from vision.visibility import Kind
 
 Indices = NDArray[np.int64]
-_BASE, _UPRIGHT = int(Kind.BASE), int(Kind.UPRIGHT)
+_BASE, _UPRIGHT, _SPOT = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SPOT)
 _BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
 _TRUSTED = 0.3  # weight from which a point tells of correlations
 
@@ -39,6 +39,9 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, description="further common offset of base edges (contact shade, what stands there)")
     ] = 0.3
     upright_px: Annotated[float, Meta(ge=0, description="further common offset and tilt of upright edges")] = 0.15
+    spot_px: Annotated[
+        float, Meta(ge=0, description="further common shift of a small landmark, each way (its shade, its shape)")
+    ] = 0.3
     both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both pictures")] = 0.9
     correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
     neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
@@ -57,7 +60,9 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
     scatter = np.array([_scatter(one.square, one.points, c.edge_points, c.least_px) for one in lines])
     inflation = _inflation(lines, edge, scatter, config)
     floors, shares = (c.offset_px, c.tilt_px), (c.offset_share, c.tilt_share)
-    common = [_common(s, kind, o, floors, shares, c.base_px, c.upright_px) for s, o in zip(scatter, opened, strict=True)]
+    common = [
+        _common(s, kind, o, floors, shares, (c.base_px, c.upright_px, c.spot_px)) for s, o in zip(scatter, opened, strict=True)
+    ]
     covariance = np.zeros((edges, pictures, 2, pictures, 2))
     for k, one in enumerate(lines):
         _fill(covariance[:, k, :, k], inflation * scatter[k] ** 2, one.unit, common[k])
@@ -81,18 +86,22 @@ def _fill(covariance: Array, white: Array, unit: Array, common: Array) -> None:
 
 @njit(cache=True)
 def _common(
-    scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float], base_px: float,
-    upright_px: float,
+    scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float],
+    further: tuple[float, float, float],
 ) -> Array:  # fmt: skip
-    """Variances (E, 2) of the offset and the tilt that all points of an edge share."""
+    """Variances (E, 2) of the offset and the tilt that all points of an edge share; further: of feet, corners of walls, spots."""
+    base_px, upright_px, spot_px = further
     common = np.empty((len(scatter), 2))
     for e in range(len(scatter)):
         for k in range(2):
-            common[e, k] = floors[k] ** 2 + (shares[k] * scatter[e]) ** 2
+            number = 0 if kind[e] == _SPOT else k  # both of a spot's are offsets
+            common[e, k] = floors[number] ** 2 + (shares[number] * scatter[e]) ** 2
             if kind[e] == _BASE:
                 common[e, k] += ((1.0, _BASE_TILT)[k] * base_px) ** 2
             elif kind[e] == _UPRIGHT:
                 common[e, k] += upright_px**2
+            elif kind[e] == _SPOT:
+                common[e, k] += spot_px**2
         common[e, 0] += opened[e]
     return common
 

@@ -3,6 +3,7 @@
 line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu of unit variance: errors of map and rig)
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,7 +19,7 @@ from models import so3
 from models.camera import Mount, StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import outline, step_fit
+from vision import outline, spots, step_fit
 from vision.edge_lines import EdgeLines, compress, lines_of
 from vision.joint import POSE
 from vision.sensitivity import (
@@ -28,7 +29,6 @@ from vision.sensitivity import (
     ends_of,
     eyes,
     partners_off,
-    sample_edges,
     viewed,
 )
 from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
@@ -37,7 +37,7 @@ Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Drawn = tuple[Array, Array, Indices, Indices, Indices, Mask, Array, Array]
-OnEdges = tuple[Array, Array, Indices, Array]
+OnEdges = tuple[Array, Array, Indices, Array, Indices, Mask]
 Bodies = tuple[Array, Indices, Array, Array]
 Stand = tuple[Array, Array, Array, Array]
 Roots = tuple[Array, Array, Array, int]
@@ -67,14 +67,17 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one look gave, of E edges in K pictures.
+    """What one look gave, of E edges in K pictures; a spot's sides are one edge, the first of them.
 
-    line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P), how lines depend on the pose, H, and on errors of map and rig, N;
-    opened: (K, E) px^2, what gaps leave open of the offsets; lines: of each picture; usable: points in view, of all pictures.
+    block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
+    how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
+    lines: of each picture; usable: points in view, of all pictures.
     """
 
     edges: ModelEdges
     samples: Samples
+    block: Indices
+    kind: Indices
     lines: list[EdgeLines]
     line: Array
     found: Mask
@@ -87,10 +90,20 @@ class Look:
         """Of the points in view, of all pictures, that was found."""
         return sum(float(line.points.sum()) for line in self.lines) / max(self.usable, 1)
 
+    @property
+    def numbers(self) -> int:
+        """Directions that are measured, over all pictures: a spot tells two, an edge the one across it."""
+        return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
+
+    def off(self, line: Array) -> Array:
+        """How far (E, K) px lines (E, K, 2) are off."""
+        aside = line[..., 1] * (self.kind == Kind.SPOT)[:, None]
+        return np.asarray(np.hypot(line[..., 0], aside))
+
     def within(self, off_px: Array, farthest_px: float) -> "Look":
         """Without the edges whose offset (E, K) px is more than farthest_px."""
         found = self.found & (np.abs(off_px) <= farthest_px)
-        lines = [line.only(near, self.samples.edge) for line, near in zip(self.lines, found.T, strict=True)]
+        lines = [line.only(near, self.block) for line, near in zip(self.lines, found.T, strict=True)]
         return replace(self, lines=lines, found=found)
 
     @property
@@ -138,9 +151,10 @@ class Scene:
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
-        wanted = edges.kind == _ROOF if search_px else None
+        wanted = edges.kind == _ROOF if search_px else np.ones(len(edges.kind), np.bool_)
+        block, spot = spots.blocks(edges, shown[0][0], (p_n, R_nb))
         spacing = config.spacing_px * (_COARSE if search_px else 1.0)
-        samples = sample_edges(edges, shown[0][0], p_n, R_nb, spacing, config.most_points, wanted)
+        samples = spots.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, spot)
         count, with_rig = len(edges.kind), not search_px
         lines, points = list[EdgeLines](), 0
         line_all, found, opened = (
@@ -152,7 +166,7 @@ class Scene:
         drawn = (
             edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised, edges.map_start, edges.map_end,
         )  # fmt: skip
-        on_edges = samples.points_n, samples.t, samples.edge, samples.tau
+        on_edges = samples.points_n, samples.t, samples.edge, samples.tau, block[samples.edge], spot[samples.edge]
         bodies, on_map = (prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m), (self.map_sigma, self.map_column)
         for k, (eye, image) in enumerate(shown):
             own = 4 + len(eye.camera.distortion) if with_rig else 0
@@ -164,7 +178,8 @@ class Scene:
             lines.append(EdgeLines(*line))
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
             points += usable
-        return Look(edges, samples, lines, line_all, found, A, opened, points)
+        kind = np.where(spot, int(Kind.SPOT), edges.kind)
+        return Look(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
 
     def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
@@ -180,16 +195,17 @@ def _looked(
 ) -> tuple[Line, int]:  # fmt: skip
     """The fields of EdgeLines of picture k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
 
-    drawn: ModelEdges; on_edges: Samples; bodies: Prisms as they stand; stand: as Eye.stand; search: half its width, px, 0: a
-    sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map, roots: as _dependence.
+    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of spots; bodies: Prisms as they stand; stand: as Eye.stand;
+    search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
+    roots: as _dependence.
     """
     start, end, landmark, kind, partner, raised, map_start, map_end = drawn
-    points, t, edge, tau = on_edges
+    points, t, edge, tau, block, of_spot = on_edges
     px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     if search:
         distance, usable, hidden = distance_from_roof(
-            image, px, normal, seen, edge, kind, raised, landmark, partner, ends, search
+            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, search
         )
         usable &= ~hidden
         offsets = outline.search(distance, edge, len(kind), 1.0, usable)
@@ -197,14 +213,25 @@ def _looked(
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
         offsets, usable, opened[k] = _fit_steps(
-            image, px, normal, seen, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
+            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
         )
-    line = lines_of(offsets, tau, edge, len(kind), least)
+    spots.measure(image, px, normal, of_spot, block, search if search else math.ceil(farthest), seen, offsets, usable)
+    line = lines_of(offsets, _regressors(tau, normal, of_spot), block, len(kind), least)
     map_sigma, map_column = on_map
     bc, rc, own_root, own_skipped = roots
     rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
-    _dependence(A[:, k], line[2], rows, of_camera, edge, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
+    _dependence(A[:, k], line[2], rows, of_camera, block, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
     return line, int(np.count_nonzero(usable))
+
+
+@njit(cache=True)
+def _regressors(tau: Array, normal: Array, of_spot: Mask) -> Array:
+    """(N, 2): 1 and tau of points of edges, the normals of those of spots."""
+    x = np.empty(normal.shape)
+    for i in range(len(tau)):
+        x[i, 0] = normal[i, 0] if of_spot[i] else 1.0
+        x[i, 1] = normal[i, 1] if of_spot[i] else tau[i]
+    return x
 
 
 @njit(cache=True)

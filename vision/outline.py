@@ -148,10 +148,14 @@ def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
     none = np.zeros(len(inside))
     if farthest < max(_STRIP**2 * square, _LEAST_STRIP**2):
         return none
-    colour = profile[at]
-    dark, light = math.sqrt(np.sum(colour**2)), math.sqrt(np.sum(outside**2))
-    alike = np.sum(colour * outside) > _ALIKE * dark * light and dark < _DARKER * light
-    return colour.copy() if alike else none
+    return profile[at].copy() if shaded(profile[at], outside) else none
+
+
+@njit(cache=True)
+def shaded(colour: Array, ground: Array) -> bool:
+    """Whether a colour (C,) c is that of the ground, b, in a shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
+    dark, light = math.sqrt(np.sum(colour**2)), math.sqrt(np.sum(ground**2))
+    return bool(np.sum(colour * ground) > _ALIKE * dark * light and dark < _DARKER * light)
 
 
 @njit(cache=True)

@@ -234,7 +234,7 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             seen = fit.look(config.look, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
-            near = float(np.mean(np.abs(seen.line[:, :, 0][seen.found]) < config.look.farthest_px[0])) > _MOST
+            near = float(np.mean(seen.off(seen.line)[seen.found] < config.look.farthest_px[0])) > _MOST
             fit.move(_robust_step(fit, seen, 1.0))
     farthest, *nearer = config.look.farthest_px
     seen = fit.look(config.look, farthest_px=farthest)
@@ -243,8 +243,8 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
     for farthest in nearer:
         step = _robust_step(fit, seen, 0.3)
         left = step.residual.reshape(seen.line.shape)
-        if _rms((seen.line - left)[:, :, 0][seen.found]) < _SETTLED_PX:
-            seen = seen.within(left[:, :, 0], farthest)
+        if _rms(seen.off(seen.line - left)[seen.found]) < _SETTLED_PX:
+            seen = seen.within(seen.off(left), farthest)
         else:
             fit.move(step)
             seen = fit.look(config.look, farthest_px=farthest)
@@ -286,9 +286,8 @@ def _bent(A: Array, found: Mask, dx: Array) -> float:
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
-    number = int(seen.found.sum())
-    if number < config.least_edges:
-        return NoPose("too_few_edges", f"{number} edges found")
+    if seen.numbers < config.least_edges:
+        return NoPose("too_few_edges", f"{seen.numbers} edges found")
     return None if seen.share >= config.least_found else NoPose("not_found", f"{seen.share:.0%} of the outline in view")
 
 
@@ -322,7 +321,7 @@ def _rough(unit: Array, opened: Array, variance: float, R: Array) -> None:
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
     """With the lines' own covariance; edges that do not fit are left out one after the other."""
-    R = line_covariance(seen.lines, seen.samples.edge, seen.edges.kind, seen.opened, config.noise)
+    R = line_covariance(seen.lines, seen.block, seen.kind, seen.opened, config.noise)
     system = _system(seen, R, fit.turned(seen))
     weight = np.ones(len(system.z))
     for _ in range(int(config.most_left_out * len(weight)) + 1):

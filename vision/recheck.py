@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import outline
+from vision import outline, spots
 from vision.look import LookConfig, channels, distance_from_roof
 from vision.pose import PoseEstimate
 from vision.rectify import Image
@@ -29,7 +29,8 @@ from vision.visibility import Kind, Prisms, visible_edges
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Drawn = tuple[Array, Array, Indices, Indices, Indices, Mask]
-OnEdges = tuple[Array, Array, Indices]
+OnRoofs = tuple[Array, Indices, Indices, Mask]
+OnWalls = tuple[Array, Array, Indices]
 Bodies = tuple[Array, Indices, Array, Array]
 Stand = tuple[Array, Array, Array, Array]
 _ROOF = int(Kind.ROOF)
@@ -81,15 +82,15 @@ def recheck(
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
-    roofs, walls = (
-        sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, wanted)
-        for wanted in (edges.kind == _ROOF, edges.kind != _ROOF)
-    )
+    block, spot = spots.blocks(edges, shown[0][0], pose)
+    roofs = spots.sampled(edges, shown[0][0], pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF, spot)
+    walls = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind != _ROOF)
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
     drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised
     bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
-    on_roofs, on_walls = ((some.points_n, some.t, some.edge) for some in (roofs, walls))
+    on_roofs = roofs.points_n, roofs.edge, block[roofs.edge], spot[roofs.edge]
+    on_walls = walls.points_n, walls.t, walls.edge
     seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
     offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
     hidden = np.logical_and.reduce([one.hidden for one in seen])
@@ -105,18 +106,21 @@ def recheck(
 
 @njit(cache=True)
 def _looked_at(
-    image: Image, drawn: Drawn, roofs: OnEdges, walls: OnEdges, bodies: Bodies, stand: Stand, camera: Array
+    image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array
 ) -> _Looked:
-    """drawn: ModelEdges; roofs, walls: Samples; bodies: Prisms; stand: as Eye.stand.
+    """drawn: ModelEdges; roofs: Samples, their blocks, which are of spots; walls: Samples; bodies: Prisms; stand: as Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
     """
     start, end, landmark, kind, partner, raised = drawn
-    points, _, edge = roofs
+    points, edge, block, of_spot = roofs
     px, normal, _, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
-    distance, usable, hidden = distance_from_roof(image, px, normal, seen, edge, kind, raised, landmark, partner, ends, _HALF_PX)
+    distance, usable, hidden = distance_from_roof(
+        image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, _HALF_PX
+    )
     offset = outline.search(distance, edge, len(kind), 1.0, usable)
+    spots.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
     told = across(image, px, normal, edge, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)

@@ -397,7 +397,7 @@ def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, o
     assert moves is not None
     result = looking.locate(both, *moves, 1, prior)
     assert result.report.outcome == outcome
-    assert result.pose is None or np.linalg.norm(result.pose.joint_p_n - view.p_n) > 10.0
+    assert result.pose is None or np.linalg.norm(result.pose.joint_p_n - view.p_n) > 5.0
 
 
 def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found() -> None:

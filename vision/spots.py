@@ -1,0 +1,207 @@
+"""Small landmarks: where no side is long enough to be an edge, the whole outline is one spot, and its shift is measured.
+
+    d = argmax_d |sum_i n_i . g(x_i + d)|^2 / sum_i (|g(x_i + d)| + g_0)                             (whole pixels)
+    r_i = n_i . delta + e_i
+
+g: gradients of all channels; x_i, n_i: points of the outline and its normals; r_i: where along the normal, near d, the contrast
+is steepest; delta (2,) [px]: the shift, which takes the place of an edge's offset and tilt. What stands out of its ground does so
+all around, and its whole rim leads to the same side. A shadow does so as well, and lies beside: where the colour inside is that
+of the ground outside, only darker, no spot is sought.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision import outline
+from vision.rectify import Image
+from vision.sensitivity import Eye, Samples, ends_px, sample_edges
+from vision.visibility import Kind, ModelEdges
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+_ROOF = int(Kind.ROOF)
+_LONGEST_PX = 12.0  # of a side that is no edge: of four points, three pixels apart, that make one
+_SPACING_PX = 1.5  # of its points
+_LEAST_POINTS = 6
+_LEAST_IN_VIEW = 0.7  # of its points, in the picture
+_FLOOR = 2.0  # g_0, grey values per pixel
+_LEAST = 0.5  # of all gradients along the rim lead to the same side, at least
+_ASIDE_PX = 2.0  # from the rim, where the colours inside and outside are looked at
+_RIVAL, _APART_PX = (
+    0.85,
+    3,
+)  # another shift that has so much of the best one's makes a spot ambiguous, if it is farther off than this
+_HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest place is found
+
+
+def blocks(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> tuple[Indices, Mask]:
+    """Which edges (E,) are measured together, by the first of them, and which (E,) are sides of a spot."""
+    return _blocks(edges.landmark, edges.kind, ends_px(edges, eye, pose))
+
+
+@njit(cache=True)
+def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mask]:
+    count = len(kind)
+    block, spot, e = np.arange(count), np.zeros(count, np.bool_), 0
+    while e < count:
+        stop, longest = e, 0.0
+        while stop < count and kind[stop] == _ROOF and landmark[stop] == landmark[e]:
+            length = math.hypot(ends[count + stop, 0] - ends[stop, 0], ends[count + stop, 1] - ends[stop, 1])
+            longest = np.inf if math.isnan(length) else max(longest, length)
+            stop += 1
+        if stop > e and longest < _LONGEST_PX:
+            block[e:stop], spot[e:stop] = e, True
+        e = max(stop, e + 1)
+    return block, spot
+
+
+def sampled(
+    edges: ModelEdges, eye: Eye, pose: tuple[Array, Array], spacing_px: float, most: int, wanted: Mask, spot: Mask
+) -> Samples:
+    """Points on the wanted edges (E,) as of sample_edges; those of spots are closer."""
+    samples = sample_edges(edges, eye, *pose, spacing_px, most, wanted & ~spot)
+    if not spot.any():
+        return samples
+    more = sample_edges(edges, eye, *pose, _SPACING_PX, most, spot)
+    return Samples(
+        np.concatenate((samples.points_n, more.points_n)), np.concatenate((samples.t, more.t)),
+        np.concatenate((samples.edge, more.edge)), np.concatenate((samples.tau, more.tau)),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def measure(
+    image: Image, px: Array, normal: Array, of_spot: Mask, block: Indices, half: int, seen: Mask, offsets: Array, usable: Mask
+) -> None:
+    """Set offsets (N,) px, NaN where there is none, and usable (N,) of the points of spots, which may be shifted by half px.
+
+    px, normal (N, 2) of all points, of_spot (N,), block (N,): those of one spot in a row.
+    """
+    rows, columns = image.shape[:2]
+    n, first = len(px), 0
+    while first < n:
+        stop = first
+        while stop < n and block[stop] == block[first]:
+            stop += 1
+        if of_spot[first]:
+            inside = seen[first:stop].copy()
+            for i in range(first, stop):
+                u, v = px[i]
+                inside[i - first] &= u >= 1.0 and v >= 1.0 and u < columns - 2 and v < rows - 2
+            offsets[first:stop], usable[first:stop] = np.nan, False
+            some = first + np.flatnonzero(inside)
+            if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * (stop - first)):
+                usable[some] = True
+                offsets[some] = _shifted(image, px[some], normal[some], half)
+        first = stop
+
+
+@njit(cache=True)
+def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
+    """Offsets (N,) of one spot's points."""
+    du, dv, contrast = _whole_shift(image, px, normal, half)
+    offsets = np.full(len(px), np.nan)
+    if not np.any(contrast):
+        return offsets
+    at, usable = px + np.array([du, dv]), np.ones(len(px), np.bool_)
+    values = outline.profiles(image, at, normal, _HALF, _STEP_PX, 1, usable)
+    steep = np.zeros(2 * _HALF + 1)
+    for i in range(len(px)):
+        if not usable[i]:
+            continue
+        for j in range(1, 2 * _HALF):
+            steep[j] = np.sum((values[i, j + 1] - values[i, j - 1]) * contrast)
+        j = 2 + int(np.argmax(steep[2 : 2 * _HALF - 1]))
+        before, here, after = steep[j - 1], steep[j], steep[j + 1]
+        if here > 0.0 and here >= before and here >= after and here > 0.5 * (before + after):
+            s = (j - _HALF + 0.5 * (before - after) / (before - 2.0 * here + after)) * _STEP_PX
+            offsets[i] = du * normal[i, 0] + dv * normal[i, 1] + s
+    return offsets
+
+
+@njit(cache=True)
+def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int, int, Array]:
+    """d, and the direction (C,) in which colours change outwards there; 0 where no shift stands out."""
+    pixel = np.empty(px.shape, np.int64)
+    for i in range(len(px)):
+        pixel[i, 0], pixel[i, 1] = int(px[i, 0] + 0.5), int(px[i, 1] + 0.5)
+    size, none = 2 * half + 1, np.zeros(image.shape[2])
+    left, top = pixel[:, 0].min() - half, pixel[:, 1].min() - half
+    g = _gradients(image, left, top, pixel[:, 0].max() + half - left + 1, pixel[:, 1].max() + half - top + 1)
+    score, best, at = np.zeros((size, size)), 0.0, (0, 0)
+    for b in range(size):
+        for a in range(size):
+            across, total = _across(g, pixel, normal, a - half - left, b - half - top)
+            square = np.sum(across**2)
+            if square > (_LEAST * total) ** 2:
+                score[b, a] = square / total
+    for _ in range(size * size):
+        k = int(np.argmax(score))
+        b, a = k // size, k % size
+        if score[b, a] <= _RIVAL * best:
+            break
+        if _in_shadow(image, pixel, normal, a - half, b - half):
+            score[b, a] = 0.0
+        elif best == 0.0:
+            best, at = score[b, a], (b, a)
+            score[max(b - _APART_PX, 0) : b + _APART_PX + 1, max(a - _APART_PX, 0) : a + _APART_PX + 1] = 0.0
+        else:
+            return 0, 0, none
+    if best == 0.0:
+        return 0, 0, none
+    across, _ = _across(g, pixel, normal, at[1] - half - left, at[0] - half - top)
+    return at[1] - half, at[0] - half, across / math.sqrt(np.sum(across**2))
+
+
+@njit(cache=True)
+def _in_shadow(image: Image, pixel: Indices, normal: Array, du: int, dv: int) -> bool:
+    """Whether the colour inside a rim, c, is that of the ground outside, b, in a shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
+    rows, columns, channels = image.shape
+    inside, outside = np.zeros(channels), np.zeros(channels)
+    for i in range(len(pixel)):
+        for side in (-_ASIDE_PX, _ASIDE_PX):
+            u = min(max(int(pixel[i, 0] + du + side * normal[i, 0] + 0.5), 0), columns - 1)
+            v = min(max(int(pixel[i, 1] + dv + side * normal[i, 1] + 0.5), 0), rows - 1)
+            for c in range(channels):
+                if side < 0.0:
+                    inside[c] += float(image[v, u, c])
+                else:
+                    outside[c] += float(image[v, u, c])
+    return outline.shaded(inside, outside)
+
+
+@njit(cache=True)
+def _across(g: Array, pixel: Indices, normal: Array, du: int, dv: int) -> tuple[Array, float]:
+    """sum_i n_i . g_i (C,) and sum_i (|g_i| + g_0) of points at pixel (N, 2), moved by du, dv; 0 if one is not in the picture."""
+    channels = g.shape[2] // 2
+    across, total = np.zeros(channels), 0.0
+    for i in range(len(pixel)):
+        here = g[pixel[i, 1] + dv, pixel[i, 0] + du]
+        square = 0.0
+        for c in range(channels):
+            across[c] += here[c] * normal[i, 0] + here[channels + c] * normal[i, 1]
+            square += here[c] ** 2 + here[channels + c] ** 2
+        if not square >= 0.0:
+            return across, 0.0
+        total += math.sqrt(square) + _FLOOR
+    return across, total
+
+
+@njit(cache=True)
+def _gradients(image: Image, left: int, top: int, width: int, height: int) -> Array:
+    """d/du, then d/dv, of all channels (height, width, 2 C), by Sobel, grey values per pixel; NaN outside the picture."""
+    rows, columns, channels = image.shape
+    g = np.full((height, width, 2 * channels), np.nan)
+    for y in range(max(top, 1), min(top + height, rows - 1)):
+        for x in range(max(left, 1), min(left + width, columns - 1)):
+            for c in range(channels):
+                nw, n, ne = float(image[y - 1, x - 1, c]), float(image[y - 1, x, c]), float(image[y - 1, x + 1, c])
+                w, e = float(image[y, x - 1, c]), float(image[y, x + 1, c])
+                sw, s, se = float(image[y + 1, x - 1, c]), float(image[y + 1, x, c]), float(image[y + 1, x + 1, c])
+                g[y - top, x - left, c] = 0.125 * (ne + 2.0 * e + se - nw - 2.0 * w - sw)
+                g[y - top, x - left, channels + c] = 0.125 * (sw + 2.0 * s + se - nw - 2.0 * n - ne)
+    return g
