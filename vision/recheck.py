@@ -84,7 +84,7 @@ def recheck(
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
     block, spot = spots.blocks(edges, shown[0][0], pose)
     roofs = spots.sampled(edges, shown[0][0], pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF, spot)
-    walls = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, edges.kind != _ROOF)
+    walls = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, (edges.kind != _ROOF) & ~spot)
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
     drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised
@@ -99,7 +99,7 @@ def recheck(
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
     pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
-    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), edges.kind != _ROOF)
+    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), np.where(spot, int(Kind.SPOT), edges.kind))
     found, given = found.sum(axis=0), given.sum(axis=0)
     return Recheck(np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), stands, pictures, apart)
 
@@ -121,7 +121,7 @@ def _looked_at(
     )
     offset = outline.search(distance, edge, len(kind), 1.0, usable)
     spots.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
-    told = across(image, px, normal, edge, len(kind), seen)
+    told = across(image, px, normal, block, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     gap = partners_off(start, end, partner, edge, t, *stand, camera, px, along)

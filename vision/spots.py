@@ -39,7 +39,7 @@ _HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest place is found
 
 
 def blocks(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> tuple[Indices, Mask]:
-    """Which edges (E,) are measured together, by the first of them, and which (E,) are sides of a spot."""
+    """Which edges (E,) are measured together, by the first of them, and which (E,) are of spots: of these the rims alone."""
     return _blocks(edges.landmark, edges.kind, ends_px(edges, eye, pose))
 
 
@@ -53,20 +53,23 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
             length = math.hypot(ends[count + stop, 0] - ends[stop, 0], ends[count + stop, 1] - ends[stop, 1])
             longest = np.inf if math.isnan(length) else max(longest, length)
             stop += 1
-        if stop > e and longest < _LONGEST_PX:
+        small = longest < _LONGEST_PX
+        while stop < count and landmark[stop] == landmark[e]:
+            stop += 1
+        if small:
             block[e:stop], spot[e:stop] = e, True
-        e = max(stop, e + 1)
+        e = stop
     return block, spot
 
 
 def sampled(
     edges: ModelEdges, eye: Eye, pose: tuple[Array, Array], spacing_px: float, most: int, wanted: Mask, spot: Mask
 ) -> Samples:
-    """Points on the wanted edges (E,) as of sample_edges; those of spots are closer."""
+    """Points on the wanted edges (E,) as of sample_edges; those of spots are closer, and on their rims only."""
     samples = sample_edges(edges, eye, *pose, spacing_px, most, wanted & ~spot)
     if not spot.any():
         return samples
-    more = sample_edges(edges, eye, *pose, _SPACING_PX, most, spot)
+    more = sample_edges(edges, eye, *pose, _SPACING_PX, most, spot & (edges.kind == Kind.ROOF))
     return Samples(
         np.concatenate((samples.points_n, more.points_n)), np.concatenate((samples.t, more.t)),
         np.concatenate((samples.edge, more.edge)), np.concatenate((samples.tau, more.tau)),

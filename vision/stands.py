@@ -11,6 +11,10 @@ house as not, and three points of a side at the border prove nothing. A(a) = 2 a
 
 The feet and corners of the walls in view tell as well, each of them less, as bushes hide them and light may leave a corner no
 contrast: h = q = 0.2. An outline that lies on edges of something else seldom has more of these where its walls would end.
+
+A landmark too small to have edges (spots.py) has one side, its whole rim: a stain has all of a rim as well. One is missed with
+h = 0.15. At a place of no spot one of that size is found in 58 % within 8 px all around (2700 places each in photos of grass and
+woods and in rendered pictures), and in 9 % of these as near as 2.5 px to the very place: q = 0.05.
 """
 
 import math
@@ -20,11 +24,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.messages import Array
+from vision.visibility import Kind
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _HIDDEN, _ELSEWHERE = 0.1, 0.1  # h, q
 _WALL_HIDDEN, _WALL_ELSEWHERE = 0.2, 0.2  # the same of feet and corners of walls
+_SPOT_HIDDEN, _SPOT_ELSEWHERE = 0.15, 0.05  # and of small landmarks
+_ROOF, _SPOT = int(Kind.ROOF), int(Kind.SPOT)  # compiled code reads plain integers
 _LEAST_POINTS = 2.0  # that have a direction in common
 
 
@@ -57,21 +64,23 @@ def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, 
     return total
 
 
-def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, wall: Mask) -> Array:
-    """log LR (L,) of standing against gone; sums: what across() gave of each picture; of the edges: landmark (E,), and whether
-    they are feet or corners of walls (E,).
+def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, kind: Indices) -> Array:
+    """log LR (L,) of standing against gone; sums: what across() gave of each picture; of the edges: landmark and Kind (E,).
 
     Pictures of one pair show the same texture, so their points count once.
     """
-    return np.asarray(_log_ratio(np.array(sums), landmark, landmarks, wall))
+    return np.asarray(_log_ratio(np.array(sums), landmark, landmarks, kind))
 
 
 @njit(cache=True)
-def _log_ratio(sums: Array, landmark: Indices, landmarks: int, wall: Mask) -> Array:
+def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) -> Array:
     """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all pictures."""
     told, total = np.zeros(landmarks), np.sum(sums, axis=0)
     for e in range(len(landmark)):
-        h, q = (_WALL_HIDDEN, _WALL_ELSEWHERE) if wall[e] else (_HIDDEN, _ELSEWHERE)
+        if kind[e] == _SPOT:
+            h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
+        else:
+            h, q = (_HIDDEN, _ELSEWHERE) if kind[e] == _ROOF else (_WALL_HIDDEN, _WALL_ELSEWHERE)
         points = total[e, -1]
         n = points / max(np.count_nonzero(sums[:, e, -1]), 1)
         if n >= _LEAST_POINTS:
