@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 from vision.stands import across, log_likelihood_ratio
+from vision.visibility import Kind
 
 EVERY = 6  # px from point to point
 Picture = NDArray[np.uint8]
@@ -31,11 +32,11 @@ def side(row: int, points: int) -> tuple[Array, Array]:
     return px, np.tile([0.0, 1.0], (points, 1))
 
 
-def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, wall: bool = False) -> float:
+def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, kind: Kind = Kind.ROOF) -> float:
     px, normal = (np.concatenate(ones) for ones in zip(*sides, strict=True))
     edge = np.repeat(np.arange(len(sides)), [len(one[0]) for one in sides])
     sums = across(picture, px, normal, edge, len(sides), np.ones(len(px), np.bool_))
-    return float(log_likelihood_ratio([sums] * pictures, np.zeros(len(sides), np.int64), 1, np.full(len(sides), wall))[0])
+    return float(log_likelihood_ratio([sums] * pictures, np.zeros(len(sides), np.int64), 1, np.full(len(sides), int(kind)))[0])
 
 
 def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -> None:
@@ -46,8 +47,9 @@ def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -
     assert (off > 1.0).mean() < 0.05  # by chance
 
 
-def test_walls_speak_less_than_roofs() -> None:
-    assert math.exp(told(with_step(texture(1), 100), [side(100, 12)], wall=True)) == pytest.approx(0.8 / 0.2, rel=0.05)
+@pytest.mark.parametrize(("kind", "most"), [(Kind.BASE, 0.8 / 0.2), (Kind.UPRIGHT, 0.8 / 0.2), (Kind.SPOT, 0.85 / 0.05)])
+def test_walls_speak_less_than_roofs_and_a_whole_rim_more_than_a_side(kind: Kind, most: float) -> None:
+    assert math.exp(told(with_step(texture(1), 100), [side(100, 12)], kind=kind)) == pytest.approx(most, rel=0.05)
 
 
 def test_a_corner_of_two_streets_is_as_likely_a_house_as_not() -> None:
