@@ -145,9 +145,9 @@ def test_a_pose_of_spots_is_as_sure_as_it_says() -> None:
         fit = estimate_pose(view.rig, view.pictures, view.landmarks, (np.asarray(view.prior.p_n), view.prior.R_nb), view.prior)
         assert isinstance(fit, PoseEstimate), fit
         off = difference(view.p_n, view.R_nb, fit.joint_p_n, so3.from_matrix(fit.joint_R_nb))
-        distance.append(off @ np.linalg.solve(fit.joint_covariance, off))
+        distance.append(float(off @ np.linalg.solve(fit.joint_covariance, off)))
         gain.append(fit.joint_covariance.diagonal() / sigma**2)
-    low, high = chi2.ppf((0.005, 0.995), 6 * len(distance)) / len(distance)
+    low, high = (float(chi2.ppf(share, 6 * len(distance))) / len(distance) for share in (0.005, 0.995))
     assert low < np.mean(distance) < high
     assert (np.mean(gain, axis=0)[[2, 5]] < 0.2).all()  # height and heading; place and tilt look nearly alike
 
