@@ -28,13 +28,12 @@ _LONGEST_PX = 12.0  # of a side that is no edge: of four points, three pixels ap
 _SPACING_PX = 1.5  # of its points
 _LEAST_POINTS = 6
 _LEAST_IN_VIEW = 0.7  # of its points, in the picture
+_SPAN = 0.1  # of n_i n_i^T, the mean: what the border leaves of a rim must still tell both directions
 _FLOOR = 2.0  # g_0, grey values per pixel
 _LEAST = 0.5  # of all gradients along the rim lead to the same side, at least
 _ASIDE_PX = 2.0  # from the rim, where the colours inside and outside are looked at
-_RIVAL, _APART_PX = (
-    0.85,
-    3,
-)  # another shift that has so much of the best one's makes a spot ambiguous, if it is farther off than this
+_RIVAL = 0.85  # of the best shift's score: another one that has so much makes a spot ambiguous,
+_APART_PX = 3  # if it is farther off than this
 _HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest place is found
 
 
@@ -97,10 +96,17 @@ def measure(
                 inside[i - first] &= u >= 1.0 and v >= 1.0 and u < columns - 2 and v < rows - 2
             offsets[first:stop], usable[first:stop] = np.nan, False
             some = first + np.flatnonzero(inside)
-            if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * (stop - first)):
+            if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * (stop - first)) and _span(normal[some]) >= _SPAN:
                 usable[some] = True
                 offsets[some] = _shifted(image, px[some], normal[some], half)
         first = stop
+
+
+@njit(cache=True)
+def _span(normal: Array) -> float:
+    """The smaller eigenvalue of the mean of n n^T, 0 ... 1/2, of normals (N, 2)."""
+    uu, vv, uv = np.mean(normal[:, 0] ** 2), np.mean(normal[:, 1] ** 2), np.mean(normal[:, 0] * normal[:, 1])
+    return float(0.5 * (uu + vv) - math.hypot(0.5 * (uu - vv), uv))
 
 
 @njit(cache=True)
