@@ -283,7 +283,9 @@ def _draw_caption(canvas: Picture, caption: Sequence[str], scale: float) -> list
 def _draw_name(
     canvas: Picture, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
 ) -> None:
-    """At the middle of the roof as far as it is in view, else above or under it; left out where there is no room."""
+    """At the middle of the roof as far as it is in view, beside it where the name would hide it, else above or under it; left out
+    where there is no room.
+    """
     roof = [px for kind, px in lines if kind == Kind.ROOF]
     if not roof:
         return
@@ -294,10 +296,12 @@ def _draw_name(
         return
     size = round((14 if colour == IDENTIFIED else 12) * scale)
     width, height = _text_size(text, size)
-    middle = 0.5 * (low + high)
-    for v in (middle[1] - height / 2, low[1] - height - 4 * scale, high[1] + 4 * scale):
-        left = round(min(max(middle[0] - width / 2, 4.0), columns - width - 4.0))
-        top = round(min(max(v, 2.0), rows - height - 4.0))
+    left_of, top_of = 0.5 * (low + high) - np.array([width / 2, height / 2])
+    places = [(left_of, top_of), (left_of, low[1] - height - 4 * scale), (left_of, high[1] + 4 * scale)]
+    if high[0] - low[0] < width and high[1] - low[1] < 2 * height:
+        places[:1] = [(high[0] + 8 * scale, top_of), (low[0] - width - 8 * scale, top_of)]
+    for u, v in places:
+        left, top = round(min(max(u, 4.0), columns - width - 4.0)), round(min(max(v, 2.0), rows - height - 4.0))
         box = (left, top, left + width, top + height)
         if all(box[2] < other[0] or other[2] < box[0] or box[3] < other[1] or other[3] < box[1] for other in taken):
             taken.append(box)
