@@ -14,7 +14,7 @@ contrast: h = q = 0.2. An outline that lies on edges of something else seldom ha
 
 A landmark too small to have edges (spots.py) has one side, its whole rim: a stain has all of a rim as well. One is missed with
 h = 0.15. At a place of no spot one of that size is found in 58 % within 8 px all around (2700 places each in photos of grass and
-woods and in rendered pictures), and in 9 % of these as near as 2.5 px to the very place: q = 0.05.
+woods and in rendered pictures); lying anywhere there, it is as near as 2.5 px to the very place in 9 %: q = 0.05.
 """
 
 import math
