@@ -119,7 +119,7 @@ def _fill(field: Field, picture: Image, unseen: Mask, top: int, left: int) -> No
             before, after = _beside(x, columns)
             square = np.float32(0.0)
             for c in range(3):
-                du, dv = _gradient(picture, above, y, below, before, x, after, c) if c < channels else (_NONE, _NONE)
+                du, dv = gradient(picture, above, y, below, before, x, after, c) if c < channels else (_NONE, _NONE)
                 field[y, x, c], field[y, x, 3 + c] = du, dv
                 square += du * du + dv * dv
             field[y, x, 6] = _UNSEEN if unseen[y, x] else np.sqrt(square)
@@ -132,7 +132,7 @@ def _beside(at: int, size: int) -> tuple[int, int]:
 
 
 @njit(cache=True)
-def _gradient(
+def gradient(
     picture: Image, above: int, y: int, below: int, before: int, x: int, after: int, c: int
 ) -> tuple[np.float32, np.float32]:
     """Sobel's derivatives of one channel at a pixel."""
@@ -153,7 +153,7 @@ def _median_length(picture: Image, unseen: Mask, step: int) -> float:
             before, after = _beside(x, columns)
             square = np.float32(0.0)
             for c in range(channels):
-                du, dv = _gradient(picture, above, y, below, before, x, after, c)
+                du, dv = gradient(picture, above, y, below, before, x, after, c)
                 square += du * du + dv * dv
             lengths[y // step, x // step] = _UNSEEN if unseen[y, x] else np.sqrt(square)
     return float(np.median(lengths))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision import outline
 from vision.rectify import Image
+from vision.reduced import gradient
 from vision.sensitivity import Eye, Samples, ends_px, sample_edges
 from vision.visibility import Kind, ModelEdges
 
@@ -168,7 +169,7 @@ def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int
 
 @njit(cache=True)
 def _in_shadow(image: Image, pixel: Indices, normal: Array, du: int, dv: int) -> bool:
-    """Whether the colour inside a rim, c, is that of the ground outside, b, in a shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
+    """Whether the colour inside a rim is that of the ground outside in a shadow."""
     rows, columns, channels = image.shape
     inside, outside = np.zeros(channels), np.zeros(channels)
     for i in range(len(pixel)):
@@ -208,9 +209,5 @@ def _gradients(image: Image, left: int, top: int, width: int, height: int) -> Ar
     for y in range(max(top, 1), min(top + height, rows - 1)):
         for x in range(max(left, 1), min(left + width, columns - 1)):
             for c in range(channels):
-                nw, n, ne = float(image[y - 1, x - 1, c]), float(image[y - 1, x, c]), float(image[y - 1, x + 1, c])
-                w, e = float(image[y, x - 1, c]), float(image[y, x + 1, c])
-                sw, s, se = float(image[y + 1, x - 1, c]), float(image[y + 1, x, c]), float(image[y + 1, x + 1, c])
-                g[y - top, x - left, c] = 0.125 * (ne + 2.0 * e + se - nw - 2.0 * w - sw)
-                g[y - top, x - left, channels + c] = 0.125 * (sw + 2.0 * s + se - nw - 2.0 * n - ne)
+                g[y - top, x - left, c], g[y - top, x - left, channels + c] = gradient(image, y - 1, y, y + 1, x - 1, x, x + 1, c)
     return g

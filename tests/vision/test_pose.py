@@ -48,15 +48,28 @@ def flight(seed: int, marks: int = 3, height_m: float = 40.0, tilt: float = 0.15
         turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
         corners = np.array([(-0.5, -0.35), (0.5, -0.35), (0.5, 0.35), (-0.5, 0.35)]) * size
         true.append(Landmark.of(str(k), corners @ turn + place, 0.0, rng.uniform(0.03, 0.1) * height_m, COLOURS[k]))
-    looks = tuple(Look(COLOURS[k]) for k in range(marks))
+    return seen_from_above(rng, rig, true, true, height_m, tilt, SIGMA)
+
+
+def seen_from_above(
+    rng: np.random.Generator,
+    rig: StereoRig,
+    true: list[Landmark],
+    mapped: list[Landmark],
+    height_m: float,
+    tilt: float,
+    sigma: Array,
+) -> Flight:
+    """Landmarks as they stand and as they are mapped, on textured ground; a prior drawn with sigma (6,) about the truth."""
+    looks = tuple(Look(mark.colour_bgr or (0, 0, 0)) for mark in true)
     world = World(tuple(true), looks, (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
     roll, pitch = rng.normal(0.0, tilt, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, rng.uniform(-3.0, 3.0)))
     p_n = np.array([*rng.normal(0.0, 1.0, 2), -height_m])
     pictures = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
-    error = SIGMA * rng.normal(size=6)
+    error = sigma * rng.normal(size=6)
     q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb)))
-    return Flight(pictures, rig, tuple(true), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(SIGMA**2)))
+    return Flight(pictures, rig, tuple(mapped), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))
 
 
 def near(view: Flight, seed: int = 0) -> tuple[Array, Array]:

@@ -10,16 +10,11 @@ from models import so3
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from tests.vision.roofs import nadir_rig
-from tests.vision.test_pose import Flight
-from vision.identify import Prior
+from tests.vision.test_pose import Flight, seen_from_above
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose import PoseEstimate, difference, estimate_pose
 from vision.sensitivity import eyes
 from vision.spots import blocks, measure, sampled
-from vision.synthetic.camera_effects import Conditions
-from vision.synthetic.ground import Ground
-from vision.synthetic.render import render_pair
-from vision.synthetic.world import Look, Sun, World
 from vision.visibility import Kind, Prisms, visible_edges
 
 ORIGIN = (47.3977, 8.5456, 488.0)
@@ -41,15 +36,7 @@ def boulders(seed: int, sigma: Array, count: int = 8, height_m: float = 40.0, ma
         colour = blue, green, red
         true.append(Landmark.of(str(k), outline, 0.0, tall, colour))
         mapped.append(Landmark.of(str(k), outline + rng.normal(0.0, map_sigma_m, 2), 0.0, tall, colour, map_sigma_m))
-    looks = tuple(Look(one.colour_bgr or (0, 0, 0)) for one in true)
-    world = World(tuple(true), looks, (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
-    roll, pitch = rng.normal(0.0, 0.08, 2)
-    R_nb = so3.matrix(so3.from_euler(roll, pitch, rng.uniform(-3.0, 3.0)))
-    p_n = np.array([*rng.normal(0.0, 1.0, 2), -height_m])
-    pictures = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
-    error = sigma * rng.normal(size=6)
-    q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb)))
-    return Flight(pictures, rig, tuple(mapped), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))
+    return seen_from_above(rng, rig, true, mapped, height_m, 0.08, sigma)
 
 
 def drawn(corners: Array, colour: tuple[int, int, int], picture: Picture) -> Picture:
