@@ -16,21 +16,14 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import track
 
+from benchmarks import rendered_flight
 from benchmarks.tables import Table, number
-from calib.files import load_rig
-from estimator import flight_pictures, map_store
-from estimator import simulate as simulated
-from estimator.config import load
 from estimator.demo import scenario_text
-from estimator.replay import replay
-from estimator.sight import Sight
-from estimator.sight_replay import SightReplay
-from logs.evaluate import compare, find_outages
+from logs.evaluate import Comparison, find_outages
 from logs.evidence import read
 from logs.metrics import chi2_band, nees
 from logs.plots import draw_horizontal_error
 from models.radius import horizontal_radius
-from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "demo_flight"
@@ -72,34 +65,20 @@ def main() -> None:
 
 def fly(seed: int, gps: bool) -> list[Errors]:
     """Simulate one flight and replay it with what the cameras see, and without."""
-    folder = _folder(seed, gps=gps)
-    folder.mkdir(parents=True, exist_ok=True)
     plan = loads(scenario_text())
-    cameras = plan.cameras
-    assert cameras is not None
     assert plan.gnss is not None
     cut_s = plan.gnss.outages_s[0][0]
     if gps:
         plan = msgspec.structs.replace(plan, gnss=msgspec.structs.replace(plan.gnss, outages_s=()))
-    simulation = simulate(plan, seed)
-    pictures = flight_pictures.plan(cameras, simulation, seed)
-    pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
-    (folder / "flight.toml").write_text(flight_pictures.configuration(simulation, "map.geojson", "rig.yaml"))
-    simulated.write(simulation, folder / "flight.mcap", pictures=pictures)
-    return [_replayed(folder, cut_s, landmarks=seen) for seen in (True, False)]
+    folder = _folder(seed, gps=gps)
+    rendered_flight.draw(folder, plan, seed)
+    return [_errors(rendered_flight.fly(folder, cut_s, landmarks=seen), landmarks=seen) for seen in (True, False)]
 
 
-def _replayed(folder: Path, cut_s: float, *, landmarks: bool) -> Errors:
-    config, log, estimate = load(folder / "flight.toml"), folder / "flight.mcap", _estimate(folder, landmarks=landmarks)
-    sight = None
-    if landmarks:
-        seen = Sight(load_rig(folder / "rig.yaml"), map_store.load(folder / "map.geojson"))
-        sight = SightReplay(seen, config.vision, config.inputs.left_image, config.inputs.right_image, log)
-    replay(log, estimate, config, sight=sight)
-    evidence = read(estimate)
-    c = compare(evidence.estimate, evidence.truth)
-    start, instant_ns = int(evidence.truth.t_ns[0]), round(EVERY_S * 1e9)
-    c = c[np.asarray((c.t_ns - start >= round(cut_s * 1e9)) & (np.diff((c.t_ns - start) // instant_ns, prepend=-1) > 0))]
+def _errors(c: Comparison, *, landmarks: bool) -> Errors:
+    """At instants EVERY_S apart."""
+    instant_ns = round(EVERY_S * 1e9)
+    c = c[np.asarray(np.diff((c.t_ns - int(c.t_ns[0])) // instant_ns, prepend=-1) > 0)]
     return Errors(
         landmarks,
         np.linalg.norm(c.p_error, axis=1).tolist(),
@@ -127,7 +106,7 @@ def draw(seed: int) -> Figure:
     figure = Figure(figsize=(13.0, 8.0), layout="constrained")
     grid = figure.subplots(2, 2, sharex=True)
     for axes, (gps, seen) in zip(grid.flat, ((True, True), (True, False), (False, True), (False, False)), strict=True):
-        evidence = read(_estimate(_folder(seed, gps=gps), landmarks=seen))
+        evidence = read(rendered_flight.estimate_of(_folder(seed, gps=gps), landmarks=seen))
         outages = find_outages(evidence.aids, evidence.health, evidence.estimate, OUTAGE_S)
         draw_horizontal_error(axes, evidence, outages["all"])
         name = f"{'GPS all along' if gps else 'GPS cut off'}, {'landmarks' if seen else 'no landmarks'}"
@@ -139,10 +118,6 @@ def draw(seed: int) -> Figure:
 
 def _folder(seed: int, *, gps: bool) -> Path:
     return OUT / f"{seed}_{'gps' if gps else 'cut'}"
-
-
-def _estimate(folder: Path, *, landmarks: bool) -> Path:
-    return folder / f"estimate_{'with' if landmarks else 'without'}.mcap"
 
 
 if __name__ == "__main__":
