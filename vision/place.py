@@ -75,9 +75,11 @@ class Fitter:
         )
         self._pair_sigma_px = _pair_sigma_px(rig)
 
-    def fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a place, or why there is none."""
-        first = sorted(self._most_seen(place))
+    def fit(
+        self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
+    ) -> Fitted | str:
+        """The fit from a place, or why there is none; among: landmarks (L,) that may take part, all by default."""
+        first = [k for k in sorted(self._most_seen(place)) if among is None or among[k]]
         return self._settled(marks, place, _start(pictures, place, first, first), prior)
 
     def fit_one(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:

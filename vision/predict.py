@@ -19,7 +19,7 @@ from models import so3
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
-from vision import verify
+from vision import spots, verify
 from vision.coarse import Candidate, CoarseConfig, Search, limit_px
 from vision.detail import as_seen
 from vision.identify import Prior
@@ -90,9 +90,7 @@ class PredictPath:
 
     def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
         """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
-        eye, picture = self._eye(pictures), pictures.right if pictures.only_right else pictures.left
-        assert picture is not None
-        candidates = Search(eye, marks, move, self._config.coarse).candidates(picture)
+        eye, candidates = self._eye(pictures), self._candidates(pictures, marks, move)
         found = self._decide(pictures, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
         found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
@@ -135,6 +133,32 @@ class PredictPath:
         fitted = self._fitter.fit(pictures, marks, place, prior)
         return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(pictures, marks, place, prior) or fitted
 
+    def _candidates(self, pictures: Pictures, marks: list[Landmark], move: Motion) -> list[Candidate]:
+        """Places where the outlines may lie, best first."""
+        picture = pictures.right if pictures.only_right else pictures.left
+        assert picture is not None
+        return Search(self._eye(pictures), marks, move, self._config.coarse).candidates(picture)
+
+    def _fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+        """The fit from a place; small landmarks are searched once more where the large ones put them.
+
+        A prior that is off in tilt puts what is at the picture's border many pixels off, farther than a small landmark is large:
+        something else would be found in its place.
+        """
+        eye, voted = self._eye(pictures), self._trusted(place)
+        large = voted & ~spots.small(marks, eye, place.pose)
+        mixed = 0 < large.sum() < voted.sum()
+        known = self._fitter.fit(pictures, marks, place, prior, large) if mixed else ""
+        if isinstance(known, str):
+            return self._fitter.fit(pictures, marks, place, prior)
+        p_n, R_nb = known.pose.joint_p_n, known.pose.joint_R_nb
+        move = motion(eye, marks, Prior(p_n, so3.from_matrix(R_nb), known.pose.joint_covariance))
+        for again in self._candidates(pictures, marks, move)[:1] if move else ():
+            every = self._fitter.fit(pictures, marks, again, prior)
+            if isinstance(every, Fitted) and len(every.used) > len(known.used):
+                return every
+        return known
+
     def _decide(
         self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior
     ) -> _Decided | _Refused:
@@ -147,10 +171,10 @@ class PredictPath:
             return _Refused("not_found", flaw)
         likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
         places = candidates[: max(likely, _MOST_TRIED)]
-        tried = [self._fitter.fit(pictures, marks, place, prior) for place in places[:likely]]
+        tried = [self._fit(pictures, marks, place, prior) for place in places[:likely]]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
-            tried += [self._fitter.fit(pictures, marks, place, prior) for place in places[likely:]]
+            tried += [self._fit(pictures, marks, place, prior) for place in places[likely:]]
             outcome = verify.decided(tried, v)
         if not any(isinstance(one, Fitted) for one in tried):
             tried = [self._fitter.fit_one(pictures, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]

@@ -10,17 +10,19 @@ of the ground outside, only darker, no spot is sought.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models.landmarks import Landmark
 from models.messages import Array
 from vision import outline
 from vision.rectify import Image
 from vision.reduced import gradient
 from vision.sensitivity import Eye, Samples, ends_px, sample_edges
-from vision.visibility import Kind, ModelEdges
+from vision.visibility import Kind, ModelEdges, Prisms
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -60,6 +62,15 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
             block[e:stop], spot[e:stop] = e, True
         e = stop
     return block, spot
+
+
+def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) -> Mask:
+    """Which landmarks (L,) have no side long enough to be an edge in the picture of a pose."""
+    bodies, (p_nk, R_nk) = Prisms.of(landmarks), eye.pose(*pose)
+    px, last = eye.camera.project((bodies.roofs - p_nk) @ R_nk), bodies.offsets[1:] - 1
+    along = np.roll(px, -1, axis=0) - px
+    along[last] = px[bodies.offsets[:-1]] - px[last]
+    return np.asarray(np.maximum.reduceat(np.hypot(*along.T), bodies.offsets[:-1]) < _LONGEST_PX)
 
 
 def sampled(

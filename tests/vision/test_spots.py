@@ -39,6 +39,25 @@ def boulders(seed: int, sigma: Array, count: int = 8, height_m: float = 40.0, ma
     return seen_from_above(rng, rig, true, mapped, height_m, 0.08, sigma)
 
 
+def house_and_boulders(seed: int, sigma: Array) -> Flight:
+    """A house at one border of the picture, seven boulders three metres apart at the other one."""
+    rng, rig = np.random.default_rng(seed), nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
+    true, mapped = [], []
+    for k in range(8):
+        a = rng.uniform(0.0, np.pi)
+        turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+        if k == 0:
+            place, size, tall = np.array([-8.0, rng.uniform(-5.0, 5.0)]), rng.uniform(6.0, 8.0), 3.0
+        else:
+            place = np.array([rng.uniform(6.0, 11.0), 3.1 * k - 11.0])
+            size, tall = rng.uniform(0.45, 0.75), rng.uniform(0.05, 0.3)
+        outline = CORNERS * size @ turn + place
+        blue, green, red = rng.integers(120, 200, 3).tolist()
+        true.append(Landmark.of(str(k), outline, 0.0, tall, (blue, green, red)))
+        mapped.append(Landmark.of(str(k), outline + rng.normal(0.0, 0.05, 2), 0.0, tall, (blue, green, red), 0.05))
+    return seen_from_above(rng, rig, true, mapped, 40.0, 0.08, sigma)
+
+
 def drawn(corners: Array, colour: tuple[int, int, int], picture: Picture) -> Picture:
     """A filled outline (K, 2) px, its rim as soft as a pixel is wide."""
     large = cv2.resize(picture, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_NEAREST)
@@ -161,3 +180,16 @@ def test_boulders_alone_make_a_fix(seed: int) -> None:
     assert len(result.fix.landmarks) >= 7
     off = difference(view.p_n, view.R_nb, result.pose.joint_p_n, so3.from_matrix(result.pose.joint_R_nb))
     assert off @ np.linalg.solve(result.pose.joint_covariance, off) < chi2.ppf(0.999, 6)
+
+
+@pytest.mark.parametrize("seed", [12, 14])
+def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int) -> None:
+    """The tilt is open by 2.5 degrees, and so is the way from one border of the picture to the other."""
+    view = house_and_boulders(seed, np.array([1.5, 1.5, 1.0, *np.radians((2.5, 2.5, 3.0)).tolist()]))
+    pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
+    result = pipeline.process(*view.pictures, 1, view.prior)
+    assert result.fix is not None
+    assert result.pose is not None
+    assert len(result.fix.landmarks) >= {12: 8, 14: 5}[seed]
+    off = difference(view.p_n, view.R_nb, result.pose.joint_p_n, so3.from_matrix(result.pose.joint_R_nb))
+    assert off @ np.linalg.solve(result.pose.joint_covariance, off) < chi2.ppf(0.95, 6)
