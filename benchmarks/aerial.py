@@ -117,13 +117,14 @@ def summary(outcomes: Iterable[Outcome]) -> list[Row]:
 
 def table(rows: Iterable[Row]) -> Table:
     columns = (
-        "set", "path", "pictures", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "median m", "95 % m", "worst m",
-        "cpu s",
+        "set", "path", "pictures", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "sure to 2 m", "and beyond",
+        "median m", "95 % m", "worst m", "cpu s",
     )  # fmt: skip
     cells = [
         (
             r.group, r.path, str(r.pictures), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
-            str(r.wrong), number(r.median_m), number(r.p95_m), number(r.worst_m), number(r.cpu_s),
+            str(r.wrong), f"{r.sure:.1%}", str(r.sure_wrong), number(r.median_m), number(r.p95_m), number(r.worst_m),
+            number(r.cpu_s),
         )
         for r in rows
     ]  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 
 import msgspec
 import numpy as np
+from scipy.stats import chi2
 
 from benchmarks.single_fix_views import NADIR
 from models import so3
@@ -83,7 +84,7 @@ class Trial:
 class Outcome(msgspec.Struct, frozen=True):
     """What became of a trial. prior_m: horizontal error of the prior; error_m: of fix and prior together, alone_m: of the fix
     alone, as the case judges; squared: squared error of the fix's position over its covariance, per degree of freedom; at_once:
-    from the first picture.
+    from the first picture; axis_m: longest half axis of the 95 % ellipsoid that fix and prior together promise.
     """
 
     group: str
@@ -100,11 +101,22 @@ class Outcome(msgspec.Struct, frozen=True):
     alone_m: float = math.nan
     squared: float = math.nan
     at_once: bool = True
+    axis_m: float = math.nan
 
     @property
     def accepted(self) -> bool:
         """Whether there is a fix."""
         return self.outcome == "fixed"
+
+    @property
+    def wrong(self) -> bool:
+        """Whether there is a fix that is far off."""
+        return self.accepted and self.error_m > WRONG_M
+
+    @property
+    def sure(self) -> bool:
+        """Whether there is a fix that promises not to be far off."""
+        return self.accepted and self.axis_m <= WRONG_M
 
 
 def nadir_rig(camera: CameraModel) -> StereoRig:
@@ -166,12 +178,13 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
     total = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
     squared = float(e @ np.linalg.solve(total[:3, :3], e)) / 3.0
     alone = case.judge(np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)))
-    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once), result
+    axis_m = math.sqrt(float(chi2.ppf(0.95, 3)) * float(np.linalg.eigvalsh(pose.joint_covariance[:3, :3])[-1]))
+    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once, axis_m), result
 
 
 class Row(msgspec.Struct, frozen=True):
     """Trials of one kind; pictures: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
-    share accepted from the first picture.
+    share accepted from the first picture; sure: share that promises not to be so far off, sure_wrong: of these, off all the same.
     """
 
     group: str
@@ -182,6 +195,8 @@ class Row(msgspec.Struct, frozen=True):
     at_once: float
     right: float
     wrong: int
+    sure: float
+    sure_wrong: int
     median_m: float
     p95_m: float
     worst_m: float
@@ -191,10 +206,11 @@ class Row(msgspec.Struct, frozen=True):
 def row(outcomes: Sequence[Outcome]) -> Row:
     """Figures of trials of one group and path."""
     error = np.array([o.error_m for o in outcomes if o.accepted])
-    wrong = int(np.sum(error > WRONG_M))
+    wrong, n = sum(o.wrong for o in outcomes), len(outcomes)
     median, p95, worst = np.percentile(error, (50, 95, 100)).tolist() if len(error) else (math.nan,) * 3
     return Row(
-        outcomes[0].group, outcomes[0].path, len({o.case for o in outcomes}), len(outcomes), len(error) / len(outcomes),
-        sum(o.accepted and o.at_once for o in outcomes) / len(outcomes),
-        (len(error) - wrong) / len(outcomes), wrong, median, p95, worst, float(np.median([o.cpu_s for o in outcomes])),
+        outcomes[0].group, outcomes[0].path, len({o.case for o in outcomes}), n, len(error) / n,
+        sum(o.accepted and o.at_once for o in outcomes) / n, (len(error) - wrong) / n, wrong,
+        sum(o.sure for o in outcomes) / n, sum(o.sure and o.wrong for o in outcomes),
+        median, p95, worst, float(np.median([o.cpu_s for o in outcomes])),
     )  # fmt: skip

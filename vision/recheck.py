@@ -23,7 +23,7 @@ from vision.look import LookConfig, channels, distance_from_roof
 from vision.pose import PoseEstimate
 from vision.rectify import Image
 from vision.sensitivity import ends_of, eyes, partners_off, sample_edges, viewed
-from vision.stands import across, log_likelihood_ratio
+from vision.stands import across, log_likelihood_ratio, spots_missed
 from vision.visibility import Kind, Prisms, visible_edges
 
 Indices = NDArray[np.int64]
@@ -101,7 +101,9 @@ def recheck(
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
     stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), np.where(spot, int(Kind.SPOT), edges.kind))
     found, given = found.sum(axis=0), given.sum(axis=0)
-    return Recheck(np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), stands, pictures, apart)
+    share, small = np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), np.unique(edges.landmark[spot])
+    stands[small] = spots_missed(stands[small], share[small])
+    return Recheck(share, stands, pictures, apart)
 
 
 @njit(cache=True)

@@ -14,7 +14,8 @@ contrast: h = q = 0.2. An outline that lies on edges of something else seldom ha
 
 A landmark too small to have edges (spots.py) has one side, its whole rim: a stain has all of a rim as well. One is missed with
 h = 0.15. At a place of no spot one of that size is found in 58 % within 8 px all around (2700 places each in photos of grass and
-woods and in rendered pictures); lying anywhere there, it is as near as 2.5 px to the very place in 9 %: q = 0.05.
+woods and in rendered pictures); lying anywhere there, it is as near as 2.5 px to the very place in 9 %: q = 0.05. One that is
+found elsewhere, or nowhere within these 8 px, is missed whatever its place shows: a rim beside a stone crosses the stone's edges.
 """
 
 import math
@@ -89,3 +90,8 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
             chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
             told[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
     return told
+
+
+def spots_missed(told: Array, share: Array) -> Array:
+    """log LR (N,) of small landmarks, told so far (N,) by their rims, of which such shares (N,) are found where the fit says."""
+    return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), told)

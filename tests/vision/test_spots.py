@@ -11,8 +11,10 @@ from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from tests.vision.roofs import nadir_rig
 from tests.vision.test_pose import Flight, seen_from_above
+from vision.look import LookConfig
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose import PoseEstimate, difference, estimate_pose
+from vision.recheck import recheck
 from vision.sensitivity import eyes
 from vision.spots import blocks, measure, sampled
 from vision.visibility import Kind, Prisms, visible_edges
@@ -193,3 +195,16 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int) -> N
     assert len(result.fix.landmarks) >= {12: 8, 14: 5}[seed]
     off = difference(view.p_n, view.R_nb, result.pose.joint_p_n, so3.from_matrix(result.pose.joint_R_nb))
     assert off @ np.linalg.solve(result.pose.joint_covariance, off) < chi2.ppf(0.95, 6)
+
+
+def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:
+    """Where the map has each boulder, and half a metre beside: 7 px, less than it is wide."""
+    view = boulders(3, np.full(6, 1e-3), map_sigma_m=1e-3)
+    fit = estimate_pose(view.rig, view.pictures, view.landmarks, (view.p_n, view.R_nb), view.prior)
+    assert isinstance(fit, PoseEstimate)
+    beside = [Landmark.of(m.id, m.outline_n + np.array([0.5, 0.0]), m.base_d, m.height_m, m.colour_bgr) for m in view.landmarks]
+    there, missed = (recheck(view.rig, view.pictures, marks, fit, LookConfig()) for marks in (view.landmarks, beside))
+    assert np.median(there.stands) > 2.0
+    assert (there.share >= 0.5).mean() >= 0.75
+    assert (missed.share < 0.5).mean() >= 0.75
+    np.testing.assert_allclose(missed.stands[missed.share < 0.5], np.log(0.15 / 0.95))
