@@ -12,7 +12,9 @@ from estimator.commands.console import Json, Out, print_json, progress
 def command(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Vehicle, sensors and what goes wrong.")],
     out: Out,
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal logs; another one is another flight over the same village.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Equal seeds give equal logs; another one is another flight over the same village.")
+    ] = 0,
     images: Annotated[
         bool, typer.Option("--images/--no-images", help="Draw the pictures of a scenario that has [cameras], or leave them out.")
     ] = True,
