@@ -52,11 +52,12 @@ def main() -> None:
     if arguments.villages < 2:
         parser.error("--villages must be at least 2")
     if arguments.day:
-        plan = msgspec.structs.replace(plan, cameras=msgspec.structs.replace(plan.cameras, sees="colour", exposure_s=0.002))
+        cameras = msgspec.structs.replace(plan.cameras, sees="colour", exposure_s=0.002)
+        plan = msgspec.structs.replace(plan, name=f"{plan.name}_by_day", cameras=cameras)
     seeds = range(arguments.seed, arguments.seed + arguments.villages)
     flown = [fly(plan, seed, OUT / f"{plan.name}_{seed}") for seed in track(seeds, "flights", console=Console(stderr=True))]
-    text = table(f"{plan.name}{', by day' * arguments.day}", flown).markdown()
-    (OUT / f"{plan.name}{'_day' * arguments.day}.md").write_text(text)
+    text = table(plan.name, flown).markdown()
+    (OUT / f"{plan.name}.md").write_text(text)
     print(text)
 
 
