@@ -20,7 +20,7 @@ from benchmarks import rendered_flight
 from benchmarks.tables import Table, number
 from logs.metrics import nees
 from models.sim.scenario import Scenario
-from models.sim.scenario_file import loads
+from models.sim.scenario_file import ScenarioError, loads
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "villages"
 COLUMNS = ("village", "position error m, RMS", "worst m", "NEES/3", "inside the 95 % ellipsoid")
@@ -46,7 +46,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the first village, and of the flight over it")
     parser.add_argument("--day", action="store_true", help="in colour, with a shutter of 2 ms, whatever the scenario has")
     arguments = parser.parse_args()
-    plan = loads(arguments.scenario.read_text(), str(arguments.scenario))
+    try:
+        plan = loads(arguments.scenario.read_text(), str(arguments.scenario))
+    except (OSError, ScenarioError) as error:
+        parser.error(f"--scenario: {error}")
     if plan.cameras is None or plan.gnss is None or not plan.gnss.outages_s:
         parser.error("--scenario: must have [cameras], and [gnss] with outages_s")
     if arguments.villages < 2:

@@ -22,7 +22,7 @@ from vision import outline
 from vision.rectify import Image
 from vision.reduced import gradient
 from vision.sensitivity import Eye, Samples, ends_px, sample_edges
-from vision.visibility import Kind, ModelEdges, Prisms
+from vision.visibility import Kind, ModelEdges, Prisms, visible_edges
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -65,12 +65,11 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
 
 
 def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) -> Mask:
-    """Which landmarks (L,) have no side long enough to be an edge in the picture of a pose."""
-    bodies, (p_nk, R_nk) = Prisms.of(landmarks), eye.pose(*pose)
-    px, last = eye.camera.project((bodies.roofs - p_nk) @ R_nk), bodies.offsets[1:] - 1
-    along = np.roll(px, -1, axis=0) - px
-    along[last] = px[bodies.offsets[:-1]] - px[last]
-    return np.asarray(np.maximum.reduceat(np.hypot(*along.T), bodies.offsets[:-1]) < _LONGEST_PX)
+    """Which landmarks (L,) are spots in the picture of a pose."""
+    edges = visible_edges(Prisms.of(landmarks), eye.pose(*pose)[0])
+    spots = np.zeros(len(landmarks), np.bool_)
+    spots[edges.landmark[blocks(edges, eye, pose)[1]]] = True
+    return spots
 
 
 def sampled(
