@@ -1,10 +1,13 @@
 """Three who are asked for a landmark in a pair of pictures: landfix, the thesis' method alone, SIFT + FLANN.
 
 Each answers recognised, wrong or silent. Recognised: the landmark asked for is named and the position that follows agrees with
-the truth. Wrong: something is named that is another thing or not there, or the position contradicts the truth.
+the truth. Wrong: something is named that is another thing or not there, or the position contradicts the truth. Who is silent is
+asked again with the next pair.
 """
 
+import itertools
 import time
+from collections.abc import Callable
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -12,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.bench.views import Reference, Sample, later
+from estimator.bench.views import Reference, Sample
 from models import so3
 from models.landmarks import Landmark
 from models.messages import Array, LandmarkFix
@@ -29,6 +32,7 @@ from vision.survey import Settings, grey, segment_regions
 Verdict: TypeAlias = Literal["recognised", "wrong", "silent"]
 Points: TypeAlias = NDArray[np.float32]
 
+PAIRS: Final = 2  # that each is shown at most: landfix takes a likely place for sure once the next pair agrees
 OFF_M: Final = 3.0  # a position this far off is wrong, unless its own 99.99 % ellipsoid holds the truth
 _INSIDE_9999: Final = 21.108  # chi-square of 3
 _NEXT_NS: Final = 500_000_000
@@ -39,51 +43,64 @@ _ROOF_PX: Final = 3  # around a roof within which its key points lie
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What came out: cpu_ms of the processor for a pair, where it was timed; error_m of the position, if any; note: why.
+    """What came out: cpu_ms of the processor for the first pair, where it was timed; error_m of the position, if any; note: why.
 
-    at_once: from the first pair.
+    pair: which pair it came from, from 1.
     """
 
     verdict: Verdict
     cpu_ms: float | None
     error_m: float | None = None
     note: str = ""
-    at_once: bool = True
+    pair: int = 1
 
 
-def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True) -> Answer:
-    """Our pipeline, from nothing but rig, map and prior; where it is silent it may look at the next pair, half a second later.
+Method: TypeAlias = Callable[[Sample, bool], Answer]  # of a pair; timed or not
 
-    cpu_ms: of a pair. What is built once a flight is not timed.
+
+def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answer:
+    """A method's answer to the first pair that it is not silent about, or to the last; it is timed with the first."""
+    answer = method(sample, timed)
+    cpu_ms = answer.cpu_ms
+    while answer.verdict == "silent" and answer.pair < pairs:
+        sample = sample.next
+        answer = msgspec.structs.replace(method(sample, False), cpu_ms=cpu_ms, pair=answer.pair + 1)
+    return answer
+
+
+def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = PAIRS) -> Answer:
+    """Our pipeline, from nothing but rig, map and prior; pairs are half a second apart, and it remembers those before.
+
+    cpu_ms: what is built once a flight is not timed.
     """
     pipeline, again = (LandmarkPipeline(sample.scene.rig_believed, sample.scene.map, config) for _ in range(2))
-    if timed:
-        again.process(sample.left, sample.right, 0, sample.prior)  # tables of colours, as in a flight's first picture
-    begin = time.process_time()
-    first = pipeline.process(sample.left, sample.right, 0, sample.prior)
-    cpu_ms = 1e3 * (time.process_time() - begin) if timed else None
-    answer = _judged(first, sample, cpu_ms, at_once=True)
-    if answer.verdict != "silent":
-        return answer
-    second = later(sample)
-    return _judged(pipeline.process(second.left, second.right, _NEXT_NS, second.prior), second, cpu_ms, at_once=False)
+    stamps = itertools.count(0, _NEXT_NS)
+
+    def method(seen: Sample, timed: bool) -> Answer:
+        if timed:
+            again.process(seen.left, seen.right, 0, seen.prior)  # tables of colours, as in a flight's first picture
+        begin = time.process_time()
+        result = pipeline.process(seen.left, seen.right, next(stamps), seen.prior)
+        return _judged(result, seen, 1e3 * (time.process_time() - begin) if timed else None)
+
+    return until_heard(method, sample, timed, pairs)
 
 
-def _judged(result: Result, sample: Sample, cpu_ms: float | None, at_once: bool) -> Answer:
+def _judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
     """By the truth of the moment."""
     if result.fix is None:
-        return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}", at_once)
+        return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}")
     p_n, covariance = fused(sample.prior, result.fix)
     error = sample.p_n - p_n
     off_m, squared = float(np.linalg.norm(error)), float(error @ np.linalg.solve(covariance, error))
     there = {m.id for m in sample.scene.world.landmarks}
     if not there.issuperset(result.fix.landmarks):
-        return Answer("wrong", cpu_ms, off_m, "named a landmark that is gone", at_once)
+        return Answer("wrong", cpu_ms, off_m, "named a landmark that is gone")
     if off_m > OFF_M and squared > _INSIDE_9999:
-        return Answer("wrong", cpu_ms, off_m, f"{off_m:.1f} m off, squared distance {squared:.0f}", at_once)
+        return Answer("wrong", cpu_ms, off_m, f"{off_m:.1f} m off, squared distance {squared:.0f}")
     if sample.target not in result.fix.landmarks:
-        return Answer("silent", cpu_ms, off_m, "named others only", at_once)
-    return Answer("recognised", cpu_ms, off_m, f"squared distance {squared:.1f}", at_once)
+        return Answer("silent", cpu_ms, off_m, "named others only")
+    return Answer("recognised", cpu_ms, off_m, f"squared distance {squared:.1f}")
 
 
 def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
@@ -201,7 +218,17 @@ def _off_m(sample: Sample, H: Array) -> float:
     return float((off_px * x_c[:, 2]).min()) / camera.fx
 
 
-def ask(sample: Sample, looked: Looked, timed: bool = True) -> dict[str, Answer]:
+def ask(sample: Sample, looked: Looked, timed: bool = True, pairs: int = PAIRS) -> dict[str, Answer]:
     """All answers, by METHODS' names; looked: the key points of the left picture. Timing looks twice at a picture."""
-    feature = [sift_and_flann(sample, looked, surroundings) for surroundings in (False, True)]
-    return dict(zip(METHODS, (landfix(sample, timed=timed), thesis(sample, timed), *feature), strict=True))
+    key_points = {sample.numbers: looked}
+
+    def sift(surroundings: bool) -> Answer:
+        def method(seen: Sample, _timed: bool) -> Answer:
+            if seen.numbers not in key_points:
+                key_points[seen.numbers] = look(seen.left)
+            return sift_and_flann(seen, key_points[seen.numbers], surroundings)
+
+        return until_heard(method, sample, timed, 1 if sample.reference is None else pairs)
+
+    answers = landfix(sample, None, timed, pairs), until_heard(thesis, sample, timed, pairs), sift(False), sift(True)
+    return dict(zip(METHODS, answers, strict=True))

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from scipy.stats import beta
 
-from estimator.bench.recognisers import METHODS, Answer, ask, look
+from estimator.bench.recognisers import METHODS, PAIRS, Answer, ask, look
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
 from estimator.workers import pool
 
@@ -40,7 +40,7 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One method in one experiment. at_once: recognised from the first pair; cpu: of one core, for a pair.
+    """One method in one experiment. by_pair: recognised from the first pair, the first two, ...; cpu: of one core, for a pair.
 
     wrong_below, recognised_above: the true shares are, 95 % sure.
     """
@@ -50,7 +50,7 @@ class Row(msgspec.Struct, frozen=True):
     method: str
     samples: int
     recognised: int
-    at_once: int
+    by_pair: list[int]
     wrong: int
     recognised_above: float
     wrong_below: float
@@ -60,10 +60,11 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Recognition(msgspec.Struct, frozen=True):
-    """A run. redrawn: pictures that had too few key points for a fair comparison."""
+    """A run. pairs: that each method is shown at most; redrawn: pictures that had too few key points for a fair comparison."""
 
     samples: int
     seed: int
+    pairs: int
     redrawn: int
     key_points_least: int
     key_points_p50: float
@@ -76,33 +77,40 @@ def run(
     seed: int,
     experiments: Sequence[Experiment] = EXPERIMENTS,
     roofs: Sequence[Roof] = ROOFS,
+    pairs: int = PAIRS,
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
-    """`samples` of every experiment and kind of roof; jobs: processes, 0 for all cores. The result does not depend on them."""
-    wanted = [(e, r, seed, k) for e in experiments for r in roofs for k in range(samples)]
+    """`samples` of every experiment and kind of roof, each of `pairs` pairs for who is silent so long.
+
+    jobs: processes, 0 for all cores; the result does not depend on them.
+    """
+    wanted = [(e, r, seed, k, pairs) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []
     with pool(jobs or None, _begin) as workers:
         for trial in workers.map(_trial, wanted, chunksize=2):
             trials.append(trial)
             progress(len(trials) / len(wanted))
     rows = [
-        row(e, r, m, [t for t in trials if (t.experiment, t.roof) == (e, r)]) for e in experiments for r in roofs for m in METHODS
+        row(e, r, m, [t for t in trials if (t.experiment, t.roof) == (e, r)], pairs)
+        for e in experiments
+        for r in roofs
+        for m in METHODS
     ]
     points = [t.key_points for t in trials]
-    return Recognition(samples, seed, sum(t.redrawn for t in trials), min(points), float(np.median(points)), rows, trials)
+    return Recognition(samples, seed, pairs, sum(t.redrawn for t in trials), min(points), float(np.median(points)), rows, trials)
 
 
-def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial]) -> Row:
+def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial], pairs: int) -> Row:
     """What a method made of its trials."""
     answers = [t.answers[method] for t in trials]
     recognised, wrong = (sum(a.verdict == v for a in answers) for v in ("recognised", "wrong"))
     ms = [a.cpu_ms for a in answers if a.cpu_ms is not None]
     errors = [a.error_m for a in answers if a.error_m is not None and a.verdict == "recognised"]
-    at_once = sum(a.verdict == "recognised" and a.at_once for a in answers)
+    by_pair = [sum(a.verdict == "recognised" and a.pair <= k for a in answers) for k in range(1, pairs + 1)]
     n = len(answers)
     return Row(
-        experiment, roof, method, n, recognised, at_once, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
+        experiment, roof, method, n, recognised, by_pair, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
         _percentile(ms, 50.0), _percentile(ms, 99.0), _percentile(errors, 50.0),
     )  # fmt: skip
 
@@ -124,13 +132,12 @@ def _begin() -> None:
     ask(sample, look(sample.left))
 
 
-def _trial(which: tuple[Experiment, Roof, int, int]) -> Trial:
-    experiment, roof, seed, number = which
+def _trial(which: tuple[Experiment, Roof, int, int, int]) -> Trial:
+    experiment, roof, seed, number, pairs = which
     for redrawn in itertools.count():
         sample = draw(experiment, roof, seed, number, redrawn)
         looked = look(sample.left)
         if len(looked.points) >= LEAST_KEY_POINTS:
-            return Trial(
-                experiment, roof, number, sample.seen, len(looked.points), redrawn, ask(sample, looked, number % TIMED == 0)
-            )
+            answers = ask(sample, looked, number % TIMED == 0, pairs)
+            return Trial(experiment, roof, number, sample.seen, len(looked.points), redrawn, answers)
     raise AssertionError

@@ -8,6 +8,7 @@ follows from (seed, experiment, roof, number), whatever the order in which sampl
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, Literal, TypeAlias
 
 import cv2
@@ -62,7 +63,7 @@ class Reference:
 class Sample:
     """One pair. scene: the truth and what is believed of it; target: the landmark asked for; seen: share of its roof in view.
 
-    numbers: of which everything is drawn.
+    numbers: of which everything is drawn, another one for each next pair.
     """
 
     numbers: tuple[int, ...]
@@ -75,6 +76,11 @@ class Sample:
     target: str
     seen: float
     reference: Reference | None
+
+    @cached_property
+    def next(self) -> "Sample":
+        """The next pair; drawn once, whoever asks."""
+        return later(self)
 
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
@@ -90,14 +96,15 @@ def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: in
 
 def later(sample: Sample) -> Sample:
     """The next pair: some way further on, by an odometry that errs little, so the prior errs as before."""
-    rng = np.random.default_rng((*sample.numbers, 1))
+    numbers = (*sample.numbers, 1)
+    rng = np.random.default_rng(numbers)
     way, slip = rng.normal(size=3) * _WAY_SIGMA_M, rng.normal(size=6) * _SLIP_SIGMA
     turn = so3.quat_exp(rng.normal(size=3) * _TURN_SIGMA_RAD)
     p_n, R_nb = sample.p_n + way, so3.matrix(turn) @ sample.R_nb
     left, right = render_pair(sample.scene.world, sample.scene.rig, p_n, R_nb, _conditions(rng), rng)
     q = so3.multiply(so3.quat_exp(slip[3:]), so3.multiply(turn, sample.prior.q_nb_wxyz))
     prior = Prior(sample.prior.p_n + way + slip[:3], so3.normalise(q), sample.prior.covariance + np.diag(_SLIP_SIGMA**2))
-    return replace(sample, left=left, right=right, p_n=p_n, R_nb=R_nb, prior=prior)
+    return replace(sample, numbers=numbers, left=left, right=right, p_n=p_n, R_nb=R_nb, prior=prior)
 
 
 def _shown(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> tuple[Scene, Array, Array, dict[str, float]]:

@@ -126,11 +126,35 @@ def test_the_next_pair_is_some_way_further_on_and_the_prior_errs_as_before() -> 
 
 
 def test_silence_is_followed_by_a_second_look_and_says_so() -> None:
-    assert recognisers.landfix(sample(), timed=False).at_once
+    assert recognisers.landfix(sample(), timed=False).pair == 1
     dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
     answer = recognisers.landfix(dark, timed=False)
-    assert answer.verdict == "recognised"
-    assert not answer.at_once
+    assert (answer.verdict, answer.pair) == ("recognised", 2)
+    assert recognisers.landfix(dark, timed=False, pairs=1).verdict == "silent"
+
+
+def test_all_are_asked_again_until_they_answer_and_each_pair_is_another_one() -> None:
+    shown: list[Sample] = []
+
+    def method(seen: Sample, timed: bool) -> recognisers.Answer:
+        shown.append(seen)
+        return recognisers.Answer("wrong" if len(shown) == 3 else "silent", 7.0 if timed else None)
+
+    answer = recognisers.until_heard(method, sample(), timed=True, pairs=4)
+    assert (answer.verdict, answer.pair, answer.cpu_ms) == ("wrong", 3, 7.0)
+    assert shown[1] is sample().next  # drawn once
+    assert len({s.left.tobytes() for s in shown}) == 3
+    shown.clear()
+    assert recognisers.until_heard(method, sample(), timed=False, pairs=2).verdict == "silent"
+    assert len(shown) == 2
+
+
+def test_the_others_too_get_the_next_pair() -> None:
+    """A dark first pair: SIFT finds the ground in the second one, where it is shown it."""
+    dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
+    looked = recognisers.look(dark.left)
+    ground = [recognisers.ask(dark, looked, False, pairs)["SIFT+FLANN, ground"] for pairs in (1, 2)]
+    assert [(a.verdict, a.pair) for a in ground] == [("silent", 1), ("recognised", 2)]
 
 
 def test_a_right_answer_is_recognised_and_a_false_truth_makes_it_wrong() -> None:
@@ -186,21 +210,23 @@ def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
 
 def test_a_row_counts_verdicts() -> None:
     verdicts: tuple[recognisers.Verdict, ...] = ("recognised", "wrong", "silent", "recognised")
-    answers = [recognisers.Answer(v, 10.0 * k, float(k), at_once=k < 2) for k, v in enumerate(verdicts)]
+    answers = [recognisers.Answer(v, 10.0 * k, float(k), pair=1 + k // 2) for k, v in enumerate(verdicts)]
     trials = [Trial("size", "pale", k, 1.0, 900, 0, {"landfix": a}) for k, a in enumerate(answers)]
-    counted = row("size", "pale", "landfix", trials)
-    assert (counted.samples, counted.recognised, counted.at_once, counted.wrong) == (4, 2, 1, 1)
+    counted = row("size", "pale", "landfix", trials, pairs=3)
+    assert (counted.samples, counted.recognised, counted.by_pair, counted.wrong) == (4, 2, [1, 2, 2], 1)
     assert counted.error_m_p50 == 1.5
     assert counted.wrong_below == pytest.approx(0.7514, abs=1e-3)
 
 
 def test_the_command(tmp_path: Path) -> None:
-    options = ["--samples", "1", "--experiment", "accuracy", "--roof", "painted", "--jobs", "1"]
+    options = ["--samples", "1", "--experiment", "accuracy", "--roof", "painted", "--pairs", "3", "--jobs", "1"]
     result = CliRunner().invoke(app, ["bench", "recognition", *options, "--json", "--plot", str(tmp_path / "plot.png")])
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)
     assert [r["method"] for r in found["rows"]] == list(recognisers.METHODS)
     assert found["key_points_least"] >= 500
+    assert [len(r["by_pair"]) for r in found["rows"]] == [found["pairs"]] * 4 == [3] * 4
+    assert all(r["by_pair"][-1] == r["recognised"] for r in found["rows"])
     drawn = cv2.imread(str(tmp_path / "plot.png"))
     assert drawn is not None
     assert drawn.shape[1] > 800
