@@ -32,7 +32,6 @@ from vision.survey import Settings, grey, segment_regions
 Verdict: TypeAlias = Literal["recognised", "wrong", "silent"]
 Points: TypeAlias = NDArray[np.float32]
 
-PAIRS: Final = 2  # that each is shown at most: landfix takes a likely place for sure once the next pair agrees
 OFF_M: Final = 3.0  # a position this far off is wrong, unless its own 99.99 % ellipsoid holds the truth
 _INSIDE_9999: Final = 21.108  # chi-square of 3
 _NEXT_NS: Final = 500_000_000
@@ -68,8 +67,8 @@ def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answ
     return answer
 
 
-def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = PAIRS) -> Answer:
-    """Our pipeline, from nothing but rig, map and prior; pairs are half a second apart, and it remembers those before.
+def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = 2) -> Answer:
+    """Our pipeline, from nothing but rig, map and prior; pairs are half a second apart, and it remembers the one before.
 
     cpu_ms: what is built once a flight is not timed.
     """
@@ -218,7 +217,7 @@ def _off_m(sample: Sample, H: Array) -> float:
     return float((off_px * x_c[:, 2]).min()) / camera.fx
 
 
-def ask(sample: Sample, looked: Looked, timed: bool = True, pairs: int = PAIRS) -> dict[str, Answer]:
+def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, Answer]:
     """All answers, by METHODS' names; looked: the key points of the left picture. Timing looks twice at a picture."""
     key_points = {sample.numbers: looked}
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from scipy.stats import beta
 
-from estimator.bench.recognisers import METHODS, PAIRS, Answer, ask, look
+from estimator.bench.recognisers import METHODS, Answer, ask, look
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
 from estimator.workers import pool
 
@@ -75,9 +75,9 @@ class Recognition(msgspec.Struct, frozen=True):
 def run(
     samples: int,
     seed: int,
+    pairs: int,
     experiments: Sequence[Experiment] = EXPERIMENTS,
     roofs: Sequence[Roof] = ROOFS,
-    pairs: int = PAIRS,
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
@@ -129,7 +129,7 @@ def _begin() -> None:
     """Of a process: one thread, and everything compiled before anything is timed."""
     cv2.setNumThreads(1)
     sample = draw("accuracy", "painted", 0, 0)
-    ask(sample, look(sample.left))
+    ask(sample, look(sample.left), timed=True, pairs=1)
 
 
 def _trial(which: tuple[Experiment, Roof, int, int, int]) -> Trial:

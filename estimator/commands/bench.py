@@ -33,7 +33,7 @@ def recognition(
         list[str] | None, typer.Option("--experiment", help="accuracy, size, partial or description; repeat for more.")
     ] = None,
     roofs: Annotated[list[str] | None, typer.Option("--roof", help="painted or pale. Default: both.")] = None,
-    pairs: Annotated[int, typer.Option(min=1, max=100, help="Of pictures, half a second apart, for who is silent so long.")] = 2,
+    pairs: Annotated[int, typer.Option(min=1, max=100, help="Of pictures, half a second apart, for who is silent so long.")] = 3,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the table.")] = None,
     json: Json = False,
@@ -49,7 +49,7 @@ def recognition(
     Examples:
       landfix bench recognition
       landfix bench recognition --samples 20 --experiment partial --roof pale
-      landfix bench recognition --experiment partial --pairs 4
+      landfix bench recognition --experiment partial --pairs 5
       landfix bench recognition --samples 1000 --seed 1 --plot recognition.png --json
     """
     from estimator.bench.recognition import run
@@ -57,7 +57,7 @@ def recognition(
 
     chosen, kinds = _chosen(experiments, EXPERIMENTS, "--experiment"), _chosen(roofs, ROOFS, "--roof")
     with progress("recognition") as report:
-        result = run(samples, seed, chosen, kinds, pairs, jobs, report)
+        result = run(samples, seed, pairs, chosen, kinds, jobs, report)
     if plot is not None:
         from estimator.bench.plot import draw
 
