@@ -104,11 +104,11 @@ def run(
 def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial], pairs: int) -> Row:
     """What a method made of its trials."""
     answers = [t.answers[method] for t in trials]
-    recognised, wrong = (sum(a.verdict == v for a in answers) for v in ("recognised", "wrong"))
+    wrong = sum(a.verdict == "wrong" for a in answers)
     ms = [a.cpu_ms for a in answers if a.cpu_ms is not None]
     errors = [a.error_m for a in answers if a.error_m is not None and a.verdict == "recognised"]
     by_pair = [sum(a.verdict == "recognised" and a.pair <= k for a in answers) for k in range(1, pairs + 1)]
-    n = len(answers)
+    n, recognised = len(answers), by_pair[-1]
     return Row(
         experiment, roof, method, n, recognised, by_pair, wrong, 1.0 - below(n - recognised, n), below(wrong, n),
         _percentile(ms, 50.0), _percentile(ms, 99.0), _percentile(errors, 50.0),
