@@ -32,6 +32,7 @@ from models.state import E, NavState, X
 
 _HEADINGS = 8
 _LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
+_ANY_HEADING_DEG = 90.0  # a sigma beyond this (104 is that of no knowledge at all) tells nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
@@ -178,11 +179,30 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> bool:
 
 def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:
     """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough."""
-    lead = bank.lead
-    spread = _heading_spread(bank)
-    attitude = math.sqrt(float(np.diag(lead.cov)[E.THETA].max()) + spread**2)
-    velocity = math.sqrt(float(np.diag(lead.cov)[E.V].max()))
+    attitude, velocity = _sigmas(bank)
     return attitude < math.radians(config.heading_deg) and velocity < config.velocity_m_s
+
+
+def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:
+    """What keeps it from being aligned, in words."""
+    attitude, velocity = _sigmas(bank)
+    missing = []
+    if attitude > math.radians(_ANY_HEADING_DEG):
+        missing.append("heading unknown")
+    elif attitude >= math.radians(config.heading_deg):
+        missing.append(f"attitude known to {math.degrees(attitude):.1f} deg, {config.heading_deg:g} wanted")
+    if velocity >= config.velocity_m_s:
+        missing.append(f"velocity known to {velocity:.2f} m/s, {config.velocity_m_s:g} wanted")
+    if not missing:
+        return "attitude and velocity known, being confirmed"
+    return "; ".join(missing) + ": shown by a pose fix with attitude, or by positions while the vehicle accelerates"
+
+
+def _sigmas(bank: Hypotheses) -> tuple[float, float]:
+    """Standard deviations of the attitude [rad] and of the velocity [m/s], each about its worst axis."""
+    cov = np.diag(bank.lead.cov)
+    attitude = math.sqrt(float(cov[E.THETA].max()) + _heading_spread(bank) ** 2)
+    return attitude, math.sqrt(float(cov[E.V].max()))
 
 
 def _heading_spread(bank: Hypotheses) -> float:

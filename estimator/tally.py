@@ -28,6 +28,8 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     torn: bool
     skipped_chunks: int = 0
     missing: str = ""  # parts of the flight that were not there: the estimate is not the one that was flown
+    first_estimate_s: float | None = None  # log time before it; None: there is no estimate
+    waited_for: str = ""  # what was last said to keep it from an estimate
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
@@ -43,6 +45,8 @@ class Tally:
         self._modes_ns: Counter[Mode] = Counter()
         self._longest_ns = 0
         self._worst_radius_m = 0.0
+        self._began_s: float | None = None
+        self._waited_for = ""
         self._decisions: dict[tuple[str, str, int, int], Reason] = {}
 
     def record(self, log_time_ns: int) -> None:
@@ -69,6 +73,8 @@ class Tally:
 
     def _estimate(self, estimate: Estimate) -> None:
         self._estimates += 1
+        if self._began_s is None:
+            self._began_s = self._duration_s
         if self._previous_ns is not None and 0 < estimate.t_ns - self._previous_ns <= _LONGEST_STEP_NS:
             self._modes_ns[estimate.mode] += estimate.t_ns - self._previous_ns
         self._previous_ns = estimate.t_ns
@@ -78,20 +84,25 @@ class Tally:
     def _health(self, health: Health) -> None:
         if isfinite(health.radius95_m):
             self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
+        elif health.detail:
+            self._waited_for = health.detail
+
+    @property
+    def _duration_s(self) -> float:
+        return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
     def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str) -> ReplaySummary:
         """All of it, at the end."""
         fixes: dict[str, Counter[str]] = {}
         for (topic, *_), reason in self._decisions.items():
             fixes.setdefault(topic, Counter())[reason.value] += 1
-        duration_s = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
         return ReplaySummary(
             records=self.records,
             imu_samples=self._imu,
             estimates=self._estimates,
-            duration_s=duration_s,
+            duration_s=self._duration_s,
             elapsed_s=elapsed_s,
-            speed=duration_s / elapsed_s if elapsed_s > 0 else 0.0,
+            speed=self._duration_s / elapsed_s if elapsed_s > 0 else 0.0,
             fixes={topic: dict(reasons) for topic, reasons in sorted(fixes.items())},
             modes_s={mode.value: ns * 1e-9 for mode, ns in self._modes_ns.items()},
             longest_without_absolute_s=self._longest_ns * 1e-9,
@@ -101,5 +112,7 @@ class Tally:
             torn=bool(torn),
             skipped_chunks=skipped_chunks,
             missing=missing,
+            first_estimate_s=self._began_s,
+            waited_for=self._waited_for,
             torn_parts=torn,
         )

@@ -29,9 +29,12 @@ from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
 _NEVER = -(2**62)
+_AT_REST = "at rest: the heading shows when the vehicle moves"
+_NO_POSITION = "waiting for a position"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
+_NO_START = f"waiting for a position with {_FEWEST_SAMPLES} IMU samples or more in the second before it"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
@@ -102,7 +105,7 @@ class Tracker:
         self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
-        self.plausibility = Plausibility(Phase.STARTING, "no IMU yet")
+        self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.sources: dict[str, SourceState] = {}
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.last_absolute_ns = _NEVER
@@ -133,7 +136,11 @@ class Tracker:
     @property
     def detail(self) -> str:
         """What keeps it from an estimate."""
-        return self.plausibility.detail or (contradiction.SAYS if self.given_up else "")
+        if self.plausibility.detail or self.given_up:
+            return self.plausibility.detail or contradiction.SAYS
+        if self.hypotheses is not None:
+            return "" if self.is_aligned else initialise.lacks(self.hypotheses, self.config.initialise)
+        return _AT_REST if self.still else _NO_POSITION
 
     @property
     def needs_from_ns(self) -> int:
@@ -231,9 +238,9 @@ class Tracker:
                     self.stretch = Stretch.of(self.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
             elif not aid.absolute or not isinstance(z, Pose | Position):
-                return Decision(Reason.ALIGNING, detail="waiting for a position")
+                return Decision(Reason.ALIGNING, detail=_NO_POSITION)
             elif at is None:
-                return Decision(Reason.ALIGNING, detail="waiting for the IMU")
+                return Decision(Reason.ALIGNING, detail=_NO_START)
             else:
                 return self._find_heading(aid, z, at, samples, gyro_b)
         self._go_on(aid, z, samples, gyro_b)
@@ -244,7 +251,7 @@ class Tracker:
         if self.hypotheses is not None:
             return Decision(Reason.THINNED, detail="for the alignment alone")
         self.prior = (aid.t_ns, z) if isinstance(z, Pose) else None
-        return Decision(Reason.ALIGNING, detail="waiting for a position")
+        return Decision(Reason.ALIGNING, detail=_NO_POSITION)
 
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
@@ -307,7 +314,7 @@ class Tracker:
             return Decision(Reason.ALIGNING)
         if at.still:
             self.still = Still(at, z, self.still.since if self.still else z)
-            return Decision(Reason.ALIGNING, detail="at rest: the heading shows when the vehicle moves")
+            return Decision(Reason.ALIGNING, detail=_AT_REST)
         if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
             self.hypotheses = initialise.start_from_position(self.t_ns, z, at, self.constants, config)
             self.stretch = Stretch.of(initialise.heading_unknown(self.t_ns, z, at, self.constants, config))

@@ -116,6 +116,7 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
         ("log", f"{summary.duration_s:.1f} s, {summary.records} messages" + (", torn" if summary.torn else "")),
         ("speed", f"{summary.speed:.0f} x real time ({summary.elapsed_s:.1f} s)"),
         ("IMU samples", f"{summary.imu_samples} -> {summary.estimates} estimates"),
+        ("first estimate", _first_estimate(summary)),
         *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),
         ("modes", ", ".join(f"{mode} {s:.1f} s" for mode, s in summary.modes_s.items()) or "no estimate"),
         ("longest without absolute fix", f"{summary.longest_without_absolute_s:.1f} s"),
@@ -124,6 +125,13 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
         ("internal errors", str(summary.internal_errors)),
     ]
     print_table(f"{out}", rows)
+
+
+def _first_estimate(summary: "ReplaySummary") -> str:
+    """When it came, or why none did."""
+    if summary.first_estimate_s is None:
+        return f"none: {summary.waited_for}" if summary.waited_for else "none"
+    return f"{summary.first_estimate_s:.1f} s after the log's first message"
 
 
 def _reasons(reasons: dict[str, int]) -> str:

@@ -190,9 +190,12 @@ def _truth(
     if position is None or attitude is None:
         notes.append("no reference in it (vehicle_local_position with vehicle_attitude)")
         return None, None
+    valid = (position["xy_valid"] != 0) & (position["z_valid"] != 0)
+    if not valid.any():
+        notes.append("no reference in it: vehicle_local_position is never valid")
+        return None, None
     if not suffix:
         notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
-    valid = (position["xy_valid"] != 0) & (position["z_valid"] != 0)
     origin = None
     if np.isfinite(position["ref_lat"][valid]).any():
         k = np.flatnonzero(valid & np.isfinite(position["ref_lat"]))[-1]

@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -67,6 +68,15 @@ def test_replay_prints_a_summary_or_json(flight: Path, tmp_path: Path) -> None:
     assert summary["internal_errors"] == 0
     assert summary["imu_samples"] == 4001
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_replay_says_when_the_first_estimate_came_or_what_it_waits_for(flight: Path, tmp_path: Path) -> None:
+    text = run("replay", flight, "-o", tmp_path / "a.mcap", "-c", flight.with_suffix(".toml")).stdout
+    assert re.search(r"first estimate +\d+\.\d s after the log's first message", text)
+    blind = tmp_path / "blind.toml"
+    blind.write_text("[inputs]\ngnss = []\ngnss_velocity = []\npose_fix = []\n")
+    text = run("replay", flight, "-o", tmp_path / "b.mcap", "-c", blind).stdout
+    assert re.search(r"first estimate +none: waiting for a position", text)
 
 
 def test_a_torn_log_is_replayed_and_said_to_be_torn(flight: Path, tmp_path: Path) -> None:

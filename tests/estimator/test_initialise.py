@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.fusion import Fusion, FusionConfig
-from estimator.initialise import InitialiseConfig, Level, aligned, level, start_from_pose, start_from_position, weigh
+from estimator.initialise import InitialiseConfig, Level, aligned, lacks, level, start_from_pose, start_from_position, weigh
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.source import Aid
 from models import so3
@@ -181,6 +181,24 @@ def test_at_rest_it_waits_and_says_so() -> None:
     words = run.last_words("/gnss")
     assert {s.reason for s in words.values()} == {Reason.ALIGNING}
     assert "at rest" in list(words.values())[-1].detail
+    assert "at rest" in run.health[-1].detail
+
+
+def test_until_it_is_aligned_health_says_in_numbers_what_is_missing() -> None:
+    """A hover without acceleration, GNSS alone: the heading never shows."""
+    rng, origin = np.random.default_rng(0), Origin(*HOME)
+    messages = list[Input]()
+    for k in range(2000):
+        t = EPOCH_NS + k * SECOND // 100
+        gyro = rng.normal(scale=0.1, size=3)  # shaken: not taken for rest
+        messages.append(ImuSample(t, t, vec3(gyro), (0.0, 0.0, -GRAVITY)))
+        if k % 20 == 10:
+            messages.append(GnssFix(t + 1, t + 1, *origin.to_geodetic(rng.normal(scale=0.5, size=3)), np.eye(3) * 0.25))
+    run = Run(Fusion(FusionConfig(origin=HOME))).feed(messages)
+    assert not run.estimates
+    assert run.health[0].detail.startswith("waiting for a position with 5 IMU samples")
+    assert run.health[-1].detail.startswith("heading unknown")
+    assert "pose fix with attitude" in run.health[-1].detail
 
 
 def test_a_pose_fix_ends_the_wait() -> None:
@@ -244,9 +262,14 @@ def test_a_single_wild_measurement_does_not_decide_the_heading() -> None:
 def test_it_is_aligned_when_attitude_and_velocity_are_known_and_the_headings_agree() -> None:
     fix = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(6) * 1e-3, np.arange(6))
     bank = start_from_pose(EPOCH_NS, fix, CONSTANTS, CONFIG)
-    assert not aligned(bank, CONFIG)  # the velocity is not known
+    assert not aligned(bank, CONFIG)
+    assert lacks(bank, CONFIG).startswith("velocity known to 10.00 m/s, 3 wanted:")
     bank.lead.cov[E.V, E.V] = np.eye(3) * 0.1
     assert aligned(bank, CONFIG)
+    assert "being confirmed" in lacks(bank, CONFIG)
+    bank.lead.cov[E.THETA, E.THETA] = np.eye(3) * math.radians(11.0) ** 2
+    assert lacks(bank, CONFIG).startswith("attitude known to 11.0 deg, 5 wanted:")
+    bank.lead.cov[E.THETA, E.THETA] = np.eye(3) * 1e-3
     other = bank.members[0].copy()
     other.filter.x[X.Q] = so3.from_euler(0.0, 0.0, 1.0)
     bank.members.append(other)

@@ -82,6 +82,9 @@ def test_the_summary_counts(flight: Path, config: Config, tmp_path: Path) -> Non
     assert 15.0 < sum(summary.modes_s.values()) <= 20.0
     assert summary.internal_errors == 0
     assert not summary.torn
+    estimates = [r for r in records(tmp_path / "out.mcap") if r.topic == "/landfix/odometry"]
+    first_s = (estimates[0].log_time_ns - records(flight)[0].log_time_ns) * 1e-9
+    assert summary.first_estimate_s == pytest.approx(first_s)
     assert fractions
     assert all(0.0 <= f <= 1.0 for f in fractions)
     assert fractions == sorted(fractions)

@@ -1,5 +1,6 @@
 """PX4 logs: every value against pyulog, on logs of v1.8, v1.14 and v1.15."""
 
+import math
 import struct
 import sys
 from pathlib import Path
@@ -186,6 +187,20 @@ def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path
     truths = [m for m in ulog.read(path) if isinstance(m, Truth)]
     assert [m.p_n for m in truths] == [(float(k), 0.0, 0.0) for k in (4, 5, 6, 7)]
     assert [m.q_nb_wxyz for m in truths] == [(1.0, 0.0, 0.0, 0.0)] * 4
+
+
+def test_an_autopilot_that_never_knew_its_position_is_no_reference(tmp_path: Path) -> None:
+    place = {"xy_valid": 0.0, "z_valid": 1.0, "ref_lat": math.nan, "ref_lon": math.nan, "ref_alt": math.nan, "ref_timestamp": 0}
+    positions = [
+        {"timestamp": 1000 * k, "x": 0.0, "y": 0.0, "z": 0.0, "vx": 0.0, "vy": 0.0, "vz": 0.0, **place} for k in range(9)
+    ]
+    attitudes = [{"timestamp": 2000 * k, "q[0]": 1.0, "q[1]": 0.0, "q[2]": 0.0, "q[3]": 0.0} for k in range(10)]
+    path = written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS, vehicle_local_position=positions, vehicle_attitude=attitudes)
+    recording = ulog.read(path)
+    assert not any(isinstance(m, Truth) for m in recording)
+    assert [note for note in recording.notes if "/truth" in note or "reference" in note] == [
+        "no reference in it: vehicle_local_position is never valid"
+    ]
 
 
 def test_pyulog_walking_in_a_circle_is_stopped(tmp_path: Path) -> None:
