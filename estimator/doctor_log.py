@@ -9,7 +9,7 @@ from estimator.config import Config
 from estimator.doctor import Check, judge
 from logs.reader import LogError, LogReader
 from models.frames import GRAVITY
-from models.messages import Array, ImuSample, Input, Unusable
+from models.messages import ATTITUDE_TOPIC, Array, ImuSample, Input, Unusable
 
 _SCHEMAS = {  # what a topic must carry to feed an input
     "imu": "sensor_msgs/msg/Imu",
@@ -86,7 +86,11 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     for name, schema in _SCHEMAS.items():
         wanted: tuple[str, ...] = getattr(config.inputs, name)
         present = [t for t in wanted if t in topics]
-        others = sorted(t for t, v in topics.items() if v.schema == schema and t not in wanted and not t.startswith("/landfix/"))
+        others = sorted(
+            t
+            for t, v in topics.items()
+            if v.schema == schema and t not in wanted and not t.startswith(("/landfix/", ATTITUDE_TOPIC))
+        )
         found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
         advice = (
             f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"

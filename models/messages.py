@@ -16,6 +16,7 @@ Vec3: TypeAlias = tuple[float, float, float]
 Quat: TypeAlias = tuple[float, float, float, float]
 Array: TypeAlias = NDArray[np.float64]
 
+ATTITUDE_TOPIC: Final = "/attitude"  # of what an autopilot believes, unless configured otherwise
 RADIAN_M: Final = 50.0  # metres that count as much as a radian where position and attitude are mixed: a landmark's distance
 
 
@@ -152,7 +153,7 @@ class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
     arrived_ns: int
     q_nb_wxyz: Quat
     covariance: Array
-    topic: str = "/attitude"
+    topic: str = ATTITUDE_TOPIC
 
 
 class Tick(msgspec.Struct, frozen=True, eq=False):

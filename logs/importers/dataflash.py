@@ -2,7 +2,7 @@
 
     IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
-    XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only
+    XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
 ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
 A GPS row is written when the fix arrives. Its week time tells how much later than others it did: t_ns is the receiver's time
@@ -69,7 +69,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         delay_s = _delay_s(parameters, gnss[0])
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
-    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *([truth] if truth else [])), settings, notes)
+    own = [_attitude(truth), truth] if truth else []
+    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *own), settings, notes)
 
 
 def _open(source: Path) -> Any:
@@ -219,6 +220,11 @@ def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:
     return recording.truth(
         _t_ns(table[_TIME], timebase_us), _vector(table, "PN", "PE", "PD"), _vector(table, "VN", "VE", "VD"), q_nb
     )
+
+
+def _attitude(truth: Stream) -> Stream:
+    *_, q_nb = truth.columns
+    return recording.attitude(truth.t_ns, truth.arrived_ns, q_nb)
 
 
 def _known_origin(tables: Tables) -> Vec3 | None:

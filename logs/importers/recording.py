@@ -16,13 +16,27 @@ from numpy.typing import NDArray
 
 from logs.importers.settings import Settings
 from logs.reader import LogError
-from models.messages import Array, Baro, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Quat, Vec3
+from models.messages import (
+    ATTITUDE_TOPIC,
+    Array,
+    AttitudePrior,
+    Baro,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Input,
+    PoseFix,
+    Quat,
+    Vec3,
+)
 
 Times: TypeAlias = NDArray[np.int64]
 Progress: TypeAlias = Callable[[float], None]  # told the fraction done
 
 EPOCH_NS = 1_700_000_000 * 10**9  # 2023-11-14T22:13:20Z: when t = 0 was, in logs that do not know the date
 _LAST_NS = (2**31 - 1) * 10**9  # 2038: the wire's seconds have 31 bits
+_ATTITUDE_NS = 500_000_000  # between attitudes to begin with: one is enough, at most 2 s old
+_ATTITUDE_VARIANCE = np.deg2rad([2.0, 2.0, 4.0]) ** 2  # rad^2, of tilt and heading: no autopilot's log tells its own
 _BLOCK = 4096  # rows that are plain Python objects at one time
 
 
@@ -181,6 +195,18 @@ def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, varia
         return PoseFix(t, arrived, (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3]), np.diag(np.array(variances)), topic=topic)
 
     return Stream(topic, t_ns, arrived_ns, (p_n, q_nb_wxyz, variance), make)
+
+
+def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTITUDE_TOPIC) -> Stream:
+    """AttitudePriors, two a second, of what an autopilot believes; q_nb_wxyz (n, 4), rows with nan are left out."""
+    known = np.flatnonzero(np.isfinite(q_nb_wxyz).all(axis=1))
+    _, first = np.unique(t_ns[known] // _ATTITUDE_NS, return_index=True)
+    rows = known[first]
+
+    def make(t: int, arrived: int, q: list[float]) -> AttitudePrior:
+        return AttitudePrior(t, arrived, (q[0], q[1], q[2], q[3]), np.diag(_ATTITUDE_VARIANCE), topic)
+
+    return Stream(topic, t_ns[rows], arrived_ns[rows], (q_nb_wxyz[rows],), make)
 
 
 def truth(t_ns: Times, p_n: Array, v_n: Array, q_nb_wxyz: Array) -> Stream:

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from models.imu import ImuNoise
-from models.messages import Vec3
+from models.messages import ATTITUDE_TOPIC, Vec3
 
 MULTIROTOR = ImuNoise(gyro_noise=5e-3, accel_noise=0.3, gyro_walk=1e-4, accel_walk=5e-3)
 FIXED_WING = ImuNoise(gyro_noise=3e-3, accel_noise=0.15, gyro_walk=1e-4, accel_walk=3e-3)
@@ -55,6 +55,10 @@ class Settings(msgspec.Struct, frozen=True):
             "[inputs]",
             *(f"{name} = [{', '.join(map(_quoted, found))}]" for name, found in inputs.items() if found),
         ]
+        if ATTITUDE_TOPIC in topics:
+            lines.append(
+                f"# attitude = [{_quoted(ATTITUDE_TOPIC)}]  # the autopilot's, to begin with where GNSS does not show the heading"
+            )
         if inputs["gnss"]:
             antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
             lines += ["", "[gnss]", f"delay_s = {round(self.gnss_delay_s, 6)!r}", f"antenna_b_m = [{antenna}]"]

@@ -2,7 +2,7 @@
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: told in a note)  ->  /imu
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
-    LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only
+    LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only; ATTITUDE  ->  /attitude
 
 Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
 message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
@@ -80,7 +80,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
-    return Recording.of((*gnss, *_baro(tables), imu, *([truth] if truth else [])), settings, notes)
+    return Recording.of((*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])), settings, notes)
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
@@ -199,9 +199,17 @@ def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:
         return None
     notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
     order = np.argsort(attitude.t_ns, kind="stable")
-    q_known = frames.attitude_from_euler(attitude["roll"], attitude["pitch"], attitude["yaw"])
-    q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], q_known[order], _GAP_NS)
+    q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], _q_nb(attitude)[order], _GAP_NS)
     return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)
+
+
+def _attitude(tables: Mapping[str, _Table]) -> list[Stream]:
+    table = tables.get("ATTITUDE")
+    return [recording.attitude(table.t_ns, table.arrived_ns, _q_nb(table))] if table else []
+
+
+def _q_nb(attitude: _Table) -> Array:
+    return frames.attitude_from_euler(attitude["roll"], attitude["pitch"], attitude["yaw"])
 
 
 def _known_origin(tables: Mapping[str, _Table]) -> Vec3 | None:

@@ -3,6 +3,7 @@
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
+    vehicle_attitude                                     ->  /attitude, to begin the alignment with
 
 PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
 receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
@@ -45,7 +46,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     receiver = next((topics[name] for name in ("vehicle_gps_position", "sensor_gps") if name in topics), None)
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
-    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock)]
+    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_attitude(topics, clock)]
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -179,6 +180,13 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
         return []
     t_ns, arrived_ns = _times(topic, clock_us)
     return [recording.baro(t_ns, arrived_ns, topic["baro_pressure_pa"].astype(np.float64))]
+
+
+def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    topic = topics.get("vehicle_attitude")
+    if topic is None:
+        return []
+    return [recording.attitude(*_times(topic, clock_us), _vector(topic, "q[0]", "q[1]", "q[2]", "q[3]"))]
 
 
 def _truth(

@@ -2,16 +2,20 @@
 
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from estimator.fusion import FusionConfig
+from estimator.config import parse
+from estimator.fusion import Fusion, FusionConfig
 from estimator.initialise import InitialiseConfig
 from estimator.sources.aids import aid_of
 from estimator.sources.source import Aid, Refusal
+from logs.importers import dataflash
+from logs.importers.recording import Truth
 from models import so3
-from models.messages import AttitudePrior, Reason, vec3
+from models.messages import AttitudePrior, GnssFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, same, simulated
@@ -75,6 +79,22 @@ def test_a_late_prior_leads_where_a_punctual_one_does() -> None:
     priors = [_prior(_simulation(), k) for k in range(24)]
     late = [AttitudePrior(p.t_ns, p.arrived_ns + SECOND // 2, p.q_nb_wxyz, p.covariance) for p in priors]
     assert same(_flown(priors).estimates[-1], _flown(late).estimates[-1])
+
+
+def test_a_real_flight_begins_with_its_first_position(landfix_data: Path) -> None:
+    """A copter that stands: without a prior its heading shows a minute after the first fix, in the air."""
+    recording = dataflash.read(landfix_data / "native_logs/ardupilot_log171.bin")
+    text = recording.settings.toml("dataflash", Path("log.bin"), tuple(s.topic for s in recording.streams))
+    config = parse(text.replace("# attitude", "attitude"))
+    assert config.inputs.attitude == ("/attitude",)
+    messages = [m for m in recording if not isinstance(m, Truth)]
+    first_fix = next(m for m in messages if isinstance(m, GnssFix) and m.status >= 0)
+    run = Run(Fusion(config.fusion())).feed(m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND)
+    assert 0 < run.estimates[0].t_ns - first_fix.t_ns < 3 * SECOND
+    without = Run(Fusion(config.fusion())).feed(
+        m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND and not isinstance(m, AttitudePrior)
+    )
+    assert not without.estimates
 
 
 @pytest.mark.parametrize("off_n", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0)])

@@ -12,7 +12,7 @@ from estimator.config import Config, load, parse
 from estimator.doctor import Check, State
 from logs.codec import encode_input
 from logs.recorder import Recorder
-from models.messages import ImuSample, Input
+from models.messages import AttitudePrior, ImuSample, Input, PoseFix
 from models.sim.scenario import Simulation
 from vision.synthetic import WorldSpec, make_world
 
@@ -85,6 +85,14 @@ def test_other_topics_of_the_right_type_are_proposed(simulation: Simulation, tmp
     imu = named(checks, "inputs.imu")
     assert imu.state is State.FAIL
     assert imu.advice.endswith('set [inputs] imu = "/mavros/imu"')
+
+
+def test_an_attitude_to_begin_with_is_not_proposed_as_a_pose_fix(simulation: Simulation, tmp_path: Path) -> None:
+    def change(m: Input) -> Input:
+        return AttitudePrior(m.t_ns, m.arrived_ns, m.q_nb_wxyz, m.covariance[3:, 3:]) if isinstance(m, PoseFix) else m
+
+    checks = doctor_log.log(rewritten(simulation, tmp_path / "x.mcap", change), Config())
+    assert "/attitude" not in named(checks, "inputs.pose_fix").advice
 
 
 def test_without_anything_absolute_it_fails(flight: Path) -> None:

@@ -12,7 +12,7 @@ from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
 from logs.reader import LogError
 from models import so3
 from models.frames import Origin
-from models.messages import Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +86,14 @@ def test_pressure_and_reference(recording: Recording, rows: dict[str, list[DFRea
     np.testing.assert_allclose(
         np.rad2deg(so3.to_euler(np.array(truths[1500].q_nb_wxyz))), [r.Roll, r.Pitch, r.Yaw - 360 * (r.Yaw > 180)], atol=1e-9
     )
+
+
+def test_the_autopilots_attitude_twice_a_second(recording: Recording) -> None:
+    believed = {m.t_ns: m.q_nb_wxyz for m in recording if isinstance(m, Truth)}
+    got = [m for m in recording if isinstance(m, AttitudePrior)]
+    assert all(m.q_nb_wxyz == believed[m.t_ns] for m in got)
+    assert np.median(np.diff([m.t_ns for m in got])) == pytest.approx(5e8, rel=0.05)
+    np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diag(got[0].covariance))), [2.0, 2.0, 4.0])
 
 
 def test_the_same_flight_as_its_csv_copy(recording: Recording, landfix_data: Path) -> None:
@@ -185,7 +193,7 @@ def test_instances_are_told_apart(newer: Path) -> None:
     np.testing.assert_allclose(b.columns[0][:, 0], 0.1, rtol=1e-6)
     assert np.diff(a.t_ns).tolist() == [2_500_000] * 399
     topics = [s.topic for s in first.streams]
-    assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/truth"]
+    assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/attitude", "/truth"]
     assert len(first.stream("/truth") or ()) == 4  # of the first core only
 
 

@@ -15,7 +15,7 @@ from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
 from logs.reader import LogError
 from models import so3
-from models.messages import Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +101,15 @@ def test_pressure_and_reference(recording: Recording, rows: dict[str, list[Any]]
     position, attitude = rows["LOCAL_POSITION_NED"][700], rows["ATTITUDE"]
     near = min(attitude, key=lambda r: abs(r.time_boot_ms - position.time_boot_ms))
     np.testing.assert_allclose(so3.to_euler(np.array(truths[700].q_nb_wxyz)), [near.roll, near.pitch, near.yaw], atol=0.15)
+
+
+def test_the_autopilots_attitude(recording: Recording, rows: dict[str, list[Any]]) -> None:
+    got = [m for m in recording if isinstance(m, AttitudePrior)]
+    told = {round(r._timestamp * 1e6): r for r in rows["ATTITUDE"]}
+    assert 1000 < len(got) <= len(told)
+    for m in got:
+        r = told[round(m.arrived_ns * 1e-3)]
+        np.testing.assert_allclose(so3.to_euler(np.array(m.q_nb_wxyz)), [r.roll, r.pitch, r.yaw], atol=1e-9)
 
 
 def test_a_torn_log_is_read_as_far_as_it_goes(flown: Path, tmp_path: Path) -> None:

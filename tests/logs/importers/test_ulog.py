@@ -15,7 +15,7 @@ from pyulog import ULog
 from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
 from logs.reader import LogError
-from models.messages import Array, Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import Array, AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
 
@@ -120,6 +120,15 @@ def test_truth_is_ground_truth_where_there_is_one_else_the_estimate(case: Case) 
     assert given.mean() > 0.95
     assert np.abs(np.sum(q * near, axis=1))[given].min() > np.cos(np.deg2rad(3.0))  # half angle: within 6 degrees of a neighbour
     assert any("autopilot's own estimate" in note for note in case.recording.notes) == (not suffix)
+
+
+def test_the_attitude_to_begin_with_is_the_autopilots_even_where_there_is_ground_truth(case: Case) -> None:
+    topic = case.topic("vehicle_attitude")
+    stamps = case.t_ns("vehicle_attitude", "timestamp_sample" if "timestamp_sample" in topic else "timestamp")
+    told = dict(zip(stamps.tolist(), stack(topic, *(f"q[{k}]" for k in range(4))).tolist(), strict=True))
+    got = [m for m in case.messages if isinstance(m, AttitudePrior)]
+    assert len(got) >= 10
+    assert all(list(m.q_nb_wxyz) == told[m.t_ns] for m in got)
 
 
 def test_the_origin_is_above_the_same_surface_as_the_fixes(case: Case) -> None:
