@@ -124,6 +124,17 @@ def start_from_attitude(
     return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
 
 
+def agrees(bank: Hypotheses, prior: Pose) -> bool:
+    """Whether the attitude that somebody else believes is within reach of a heading that is left, as likely as that one is."""
+    for member in bank.members:
+        r_nb = so3.matrix(member.filter.x[X.Q])
+        off = so3.quat_log(so3.multiply(so3.conjugate(member.filter.x[X.Q]), prior.q_nb_wxyz))
+        cov = member.filter.cov[E.THETA, E.THETA] + r_nb.T @ prior.noise @ r_nb
+        if off @ np.linalg.solve(cov, off) - 2.0 * member.weight <= gate(_LEVEL_GATE, 3):
+            return True
+    return False
+
+
 def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
     """What is known at a position fix, without favour for any heading."""
     return _levelled(t_ns, z, at, 0.0, 2.0 * math.pi, constants, config)

@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import sampling
-from models.messages import ImuSample
+from models import sampling, so3
+from models.messages import Array, ImuSample
 
 
 class ImuBuffer:
@@ -53,6 +53,15 @@ class ImuBuffer:
         if self.previous_ns <= t_ns:
             return self.count - 1 if t_ns < self.newest_ns else self.count
         return int(_later(self.t_ns, self.count, t_ns))
+
+    def turned(self, q_nb_wxyz: Array, from_ns: int, to_ns: int) -> Array:
+        """The attitude of from_ns, turned on to to_ns: q <- q * exp(gyro dt), each raw sample for the time before it."""
+        q, since_ns = q_nb_wxyz, from_ns
+        for k in range(self.first_after(from_ns), min(self.first_after(to_ns) + 1, self.count)):
+            until_ns = min(int(self.t_ns[k]), to_ns)
+            q = so3.multiply(q, so3.quat_exp(self.u[k, :3] * ((until_ns - since_ns) * 1e-9)))
+            since_ns = until_ns
+        return q
 
     def forget_before(self, t_ns: int) -> None:
         """Drop samples older than t_ns, once they are half of all: to move the others costs as much as there are of them."""

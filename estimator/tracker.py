@@ -243,12 +243,14 @@ class Tracker:
                 return Decision(Reason.ALIGNING, detail=_NO_START)
             else:
                 return self._find_heading(aid, z, at, samples, gyro_b)
+        elif aid.absolute and isinstance(z, Position | Pose) and self._seeks_heading and self._end_search(z, samples):
+            return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
     def _believe(self, aid: Aid, z: Measurement) -> Decision:
         """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
-        if self.hypotheses is not None:
+        if self.hypotheses is not None and not self._seeks_heading:
             return Decision(Reason.THINNED, detail="for the alignment alone")
         self.prior = (aid.t_ns, z) if isinstance(z, Pose) else None
         return Decision(Reason.ALIGNING, detail=_NO_POSITION)
@@ -310,7 +312,7 @@ class Tracker:
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
         config = self.config.initialise
-        if self._start_from_prior(z, at):
+        if self._start_from_prior(z, at, samples):
             return Decision(Reason.ALIGNING)
         if at.still:
             self.still = Still(at, z, self.still.since if self.still else z)
@@ -328,13 +330,30 @@ class Tracker:
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
-    def _start_from_prior(self, z: Position | Pose, at: Level) -> bool:
-        """Whether there is an attitude to begin with, of now and not against gravity."""
+    @property
+    def _seeks_heading(self) -> bool:
+        """Several headings are left, none decided."""
+        return not self.is_aligned and self.hypotheses is not None and len(self.hypotheses.members) > 1
+
+    def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
+        """Whether a prior that came during the search took its place."""
+        stretch = self._stretch(samples)
+        return stretch is not None and self._start_from_prior(
+            z, initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False), samples
+        )
+
+    def _start_from_prior(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
+        """Whether there is an attitude to begin with: fresh, not against gravity, and none that a search has ruled out."""
         if self.prior is None or self.t_ns - self.prior[0] > _FRESH_NS:
             return False
-        self.hypotheses = initialise.start_from_attitude(self.t_ns, z, at, self.prior[1], self.constants, self.config.initialise)
-        self.stretch = Stretch.of(self.hypotheses.lead) if self.hypotheses else None
-        return self.hypotheses is not None
+        since_ns, believed = self.prior
+        prior = Pose(believed.z_n, samples.turned(believed.q_nb_wxyz, since_ns, self.t_ns), believed.noise, believed.rows)
+        if self.hypotheses is not None and not initialise.agrees(self.hypotheses, prior):
+            return False
+        begun = initialise.start_from_attitude(self.t_ns, z, at, prior, self.constants, self.config.initialise)
+        if begun is not None:
+            self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
+        return begun is not None
 
     def _has_moved(self, z: Measurement) -> bool:
         """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""

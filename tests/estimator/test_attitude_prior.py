@@ -9,18 +9,22 @@ import pytest
 
 from estimator.config import parse
 from estimator.fusion import Fusion, FusionConfig
-from estimator.initialise import InitialiseConfig
+from estimator.initialise import InitialiseConfig, agrees, start_from_pose
 from estimator.sources.aids import aid_of
 from estimator.sources.source import Aid, Refusal
 from logs.importers import dataflash
 from logs.importers.recording import Truth
 from models import so3
-from models.messages import AttitudePrior, GnssFix, Reason, vec3
+from models.frames import GRAVITY, Origin
+from models.imu import Coast, ImuNoise, constants
+from models.measurements import Pose
+from models.messages import AttitudePrior, GnssFix, ImuSample, Input, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, same, simulated
 
 TILT, HEADING = math.radians(2.0), math.radians(4.0)
+CONFIG, CONSTANTS = InitialiseConfig(), constants(ImuNoise(), Coast(), None)
 NOISE = np.diag([TILT**2, TILT**2, HEADING**2])
 TOML = 'duration_s = 12.0\n[vehicle]\nkind = "multirotor"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n'
 
@@ -95,6 +99,63 @@ def test_a_real_flight_begins_with_its_first_position(landfix_data: Path) -> Non
         m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND and not isinstance(m, AttitudePrior)
     )
     assert not without.estimates
+
+
+def _without_motion(rate: float, duration_s: float = 6.0) -> list[Input]:
+    """Level, on the spot, turning at `rate` [rad/s] from north at EPOCH_NS on, shaken: GNSS shows no heading."""
+    rng, origin = np.random.default_rng(0), Origin(46.0, 7.0, 500.0)
+    messages = list[Input]()
+    for k in range(round(duration_s * 100)):
+        t = EPOCH_NS + k * SECOND // 100
+        gyro = np.array([0.0, 0.0, rate]) + rng.normal(scale=0.05, size=3)
+        messages.append(ImuSample(t, t, vec3(gyro), (0.0, 0.0, -GRAVITY)))
+        if k % 20 == 10:
+            place = origin.to_geodetic(rng.normal(scale=0.5, size=3))
+            messages.append(GnssFix(t + 1, t + 1, *place, np.eye(3) * 0.25))
+    return messages
+
+
+def _believed(t_s: float, heading: float) -> AttitudePrior:
+    t = EPOCH_NS + round(t_s * SECOND) + 3
+    w, x, y, z = so3.from_euler(0.0, 0.0, heading).tolist()
+    return AttitudePrior(t, t, (w, x, y, z), NOISE)
+
+
+def test_a_prior_is_turned_on_by_the_gyroscope_until_it_is_used() -> None:
+    rate = 0.7
+    messages = [m for m in _without_motion(rate) if not (isinstance(m, GnssFix) and m.t_ns < EPOCH_NS + 2.5 * SECOND)]
+    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, _believed(1.0, rate * 1.0)]))
+    first = run.estimates[0]
+    assert first.t_ns > EPOCH_NS + 2.5 * SECOND  # the prior was 1.5 s old, and 60 degrees off by then
+    off = so3.to_euler(first.nav[X.Q])[2] - rate * (first.t_ns - EPOCH_NS) * 1e-9
+    assert abs(math.remainder(off, 2.0 * math.pi)) < math.radians(4.0)
+
+
+def test_a_prior_that_comes_during_the_search_ends_it() -> None:
+    """GNSS alone has begun with eight headings; an autopilot that speaks up two seconds later is heard."""
+    messages = _without_motion(0.0)
+    assert not Run(Fusion(FusionConfig())).feed(messages).estimates
+    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, *(_believed(3.0 + 0.1 * k, 2.0) for k in range(20))]))
+    assert EPOCH_NS + 3 * SECOND < run.estimates[0].t_ns < EPOCH_NS + 5 * SECOND
+    assert abs(so3.to_euler(run.estimates[0].nav[X.Q])[2] - 2.0) < math.radians(4.0)
+    assert run.reasons("/attitude")[Reason.THINNED] > 5  # once it has begun, it changes nothing
+
+
+def test_a_prior_that_the_search_has_ruled_out_changes_nothing() -> None:
+    """A fixed wing has shown its heading to 7 degrees when an autopilot says the opposite."""
+    simulation = simulated(TOML.replace("multirotor", "fixed_wing").replace("12.0", "20.0"), 1)
+    opposite = [_prior(simulation, k, (0.0, 0.0, math.pi)) for k in range(12, 39)]
+    alone, lied_to = fly(simulation), fly(simulation, messages=by_arrival([*simulation.messages, *opposite]))
+    assert len(alone.estimates) == len(lied_to.estimates) > 50
+    assert all(same(a, b) for a, b in zip(alone.estimates, lied_to.estimates, strict=True))
+
+
+def test_the_odds_of_a_heading_count_where_a_prior_agrees_with_it() -> None:
+    fix = Pose(np.zeros(3), so3.from_euler(0.0, 0.0, 1.0), np.eye(6) * 0.01, np.arange(6))
+    bank = start_from_pose(EPOCH_NS, fix, CONSTANTS, CONFIG)
+    for heading, weight, expected in ((1.0, 0.0, True), (1.3, 0.0, True), (-2.0, 0.0, False), (1.3, -10.0, False)):
+        bank.members[0].weight = weight
+        assert agrees(bank, Pose(np.zeros(3), so3.from_euler(0.0, 0.0, heading), NOISE, np.arange(6))) is expected
 
 
 @pytest.mark.parametrize("off_n", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0)])
