@@ -86,11 +86,8 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     for name, schema in _SCHEMAS.items():
         wanted: tuple[str, ...] = getattr(config.inputs, name)
         present = [t for t in wanted if t in topics]
-        others = sorted(
-            t
-            for t, v in topics.items()
-            if v.schema == schema and t not in wanted and not t.startswith(("/landfix/", ATTITUDE_TOPIC))
-        )
+        of_type = [t for t, v in topics.items() if v.schema == schema and t != ATTITUDE_TOPIC]  # that has no position
+        others = sorted(t for t in of_type if t not in wanted and not t.startswith("/landfix/"))
         found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
         advice = (
             f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"
