@@ -9,13 +9,13 @@ from typing import Literal, get_args
 
 import msgspec
 import numpy as np
-from scipy.stats import chi2
 
 from benchmarks.single_fix_views import NADIR
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.radius import reach
 from vision.identify import Prior
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.rectify import Image
@@ -84,7 +84,7 @@ class Trial:
 class Outcome(msgspec.Struct, frozen=True):
     """What became of a trial. prior_m: horizontal error of the prior; error_m: of fix and prior together, alone_m: of the fix
     alone, as the case judges; squared: squared error of the fix's position over its covariance, per degree of freedom; at_once:
-    from the first picture; axis_m: longest half axis of the 95 % ellipsoid that fix and prior together promise.
+    from the first picture; within_m: what fix and prior together promise (95 %), as `landfix locate --within` asks for.
     """
 
     group: str
@@ -101,7 +101,7 @@ class Outcome(msgspec.Struct, frozen=True):
     alone_m: float = math.nan
     squared: float = math.nan
     at_once: bool = True
-    axis_m: float = math.nan
+    within_m: float = math.nan
 
     @property
     def accepted(self) -> bool:
@@ -116,7 +116,7 @@ class Outcome(msgspec.Struct, frozen=True):
     @property
     def sure(self) -> bool:
         """Whether there is a fix that promises not to be far off."""
-        return self.accepted and self.axis_m <= WRONG_M
+        return self.accepted and self.within_m <= WRONG_M
 
 
 def nadir_rig(camera: CameraModel) -> StereoRig:
@@ -178,8 +178,8 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
     total = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
     squared = float(e @ np.linalg.solve(total[:3, :3], e)) / 3.0
     alone = case.judge(np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)))
-    axis_m = math.sqrt(float(chi2.ppf(0.95, 3)) * float(np.linalg.eigvalsh(pose.joint_covariance[:3, :3])[-1]))
-    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once, axis_m), result
+    within_m = reach(pose.joint_covariance[:3, :3])
+    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once, within_m), result
 
 
 class Row(msgspec.Struct, frozen=True):

@@ -1,9 +1,11 @@
-"""The circle that holds a horizontal error with a probability: how uncertainty in a plane is told in one number."""
+"""How far off a position may be, in one number: the circle that holds an error in a plane, the reach of an ellipsoid in space."""
 
+import math
 from functools import cache
 from typing import Final
 
 import numpy as np
+from scipy.stats import chi2
 
 from models.messages import Array
 
@@ -26,6 +28,18 @@ def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
     ratio = np.divide(small, large, out=np.zeros_like(small), where=large > 0.0)
     radius[finite] = large * np.interp(ratio, *_table(probability))
     return radius
+
+
+def reach(covariance: Array, probability: float = 0.95) -> float:
+    """Longest half axis [m] of the ellipsoid that holds an error of covariance (3, 3) with the probability given.
+
+        r = sqrt( q max eig(P) ),    P(chi^2_3 < q) = probability
+
+    nan where the covariance is not finite.
+    """
+    if not np.isfinite(covariance).all():
+        return math.nan
+    return math.sqrt(float(chi2.ppf(probability, 3)) * max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
 
 
 @cache

@@ -53,6 +53,9 @@ def command(
     picture_epsg: Annotated[
         int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
     ] = 0,
+    within_m: Annotated[
+        float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
@@ -60,12 +63,13 @@ def command(
 
     Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
     orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.
-    Exit code 1 where there is no fix.
+    Exit code 1 where there is no fix, or with --within none that, with the prior, is good enough.
 
     \b
     Examples:
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
+      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
@@ -76,6 +80,8 @@ def command(
 
     believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")
     sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
+    if within_m is not None and not within_m > 0.0:
+        raise typer.BadParameter(f"--within {within_m:g} must be above 0")
     if map_file is None and picture is None:
         raise typer.BadParameter("a map is needed: --map, --picture, or both")
     rig = load_rig(rig_file)
@@ -92,12 +98,16 @@ def command(
     result = recognisers.process(images[0], images[1], 0, start)
     if out is not None and images[0] is not None:
         _write_overlay(out, images[0], rig, landmarks, start, result)
+    answer = _as_json(landmarks, start, result)
     if json:
-        print_json(_as_json(landmarks, start, result))
+        print_json(answer)
     else:
-        _print(landmarks, start, result)
+        _print(answer, result)
     if result.fix is None:
         raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
+    known_m = answer["with_prior"]["within_m"]
+    if within_m is not None and not known_m <= within_m:
+        raise LocateError(f"no fix good to {within_m:g} m: with the prior it is good to {known_m:.2f} m (95 %)")
 
 
 def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
@@ -155,9 +165,11 @@ def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) 
 
 
 def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance: "Array") -> dict[str, Any]:
+    """within_m: the position is known to so many metres in every direction (95 %)."""
     import numpy as np
 
     from models import so3
+    from models.radius import reach
 
     lat, lon, alt = landmarks.frame.to_geodetic(p_n)
     sigma = np.sqrt(np.diag(covariance))
@@ -170,6 +182,7 @@ def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance
         "q_nb_wxyz": [float(x) for x in q_nb],
         "sigma_north_east_down_m": sigma[:3].tolist(),
         "sigma_rotation_deg": np.degrees(sigma[3:]).tolist(),
+        "within_m": reach(covariance[:3, :3]),
         "covariance": covariance.tolist(),
     }
 
@@ -197,8 +210,7 @@ def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict
     return answer
 
 
-def _print(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> None:
-    answer = _as_json(landmarks, prior, result)
+def _print(answer: dict[str, Any], result: "Result") -> None:
     if result.regions:
         rows = [
             (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)
@@ -218,6 +230,7 @@ def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
         ("latitude", f"{pose['lat_deg']:.7f} deg ± {north:.2f} m"),
         ("longitude", f"{pose['lon_deg']:.7f} deg ± {east:.2f} m"),
         ("height above ellipsoid", f"{pose['alt_m']:.2f} ± {down:.2f} m"),
+        ("known to (95 %)", f"{pose['within_m']:.2f} m"),
         ("roll, pitch, yaw", ", ".join(f"{pose[k]:.2f}" for k in ("roll_deg", "pitch_deg", "yaw_deg")) + " deg"),
         ("± about north, east, down", ", ".join(f"{x:.2f}" for x in pose["sigma_rotation_deg"]) + " deg"),
     ]

@@ -74,6 +74,19 @@ def test_one_picture_is_located_for_a_person(folder: Path) -> None:
     assert "right camera not used: missing" in result.stderr
 
 
+def test_a_fix_may_be_asked_to_be_good_enough(folder: Path) -> None:
+    """What is asked is what fix and prior promise together, in the worst direction."""
+    given = [folder / "left.png", folder / "right.png", *options(folder), "--prior-sigma", "5,1", "--json"]
+    joint = json.loads(run(*given).stdout)["with_prior"]
+    worst = math.sqrt(7.814728 * np.linalg.eigvalsh(np.array(joint["covariance"])[:3, :3])[-1])
+    assert joint["within_m"] == pytest.approx(worst, rel=1e-6)
+    assert run(*given, "--within", 1.01 * worst).exit_code == 0
+    refused = run(*given, "--within", 0.99 * worst)
+    assert refused.exit_code == 1
+    assert json.loads(refused.stdout)["outcome"] == "fixed"
+    assert refused.stderr.startswith(f"landfix: no fix good to {0.99 * worst:g} m: with the prior it is good to {worst:.2f} m")
+
+
 def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> None:
     black, out = tmp_path / "black.png", tmp_path / "seen.png"
     cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
@@ -93,6 +106,8 @@ def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> No
         (["--prior-sigma", "0,1"], "must be positive"),
         (["--prior-sigma", "nan,1"], "must be 2 numbers"),
         (["--prior-sigma", "1e200,1"], "at most 10000000 m and 180 degrees"),
+        (["--within", "0"], "--within 0 must be above 0"),
+        (["--within", "nan"], "--within nan must be above 0"),
     ],
 )
 def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> None:

@@ -1,10 +1,10 @@
-"""The 95 % circle of an ellipse: against its limits, and against draws."""
+"""The 95 % circle of an ellipse, the reach of an ellipsoid: against their limits, and against draws."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.radius import horizontal_radius
+from models.radius import horizontal_radius, reach
 
 
 def test_no_row_gives_no_row() -> None:
@@ -25,3 +25,20 @@ def test_horizontal_radius_holds_95_percent(minor: float) -> None:
     error = rng.multivariate_normal([0, 0], covariance, size=200_000)
     inside = np.linalg.norm(error, axis=1) <= horizontal_radius(covariance[None])[0]
     assert inside.mean() == pytest.approx(0.95, abs=0.002)
+
+
+def test_reach_is_that_of_the_worst_direction() -> None:
+    """sqrt(chi2_3) of the largest standard deviation, however the ellipsoid is turned; nothing is known of what is not finite."""
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
+    assert reach(turn @ np.diag([0.01, 4.0, 1.0]) @ turn.T) == pytest.approx(2 * 2.795483, rel=1e-6)
+    assert reach(np.zeros((3, 3))) == 0.0
+    assert np.isnan(reach(np.diag([1.0, np.nan, 1.0])))
+
+
+def test_reach_bounds_95_percent_of_errors_along_every_direction() -> None:
+    rng = np.random.default_rng(9)
+    covariance = np.diag([0.2, 1.0, 0.5]) ** 2
+    error = rng.multivariate_normal(np.zeros(3), covariance, size=100_000)
+    squared = np.einsum("ni,ij,nj->n", error, np.linalg.inv(covariance), error)
+    inside = error[squared < np.quantile(squared, 0.95)]
+    assert np.abs(inside).max() == pytest.approx(reach(covariance), rel=0.02)
