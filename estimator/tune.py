@@ -260,6 +260,18 @@ def summary(windows: Sequence[Window]) -> Summary:
     )
 
 
+def warning(result: TuneResult) -> str:
+    """What speaks against the new values, by the logs that were not tuned on; empty where nothing does."""
+    gain = result.held_out_gain
+    if gain is None or all(key.after == key.before for key in result.keys):
+        return ""
+    if gain.mean < 0.0:
+        return "the held-out logs are worse for it: these logs are too few, or not like those"
+    if not gain.is_sure:
+        return "what the held-out logs gain may be chance: keep what you had, above all where it was the wider"
+    return ""
+
+
 def _gain(after: Sequence[Window], before: Sequence[Window]) -> Gain:
     """Paired: windows are independent of each other, the fixes in one are not."""
     difference = np.array([a.score - b.score for a, b in zip(after, before, strict=True)])

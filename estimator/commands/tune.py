@@ -95,6 +95,8 @@ def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
 
 def _print(result: "TuneResult", out: Path) -> None:
     """What a person reads."""
+    from estimator.tune import warning
+
     rows = [_row("before", result.before), _row("tuned", result.after)]
     if result.held_out_before and result.held_out_after:
         rows += [_row("held out, before", result.held_out_before), _row("held out, tuned", result.held_out_after)]
@@ -107,8 +109,8 @@ def _print(result: "TuneResult", out: Path) -> None:
     columns = ("key", "before", "tuned", "half", "double", "told")
     print_table("Parameters; half, double: gain per fix if it were so", [_key(key) for key in result.keys], columns)
     typer.echo(f"\nwritten: {out}")
-    if result.held_out_gain and result.held_out_gain.mean < 0.0:
-        note("landfix: the held-out logs are worse for it: these logs are too few, or not like those")
+    if against := warning(result):
+        note(f"landfix: {against}")
 
 
 def _row(name: str, s: "Summary") -> tuple[str, ...]:

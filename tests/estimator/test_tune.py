@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from estimator.cli import app
 from estimator.config import load, parse
-from estimator.tune import TuneConfig, Tuner
+from estimator.tune import Gain, TuneConfig, TunedKey, Tuner, TuneResult, summary, warning
 from estimator.tune_keys import KEYS
 from estimator.tune_score import Job, Window
 from tests.estimator.test_tune_score import simulated
@@ -109,6 +109,25 @@ def test_logs_that_are_held_out_are_scored_but_not_searched() -> None:
     assert result.held_out_gain.mean == pytest.approx(result.gain.mean)
     assert result.held_out_logs == ("c",)
     assert bowl.runs == 2 * (result.evaluations - 2) + 2
+
+
+@pytest.mark.parametrize(
+    ("gain", "after", "said"),
+    [
+        (Gain(0.4, 0.1), 1e-3, ""),
+        (Gain(0.05, 0.07), 1e-3, "may be chance"),
+        (Gain(-0.02, 0.14), 1e-3, "are worse for it"),
+        (Gain(0.0, 0.0), 2e-3, ""),
+        (None, 1e-3, ""),
+    ],
+)
+def test_what_held_out_logs_do_not_confirm_is_said(gain: Gain | None, after: float, said: str) -> None:
+    """Nothing where nothing was changed, or no log was held out."""
+    key = TunedKey("imu.gyro_noise", 2e-3, after, Gain(-1.0, 0.1), Gain(-1.0, 0.1), determined=True, at_bound=False)
+    some = summary([Window(0.0, 20, 3.0, 0, 120.0, 120, 2.0, 19)])
+    heard = warning(TuneResult({"imu.gyro_noise": after}, (key,), 1, some, some, Gain(0.5, 0.1), held_out_gain=gain))
+    assert said in heard
+    assert bool(said) == bool(heard)
 
 
 def test_progress_grows_to_the_end() -> None:
