@@ -5,6 +5,7 @@ python -m benchmarks.real --quick                      one seed, every third fli
 python -m benchmarks.real --scenarios AX --sets euroc --naive
 python -m benchmarks.real --gnss                       only the flights with GNSS
 python -m benchmarks.real --scenarios AB --sets euroc --imu-every 4        with a quarter of the IMU samples
+python -m benchmarks.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
 """
 
 import argparse
@@ -27,13 +28,16 @@ def main() -> None:
     args = arguments()
     if not (data_folder() / "flights").is_dir():
         raise SystemExit(f"{data_folder()}/flights not found: set LANDFIX_DATA to the folder of recorded flights")
+    if args.config and not args.config.is_file():
+        raise SystemExit(f"{args.config}: no such file")
     everything = not (args.vision or args.gnss or args.scenarios)
     scenarios = (args.scenarios or (FLIGHT_SCENARIOS if everything else "")) + ("VW" if args.vision or everything else "")
     seeds, every = (args.seeds[:1], 3) if args.quick else (args.seeds, 1)
     args.out.mkdir(parents=True, exist_ok=True)
     estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
     sigma = (args.vision_sigma[0], args.vision_sigma[1])
-    jobs = [Job(task, estimators, sigma, (args.imu_every, args.imu_gap)) for task in tasks(args.sets, scenarios, seeds, every)]
+    imu, config = (args.imu_every, args.imu_gap), str(args.config or "")
+    jobs = [Job(task, estimators, sigma, imu, config) for task in tasks(args.sets, scenarios, seeds, every)]
     runs = run_all(jobs, args.out, args.jobs) if jobs else []
     report = [table.markdown() for table in report_tables(runs)]
     if runs:
@@ -58,6 +62,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
     parser.add_argument("--imu-every", type=int, default=1, metavar="N", help="every n-th IMU sample alone, not averaged")
     parser.add_argument("--imu-gap", type=float, default=0.0, metavar="S", help="no IMU samples for so long in each second")
+    parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the tasks' own, such as what landfix tune wrote")
     parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")
     parser.add_argument("--quick", action="store_true", help="one seed, every third flight")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_real")

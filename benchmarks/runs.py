@@ -27,13 +27,14 @@ OURS, NAIVE = "landfix", "naive"
 class Job(msgspec.Struct, frozen=True):
     """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes.
 
-    imu: every n-th sample is left, and those of so many seconds in each second are not.
+    imu: every n-th sample is left, and those of so many seconds in each second are not; config: file in place of the task's own.
     """
 
     task: Task
     estimators: tuple[str, ...] = (OURS,)
     vision_sigma: tuple[float, float] = (0.1, 1.5)
     imu: tuple[int, float] = (1, 0.0)
+    config: str = ""
 
 
 def run(job: Job, folder: Path) -> list[dict[str, Any]]:
@@ -43,17 +44,18 @@ def run(job: Job, folder: Path) -> list[dict[str, Any]]:
         return []
     if job.imu != (1, 0.0):
         task_file = thinned(task_file, *job.imu)
-    return [_scored(job.task, name, task_file, folder) for name in job.estimators]
+    config = Path(job.config) if job.config else task_file.with_suffix(".toml")
+    return [_scored(job.task, name, task_file, config, folder) for name in job.estimators]
 
 
-def _scored(task: Task, estimator: str, task_file: Path, folder: Path) -> dict[str, Any]:
-    """The score of one estimator. The naive filter's is kept beside the task, for neither changes."""
-    kept = task_file.with_suffix(f".naive-{_sha(Path(naive_filter.__file__))}.json")
+def _scored(task: Task, estimator: str, task_file: Path, config: Path, folder: Path) -> dict[str, Any]:
+    """The score of one estimator. The naive filter's is kept beside the task, for none of what it is made of changes."""
+    kept = task_file.with_suffix(f".naive-{_sha(Path(naive_filter.__file__))}-{_sha(config)}.json")
     if estimator == NAIVE and kept.exists():
         return dict(json.loads(kept.read_text()))
     estimate = folder / f"{task_file.stem}-{estimator}.mcap"
     began = time.perf_counter()
-    extra = ESTIMATORS[estimator](task_file, estimate)
+    extra = ESTIMATORS[estimator](task_file, config, estimate)
     elapsed = time.perf_counter() - began
     result = {**score(task_file, estimate), **extra, "estimator": estimator, "set": task.group, "elapsed_s": elapsed}
     result |= {"flight": task.flight, "scenario": task.scenario, "seed": task.seed}
@@ -63,17 +65,17 @@ def _scored(task: Task, estimator: str, task_file: Path, folder: Path) -> dict[s
     return result
 
 
-def run_ours(task_file: Path, out: Path) -> dict[str, Any]:
+def run_ours(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
     """`landfix replay task.mcap -o out -c task.toml`."""
-    summary = replay(task_file, out, load(task_file.with_suffix(".toml")))
+    summary = replay(task_file, out, load(config))
     return {"summary": msgspec.to_builtins(summary)}
 
 
-def run_naive(task_file: Path, out: Path) -> dict[str, Any]:
+def run_naive(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
     """The same files through the plain filter: one Odometry per IMU sample."""
-    config = tomllib.loads(task_file.with_suffix(".toml").read_text())
-    axes = config["imu"].pop("axes")
-    decoder, naive = Decoder(Topics.of(config["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**config["imu"]))
+    told = tomllib.loads(config.read_text())
+    axes = told["imu"].pop("axes")
+    decoder, naive = Decoder(Topics.of(told["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**told["imu"]))
     with LogReader(task_file) as reader, Recorder(out, metadata={}) as recorder:
         for record in reader:
             message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
@@ -86,7 +88,7 @@ def run_naive(task_file: Path, out: Path) -> dict[str, Any]:
     return {}
 
 
-ESTIMATORS: dict[str, Callable[[Path, Path], dict[str, Any]]] = {OURS: run_ours, NAIVE: run_naive}
+ESTIMATORS: dict[str, Callable[[Path, Path, Path], dict[str, Any]]] = {OURS: run_ours, NAIVE: run_naive}
 
 
 def _sha(path: Path) -> str:
