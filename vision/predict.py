@@ -37,6 +37,7 @@ Mask = NDArray[np.bool_]
 PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
 _MOST_STEPS = 12  # places that may be fitted beside a place
+_DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a place that is not sure is fitted as well
 _MOST_TRIED = 3  # places that are fitted if the best one is not sure; all that are nearly as good are in any case
 
 
@@ -174,6 +175,7 @@ class PredictPath:
         tried = [self._fit(pictures, marks, place, prior) for place in places[:likely]]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
+            places = [*places, *nearer_and_farther(marks, best, self._trusted(best), prior)]
             tried += [self._fit(pictures, marks, place, prior) for place in places[likely:]]
             outcome = verify.decided(tried, v)
         if not any(isinstance(one, Fitted) for one in tried):
@@ -209,6 +211,21 @@ class PredictPath:
 
     def _limit_px(self, eye: Eye) -> float:
         return limit_px(eye.camera, self._config.coarse)
+
+
+def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
+    """A place where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is in
+    the picture: its size alone tells how far it is, and a size that is wrong lays half of its sides on edges, too.
+
+    p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
+    """
+    if seen.sum() != 1:
+        return []
+    mark = marks[int(np.flatnonzero(seen)[0])]
+    middle = np.array([*mark.centre_n, mark.roof_d])
+    away = place.p_n - middle
+    s = math.sqrt(float(away @ prior.covariance[:3, :3] @ away)) / float(away @ away)
+    return [replace(place, p_n=middle + math.exp(k * s) * away) for k in _DISTANCES]
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:

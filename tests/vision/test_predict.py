@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fix_outcome import outcome_of
+from benchmarks.outline import OFF_PX
 from benchmarks.outline_views import PRIOR_PX, decoy, draw, later, prior_of
 from benchmarks.single_fix_views import draw_view
 from models import so3
@@ -19,12 +20,13 @@ from models.messages import Array
 from tests.vision.part_views import part_view
 from tests.vision.roofs import nadir_rig
 from vision.ambiguity import steps_off
+from vision.coarse import Candidate
 from vision.identify import Prior
 from vision.motion import motion
 from vision.pictures import Pictures, usable
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.pose import PoseConfig
-from vision.predict import PredictConfig, PredictPath
+from vision.predict import PredictConfig, PredictPath, nearer_and_farther
 from vision.rectify import Image
 from vision.sensitivity import Eye, eyes
 from vision.synthetic.camera_effects import Conditions
@@ -115,6 +117,32 @@ def test_pale_roofs_that_no_colour_tells_from_the_ground_give_a_fix(seed: int) -
     assert "predicted" in result.report.detail
     assert {r.path for r in result.regions} == {"predict"}
     assert [r.state for r in result.regions] == ["identified"] * 3
+
+
+@pytest.mark.parametrize(("number", "off_px"), [(4, 160.0), (118, 120.0)])
+def test_one_roof_whose_size_the_search_mistakes_is_fitted_from_other_distances(number: int, off_px: float) -> None:
+    """Views 4 and 118 of benchmarks.outline: found, but as a roof of another size, half of its sides on edges."""
+    shown = draw(3001, number)
+    priors = {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
+    result = pipeline(shown.view.landmarks, shown.view.rig).process(*shown.pictures, 1, priors[off_px])
+    found = outcome_of(shown.view, result.pose, "")
+    assert result.fix is not None, result.report
+    assert found.error_m < 1.2
+    assert 3.0 * found.position < CHI2_9999_OF_3
+
+
+def test_other_distances_leave_one_roof_where_it_is_in_the_picture() -> None:
+    eye, marks, prior = eyes(RIG)[0], list(MARKS), prior_off(whole(), np.zeros(6))
+    place = Candidate.as_mapped(eye, marks, (prior.p_n, prior.R_nb), np.zeros(6))
+    middle = np.array([*marks[1].centre_n, marks[1].roof_d])
+    places = nearer_and_farther(marks, place, np.array([False, True, False]), prior)
+    away = place.p_n - middle
+    sigma = np.sqrt(away @ prior.covariance[:3, :3] @ away) / (away @ away)
+    farther = [np.linalg.norm(one.p_n - middle) / np.linalg.norm(away) for one in places]
+    np.testing.assert_allclose(np.log(farther), sigma * np.array([-2.0, -1.0, 1.0, 2.0]))
+    for one in places:
+        np.testing.assert_allclose(np.cross(one.p_n - middle, away), 0.0, atol=1e-9)
+    assert nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []  # where they lie apart tells how far
 
 
 def test_roofs_that_the_border_cuts_take_part() -> None:
