@@ -201,7 +201,8 @@ class Fitter:
         rest = recheck(self._rig, views, some, as_mapped, self._pose.look).stands if some else np.zeros(0)
         off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
         squared = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
-        return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found)
+        covered = seen.covered if len(chosen) == 1 else 0.0  # beside others a cover is not the bare ground
+        return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found, covered)
 
     def _pair_flaw(self, seen: Recheck) -> str:
         """Why the right picture does not belong to the left one; empty where it does."""

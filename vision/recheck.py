@@ -53,12 +53,14 @@ class Recheck:
 
     pictures: the same of each picture that is there.
     stands (L,): logarithm of how much likelier these pictures are if it stands than if it is gone (stands.py).
+    covered: share of all roofs in view that something covers, or where there is no roof, in every picture.
     apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
     """
 
     share: Array
     stands: Array
     pictures: tuple[float, ...]
+    covered: float
     apart: tuple[float, float, float] | None
 
 
@@ -93,7 +95,7 @@ def recheck(
     on_walls = walls.points_n, walls.t, walls.edge
     seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
     offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
-    hidden = np.logical_and.reduce([one.hidden for one in seen])
+    hidden, asked = (np.logical_and.reduce([getattr(one, which) for one in seen]) for which in ("hidden", "usable"))
     for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
         slack = _OF_MAP * eye.camera.fx * outline_sigma
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
@@ -103,7 +105,7 @@ def recheck(
     found, given = found.sum(axis=0), given.sum(axis=0)
     share, small = np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), np.unique(edges.landmark[spot])
     stands[small] = spots_missed(stands[small], share[small])
-    return Recheck(share, stands, pictures, apart)
+    return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
 @njit(cache=True)

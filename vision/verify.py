@@ -26,6 +26,7 @@ from vision.pose import PoseEstimate, difference
 
 _ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two places
 _FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
+_COVERED = 16.0  # 5 ln (0.99 / 0.8 * 0.2 / 0.01): of five pieces of outline 1 % is covered at right places, 20 % at others
 Grade = Literal["sure", "weak", "refused"]
 
 
@@ -114,19 +115,20 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     return ""
 
 
-def place_odds(stands: Array, gone: float, squared: float, found: float) -> float:
+def place_odds(stands: Array, gone: float, squared: float, found: float, covered: float) -> float:
     """ln of the odds of a place against one of chance, where outlines lie on edges of something else.
 
-    (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c)))
+    (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
     stands (L,): ln LR of each landmark in view (stands.py); gone: g, share of the map that is; squared: d^2, of the pose from the
     prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right places and c at those of
     chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by themselves.
+    covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
     there = float(np.logaddexp(math.log(1.0 - gone) + stands, math.log(gone)).sum())
     shown = found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c))
-    return (there - 0.5 * squared) / _ALIKE + _PIECES * shown
+    return (there - 0.5 * squared) / _ALIKE + _PIECES * shown - _COVERED * covered
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:

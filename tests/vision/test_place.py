@@ -13,10 +13,11 @@ from models.so3 import from_matrix
 from tests.vision.test_predict import MARKS, RIG, View, drawn, look_at, whole
 from vision import place as places
 from vision.coarse import Candidate
+from vision.look import LookConfig
 from vision.pictures import Pictures
 from vision.place import Fitter
 from vision.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, retract
-from vision.recheck import Recheck
+from vision.recheck import Recheck, recheck
 from vision.sensitivity import eyes
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -99,9 +100,23 @@ def test_odds_of_a_place_by_hand() -> None:
     """One landmark that stands, 20 to 1, one of which nothing is told, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
     shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
-    odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6)
-    assert odds == pytest.approx((there - 2.0) / 3.0 + 12.0 * shown, abs=1e-12)
-    assert np.isfinite(place_odds(np.array([800.0]), 0.1, 0.0, 1.0))
+    odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6, 0.25)
+    assert odds == pytest.approx((there - 2.0) / 3.0 + 12.0 * shown - 4.0, abs=1e-12)
+    assert np.isfinite(place_odds(np.array([800.0]), 0.1, 0.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize(("chosen", "less"), [([0], 4.0), ([0, 1, 2], 0.0)], ids=["alone", "beside others"])
+def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], less: float) -> None:
+    view, prior = whole(), drawn(whole(), 1)
+    some, views = [MARKS[k] for k in chosen], (view.left, view.right)
+    fit = estimate_pose(RIG, views, some, (view.p_n, view.R_nb), prior)
+    assert isinstance(fit, PoseEstimate)
+    seen = recheck(RIG, views, some, fit, LookConfig())
+    fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
+    bare, covered = (
+        fitter._odds(views, list(MARKS), place(view, MARKS), chosen, fit, replace(seen, covered=h), prior) for h in (0.0, 0.25)
+    )
+    assert bare - covered == pytest.approx(less)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +250,7 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
 def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, stands: float, used: bool) -> None:
     """99, 99.9 and 99.99 %, with one of ten gone: 4.6, 6.9 and 9.2 less ln 9."""
     fit = fitted(whole(), MARKS).pose
-    seen = Recheck(np.full(len(MARKS), share), np.full(len(MARKS), stands), (1.0, 1.0), None)
+    seen = Recheck(np.full(len(MARKS), share), np.full(len(MARKS), stands), (1.0, 1.0), 0.0, None)
     stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._stand(list(MARKS), fit, seen)
     assert stood.tolist() == [used] * len(MARKS)
 

@@ -77,6 +77,7 @@ def test_what_something_covers_in_both_pictures_is_not_asked(over: tuple[int, ..
     assert seen.share[1:].min() > 0.7
     assert asked or seen.share[0] > 0.55  # 0.46 of all
     assert bool(seen.pictures[1] - seen.pictures[0] > 0.1) is asked
+    assert seen.covered < 0.03 if asked else 0.05 < seen.covered < 0.25  # half of one roof's rim in three
 
 
 @pytest.mark.parametrize(("du", "dv"), [(3, 0), (0, 2), (-2, -3)])
