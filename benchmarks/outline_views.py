@@ -150,7 +150,7 @@ def _hidden(view: View, share: float) -> View:
 def decoy(seed: int, number: int, kind: str) -> tuple[View, tuple[Image, Image], Prior, bool]:
     """A view whose map or prior lies, its pictures, the prior that is told, and whether a right fix is still possible."""
     view = _row(seed, number) if kind == "row" else draw_view(seed, number)
-    prior, possible = prior_of(view, PRIOR_PX), kind in {"row", "one gone"}
+    prior, possible = prior_of(view, PRIOR_PX), kind in {"shifted", "row", "one gone"}
     marks = view.landmarks
     if kind == "turned":
         marks = tuple(_turned(m, view.rng.uniform(0.45, 2.6), np.mean([m.centre_n for m in marks], axis=0)) for m in marks)
