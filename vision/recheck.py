@@ -95,7 +95,8 @@ def recheck(
     on_walls = walls.points_n, walls.t, walls.edge
     seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
     offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
-    hidden, asked = (np.logical_and.reduce([getattr(one, which) for one in seen]) for which in ("hidden", "usable"))
+    hidden = np.logical_and.reduce([one.hidden for one in seen])
+    asked = np.logical_and.reduce([one.usable for one in seen])
     for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
         slack = _OF_MAP * eye.camera.fx * outline_sigma
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
