@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from estimator import strict_toml
+from estimator.bounds import BoundsConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
 from estimator.initialise import InitialiseConfig
 from estimator.publish import OutputConfig
@@ -115,6 +116,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     vision: VisionConfig = VisionConfig()
     output: OutputConfig = OutputConfig()
     estimator: EstimatorConfig = EstimatorConfig()
+    bounds: BoundsConfig = BoundsConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     coast: Coast = Coast()
     service: ServiceConfig = ServiceConfig()
@@ -136,6 +138,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             baro=self.baro,
             initialise=self.initialise,
             estimator=self.estimator,
+            bounds=self.bounds,
             origin=self.map.origin,
         )
 

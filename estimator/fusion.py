@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from estimator.bounds import BoundsConfig
 from estimator.eskf import Eskf
 from estimator.history import Entry, History
 from estimator.initialise import InitialiseConfig
@@ -39,6 +40,7 @@ from models.messages import (
 from models.state import E, X
 
 _ASTRAY_SAMPLES, _ASTRAY_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
+_FAILURES = 2  # in a row, after which the estimator restarts itself
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
 
@@ -67,6 +69,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     baro: BaroConfig = BaroConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
+    bounds: BoundsConfig = BoundsConfig()
     origin: tuple[float, float, float] | None = None
 
 
@@ -83,20 +86,42 @@ class Fusion:
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._astray: tuple[int, int, int] | None = None  # count, arrival of the first, stamp of the last sample off our clock
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
+        self._failures = 0  # in a row, of what moves the state
         self._reset_counter = 0
         self._published: Estimate | None = None
         self._publisher: Tracker | None = None  # of the last estimate
 
     def handle(self, message: Input) -> list[Output]:
         """Take one message; what it leads to, in order."""
+        moves = True  # the state, rather than a measurement that is to take its place
         try:
             self._history.catch_up()
             if type(message) is ImuSample:
-                return self._imu(message)
-            return self._other(message)
+                out = self._imu(message)
+            else:
+                moves = type(message) is Tick
+                out = self._other(message)
         except Exception as error:
             self._detail = f"internal error: {type(error).__name__}: {error}"
-            return [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
+            out = [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
+            if moves:
+                self._failures += 1
+                if self._failures % _FAILURES == 0:
+                    out.append(self._recover(message))
+        else:
+            if moves:
+                self._failures = 0
+        return out
+
+    def _recover(self, message: Input) -> AidStatus:
+        """What moves the state fails again and again: go on from the last sound checkpoint, the next time from nothing."""
+        sound = self._history.from_last_sound() if self._failures == _FAILURES else None
+        if sound is None:
+            return self._restart(None, message.t_ns, message.arrived_ns, Reason.INTERNAL, self._detail)
+        self._history = sound
+        return self._state_status(
+            message.t_ns, message.arrived_ns, Reason.INTERNAL, f"{self._detail}; restarted from the last sound state"
+        )
 
     def catch_up(self) -> None:
         """Work in some of what came late, now that the output is out, rather than when the next message comes; it is all one."""
@@ -111,6 +136,7 @@ class Fusion:
                 initialise=config.initialise,
                 origin=Origin.of(config.origin),
                 dead_reckoning_after_s=config.estimator.dead_reckoning_after_s,
+                bounds=config.bounds,
             )
         )
         if checkpoint is not None:
@@ -206,7 +232,9 @@ class Fusion:
         if tracker.is_aligned and tracker.hypotheses is not None and (last is None or t_ns > last.t_ns):
             lead = tracker.hypotheses.lead
             if not lead.sound:
-                return [self._restart(t_ns, arrived_ns, Reason.INTERNAL, "internal error: the state was lost; aligning again")]
+                return [self._restart(tracker, t_ns, arrived_ns, Reason.INTERNAL, "internal error: the state is not finite")]
+            if violation := tracker.violation(lead):
+                return [self._restart(tracker, t_ns, arrived_ns, Reason.IMPLAUSIBLE, violation)]
             redone = tracker is not self._publisher
             self._publisher = tracker
             if last is not None and (changed or redone) and (jump := self._jump(last, lead, t_ns)) is not None:
@@ -253,15 +281,20 @@ class Fusion:
         if count < _ASTRAY_SAMPLES or sample.arrived_ns - since_ns < _ASTRAY_NS:
             return []
         self._astray = self._lead = self._next_health_ns = None
-        return [
-            self._restart(sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped; aligning again")
-        ]
+        return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 
-    def _restart(self, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
-        """Nothing of the state can be used any more: the alignment begins again, a jump of unknown size."""
-        self._history = self._begin()
+    def _restart(self, tracker: Tracker | None, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
+        """Nothing of the state can be used any more: the alignment begins again, a jump of unknown size.
+
+        tracker: whose map and sources the next one takes over; None: none, its times are of another clock.
+        """
+        self._history = History(tracker.restarted(), self._config.estimator.history_s) if tracker else self._begin()
         self._reset_counter += self._published is not None
         self._published = None
+        return self._state_status(t_ns, arrived_ns, reason, f"{detail}; aligning again")
+
+    def _state_status(self, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
+        """The report of what became of the state itself."""
         self._detail = detail
         self._count(reason)
         return AidStatus(t_ns, arrived_ns, "", "state", reason, detail=detail)

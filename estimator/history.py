@@ -5,7 +5,11 @@ everything again, gates and source machines included. So late = punctual, to the
 the propagation, and one at an aid is made in any case: there checkpoints may stand.
 
 No output waits for that: behind each, a slice of it is done, few measurements at a time, and until it has caught up the tracker
-of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same.
+of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
+least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
+
+A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
+before it and passes it over from then on.
 """
 
 from bisect import bisect_left, bisect_right
@@ -18,13 +22,14 @@ from models.messages import ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
 _MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
+_PACE = 2  # a slice covers this many times the interval between the newest two samples
 _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what it may go through again, for the alignment
 
 
 @dataclass(slots=True, eq=False)
 class Entry:
     """An aid in the history, what became of it last time, how often that changed, the samples replayed
-    for it, and the reason last reported.
+    for it, and the reason last reported; failed: its processing raised, so it is passed over.
     """
 
     aid: Aid
@@ -32,13 +37,14 @@ class Entry:
     revision: int = -1
     replayed: int = 0
     told: Reason | None = None
+    failed: bool = False
 
 
 class History:
     """Samples, aids and checkpoints of the last `history_s`, and the tracker at the end of them."""
 
-    def __init__(self, tracker: Tracker, history_s: float) -> None:
-        self.samples = ImuBuffer()
+    def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
+        self.samples = samples or ImuBuffer()
         self.tracker = tracker
         self._span_ns = int(history_s * 1e9)
         self._orders: list[tuple[int, str, str, bytes]] = []
@@ -51,6 +57,13 @@ class History:
         self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
         self._due = False  # a slice of that work
         self._changed: list[Entry] = []
+
+    def from_last_sound(self) -> "History | None":
+        """A history that begins at the newest sound checkpoint, with the IMU samples and without any aid; None: there is none."""
+        for tracker in reversed(self._checkpoints):
+            if tracker.is_sound:
+                return History(tracker.copy(), self._span_ns * 1e-9, self.samples)
+        return None
 
     def insert_sample(self, sample: ImuSample) -> Reason | None:
         """Put an IMU sample in its place; the reason where it is not taken."""
@@ -111,7 +124,9 @@ class History:
             return
         self._due = False
         newest_ns = self.samples.newest_ns
-        self._go_through(newest_ns, max(1, (newest_ns - self.samples.previous_ns) // _MEASUREMENT_NS))
+        interval_ns = newest_ns - self.samples.previous_ns
+        keeps_pace = self._waiting(self.tracker.t_ns + _PACE * interval_ns)
+        self._go_through(newest_ns, max(1, interval_ns // _MEASUREMENT_NS, keeps_pace))
         if self.tracker.t_ns >= newest_ns:
             self._ahead = None
 
@@ -137,16 +152,38 @@ class History:
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
             self._checkpoint()
 
+    def _waiting(self, to_ns: int) -> int:
+        """How many measurements of up to `to_ns` the tracker has not seen."""
+        return bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
+
     def _take(self, to_ns: int, most: int | None) -> bool:
         """Let the tracker process what waits up to `to_ns`, as many as may be; whether that is all of it."""
-        wanted = bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
-        for _ in range(wanted if most is None else min(wanted, most)):
+        wanted = self._waiting(to_ns)
+        left = wanted if most is None else min(wanted, most)
+        is_all = left == wanted
+        while left > 0:
             entry = self._entries[self._next]
             self._propagate(entry.aid.t_ns)
-            self._decide(entry, self.tracker.process(entry.aid, self.samples))
-            self._next += 1
-            self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples: what comes later need not redo it
-        return most is None or wanted <= most
+            if entry.failed or self._process(entry):
+                self._next += 1
+                self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples
+                left -= 1
+            else:  # gone back to before it
+                left = self._waiting(to_ns) if is_all else left
+        return is_all
+
+    def _process(self, entry: Entry) -> bool:
+        """Let the tracker process an entry. False: it raised and is marked; the tracker is that of a checkpoint before it."""
+        try:
+            decision = self.tracker.process(entry.aid, self.samples)
+        except Exception as error:
+            entry.failed = True
+            self._decide(entry, Decision(Reason.INTERNAL, detail=f"internal error: {type(error).__name__}: {error}"))
+            self._rewind_to(entry.aid.t_ns)
+            self._restore()
+            return False
+        self._decide(entry, decision)
+        return True
 
     def _propagate(self, to_ns: int) -> None:
         """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
@@ -171,6 +208,8 @@ class History:
         self._checkpoint_times.append(self.tracker.t_ns)
         self._since_checkpoint = 0
         horizon = self.samples.newest_ns - self._span_ns
+        if self._redo_from_ns is not None:  # what waits to be redone needs a checkpoint before it
+            horizon = min(horizon, self._redo_from_ns - 1)
         keep = bisect_right(self._checkpoint_times, horizon) - 1  # the newest that is older than the horizon
         if keep <= 0:
             return

@@ -25,6 +25,7 @@ Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -167,6 +168,21 @@ class Hypotheses:
         self.members += born + ([believer] if believer else [])
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
+
+    def drop(self, is_impossible: Callable[[Hypothesis], bool]) -> None:
+        """Drop what no vehicle can be, but never the last hypothesis; the heaviest that is left leads."""
+        if len(self.members) == 1:  # most of the time
+            return
+        possible = [m for m in self.members if not is_impossible(m)]
+        if not possible or len(possible) == len(self.members):
+            return
+        if possible[0] is not self.members[0]:
+            possible.sort(key=lambda m: -m.weight)
+            self.switches += 1
+        top = possible[0].weight
+        for member in possible:
+            member.weight -= top
+        self.members = possible
 
     def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool]) -> list[float | None]:
         """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.

@@ -13,6 +13,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from estimator import contradiction, initialise
+from estimator.bounds import BoundsConfig
 from estimator.contradiction import NO_CONTRADICTION
 from estimator.eskf import Eskf
 from estimator.hypotheses import Hypotheses, Hypothesis
@@ -52,6 +53,7 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
     initialise: InitialiseConfig
     origin: Origin | None
     dead_reckoning_after_s: Annotated[float, Meta(gt=0)] = 3.0
+    bounds: BoundsConfig = BoundsConfig()
 
 
 class Decision(NamedTuple):
@@ -118,6 +120,23 @@ class Tracker:
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.sources = self.sources.copy()
         return other
+
+    def restarted(self) -> "Tracker":
+        """A tracker without estimate, on the same map and with the same trust in the sources."""
+        other = Tracker(self.config)
+        other.origin, other.place, other.constants = self.origin, self.place, self.constants
+        other.sources, other.absolute = self.sources.copy(), self.absolute
+        other.last_absolute_ns, other.anchor, other.given_up = self.last_absolute_ns, self.anchor, self.given_up
+        return other
+
+    @property
+    def is_sound(self) -> bool:
+        """Every number of the leading filter is finite, every variance positive."""
+        return self.hypotheses is None or self.hypotheses.lead.sound
+
+    def violation(self, eskf: Eskf) -> str:
+        """What of the state is beyond any vehicle's; '' where nothing is."""
+        return self.config.bounds.violation(eskf.x, eskf.cov, self.place[2] if self.place else 0.0)
 
     def resume(self, checkpoint: Checkpoint) -> None:
         """Begin aligned, in the state in which an earlier run was interrupted."""
@@ -203,6 +222,7 @@ class Tracker:
         assert self.hypotheses is not None
         trusted = state.phase is Phase.ACTIVE
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
+        self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
         sigma = np.sqrt(verdict.seen.s.diagonal())

@@ -1,0 +1,69 @@
+"""Bounds on what is published: no vehicle of its kind is faster, higher or less certain of its position.
+
+A state beyond them is a fault of the estimate: a wrong source was followed, or the state has diverged. It is not published; the
+estimator begins again.
+"""
+
+import math
+from typing import Annotated, Literal, NamedTuple, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from models.messages import Array
+from models.state import E, X
+
+_Speed: TypeAlias = Annotated[float, Meta(gt=0, le=2000)]
+_Height: TypeAlias = Annotated[float, Meta(ge=-12_000, le=100_000)]
+Vehicle: TypeAlias = Literal["any", "multirotor", "fixed_wing", "rover", "boat"]
+
+
+class Limits(NamedTuple):
+    """Speed [m/s], height above the ellipsoid [m], lowest and highest."""
+
+    speed_m_s: float
+    lowest_m: float
+    highest_m: float
+
+
+_LIMITS: dict[Vehicle, Limits] = {
+    "any": Limits(200.0, -1000.0, 20_000.0),
+    "multirotor": Limits(60.0, -1000.0, 9000.0),
+    "fixed_wing": Limits(150.0, -1000.0, 20_000.0),
+    "rover": Limits(70.0, -1000.0, 6000.0),
+    "boat": Limits(40.0, -200.0, 4000.0),
+}
+
+
+class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[bounds]: an estimate beyond them is not published; the estimator begins again."""
+
+    vehicle: Annotated[
+        Vehicle, Meta(description="any, multirotor, fixed_wing, rover or boat: sets speed and height where they are not given")
+    ] = "any"
+    speed_m_s: Annotated[_Speed | None, Meta(description="m/s: fastest; none: by vehicle (any 200, multirotor 60)")] = None
+    lowest_m: Annotated[_Height | None, Meta(description="m: lowest height above the ellipsoid; none: by vehicle")] = None
+    highest_m: Annotated[_Height | None, Meta(description="m: highest height above the ellipsoid; none: by vehicle")] = None
+    sigma_m: Annotated[float, Meta(ge=10, le=1e6, description="m: largest standard deviation of the position, per axis")] = (
+        50_000.0
+    )
+
+    def violation(self, x: Array, cov: Array, origin_m: float) -> str:
+        """What of the state x (16,) and P (n, n) is out of bounds; '' where nothing is.
+
+        origin_m: ellipsoid height of n's origin (0 where it is unknown).
+        """
+        limits = _LIMITS[self.vehicle]
+        fastest = limits.speed_m_s if self.speed_m_s is None else self.speed_m_s
+        speed = math.hypot(*x[X.V].tolist())
+        if not speed <= fastest:
+            return f"speed of {speed:.0f} m/s exceeds [bounds] speed_m_s = {fastest:g}"
+        lowest = limits.lowest_m if self.lowest_m is None else self.lowest_m
+        highest = limits.highest_m if self.highest_m is None else self.highest_m
+        height = origin_m - float(x[X.P][2])
+        if not lowest <= height <= highest:
+            return f"height of {height:.0f} m is outside [bounds] lowest_m = {lowest:g} to highest_m = {highest:g}"
+        variance = max(cov.diagonal()[E.P].tolist())
+        if not variance <= self.sigma_m**2:
+            return f"position sigma of {math.sqrt(variance):.3g} m exceeds [bounds] sigma_m = {self.sigma_m:g}"
+        return ""
