@@ -8,14 +8,19 @@ import math
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
+from models import so3
 from models.messages import Array
 from models.state import E, X
 
 _Speed: TypeAlias = Annotated[float, Meta(gt=0, le=2000)]
 _Height: TypeAlias = Annotated[float, Meta(ge=-12_000, le=100_000)]
 Vehicle: TypeAlias = Literal["any", "multirotor", "fixed_wing", "rover", "boat"]
+
+
+_TILT_SIGMA = math.radians(60.0)  # the error state's attitude is a small angle; gravity shows roll and pitch better than this
 
 
 class Limits(NamedTuple):
@@ -66,4 +71,10 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         variance = max(cov.diagonal()[E.P].tolist())
         if not variance <= self.sigma_m**2:
             return f"position sigma of {math.sqrt(variance):.3g} m exceeds [bounds] sigma_m = {self.sigma_m:g}"
+        theta = cov[E.THETA, E.THETA]
+        if not max(theta.diagonal().tolist()) <= _TILT_SIGMA**2:  # seldom; heading may be unknown, tilt is not
+            down_b = so3.matrix(x[X.Q])[2]
+            tilt = 0.5 * float(np.trace(theta) - down_b @ theta @ down_b)
+            if not tilt <= _TILT_SIGMA**2:
+                return f"roll and pitch are known to {math.degrees(math.sqrt(tilt)):.0f} deg only"
         return ""

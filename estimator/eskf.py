@@ -29,6 +29,7 @@ from models.measurements import Measurement, PartialPose, innovation_covariance,
 from models.messages import Array
 from models.state import E, retract, sound
 
+_WIDEST = 1.0  # rad: of the attitude after widen()
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 _identity = cache(np.eye)
@@ -111,8 +112,17 @@ class Eskf:
 
         So what contradicts them moves the biases no more than before. Correlations scaled with P (D P D) would claim that the
         jump is a multiple of the error that biases make, and one such update may move them by many of their sigmas.
+
+        A small-angle error state has no use for an attitude sigma beyond _WIDEST: the attitude is widened up to that by f_theta,
+        and what position and velocity are widened by more is independent of it:
+
+            P_nn <- f_theta^2 P_nn + (f^2 - f_theta^2) blockdiag(P_pp,vv, 0)
         """
-        self.cov[:_G, :_G] *= factor**2
+        sigma = math.sqrt(max(self.cov.diagonal()[E.THETA].tolist()))
+        turned = min(factor, max(1.0, _WIDEST / sigma)) ** 2
+        self.cov[:_G, :_G] *= turned
+        if turned < factor**2:
+            self.cov[:_T, :_T] *= factor**2 / turned
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""
