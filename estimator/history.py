@@ -72,10 +72,12 @@ class History:
         if sample.t_ns > self.samples.newest_ns:
             before_ns = self.samples.newest_ns
             self.samples.insert(sample)
-            if sample.t_ns <= self.tracker.t_ns:  # the IMU was missing and the tracker has coasted beyond this
+            if self.tracker.t_ns > before_ns:  # the IMU was missing and the tracker has coasted
                 self._rewind_to(before_ns + 1)
             return None
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
+        if before < 0 and self.samples.has_forgotten:
+            return Reason.TOO_OLD
         before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1
         if before_ns < max(self._checkpoint_times[0], self.samples.newest_ns - self._span_ns):
             return Reason.TOO_OLD
@@ -94,7 +96,8 @@ class History:
         self._orders.insert(k, aid.order)
         entry = Entry(aid)
         self._entries.insert(k, entry)
-        if k < self._next or aid.t_ns <= self.tracker.t_ns:
+        if aid.t_ns <= self.tracker.t_ns:
+            self._next += k <= self._next  # the tracker is beyond it, and goes back for it
             entry.replayed = self.samples.count - self.samples.first_after(aid.t_ns)
             self._rewind_to(aid.t_ns)
         return None
@@ -102,7 +105,8 @@ class History:
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
         """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
 
-        coast: with every measurement up to `to_ns`, at once and beyond the newest IMU sample, for those that wait there.
+        coast: with every measurement up to `to_ns`, at once and beyond the newest IMU sample, for those that wait there. The
+        tracker then stands at the last of them: where the IMU will split the time beyond it is not known yet.
         """
         if self._redo_from_ns is not None and self._ahead is None:
             self._ahead = self.tracker
@@ -146,10 +150,10 @@ class History:
         entry.decision = decision
 
     def _go_through(self, to_ns: int, most: int | None = None) -> None:
-        """Move the tracker to `to_ns`, or through as many measurements as may be at most."""
+        """Move the tracker through the measurements up to `to_ns`, as many as may be, and by the IMU as far as it is known."""
         if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
-            self._propagate(to_ns)
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._propagate(min(to_ns, self.samples.newest_ns))
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(self.tracker.t_ns):  # all of one stamp, or none
             self._checkpoint()
 
     def _waiting(self, to_ns: int) -> int:
@@ -173,9 +177,15 @@ class History:
         return is_all
 
     def _process(self, entry: Entry) -> bool:
-        """Let the tracker process an entry. False: it raised and is marked; the tracker is that of a checkpoint before it."""
+        """Let the tracker process an entry.
+
+        False: it raised, or the state is not finite after it, and it is marked; the tracker is that of a checkpoint before it.
+        """
+        was_sound = self.tracker.is_sound
         try:
             decision = self.tracker.process(entry.aid, self.samples)
+            if was_sound and not self.tracker.is_sound:
+                raise ArithmeticError("the state is not finite after it")
         except Exception as error:
             entry.failed = True
             self._decide(entry, Decision(Reason.INTERNAL, detail=f"internal error: {type(error).__name__}: {error}"))

@@ -11,16 +11,18 @@ from models.messages import Array, ImuSample
 class ImuBuffer:
     """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid.
 
-    known (capacity, sampling.SIZE): what each sample and those before it tell of the time between samples.
+    known (capacity, sampling.SIZE): what each sample and those before it tell of the time between samples; has_forgotten: there
+    were older ones.
     """
 
-    __slots__ = ("count", "known", "newest_ns", "previous_ns", "t_ns", "u")
+    __slots__ = ("count", "has_forgotten", "known", "newest_ns", "previous_ns", "t_ns", "u")
 
     def __init__(self, capacity: int = 4096) -> None:
         self.t_ns = np.zeros(capacity, np.int64)
         self.u = np.zeros((capacity, 6))
         self.known = np.zeros((capacity, sampling.SIZE))
         self.count = 0
+        self.has_forgotten = False
         self.newest_ns = self.previous_ns = -(2**62)
 
     def insert(self, s: ImuSample) -> bool:
@@ -71,6 +73,7 @@ class ImuBuffer:
             self.u[: self.count - k] = self.u[k : self.count]
             self.known[: self.count - k] = self.known[k : self.count]
             self.count -= k
+            self.has_forgotten |= k > 0
 
     def _grow(self) -> None:
         self.t_ns = np.concatenate([self.t_ns, np.zeros_like(self.t_ns)])

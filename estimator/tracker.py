@@ -309,10 +309,13 @@ class Tracker:
         return not self.contradiction.unforeseen and self.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
-        """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone."""
+        """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.
+
+        Not in dead reckoning: without absolute positions nothing confirms where a run ends.
+        """
         assert self.hypotheses is not None
-        is_long = stretch.is_long(self.t_ns)
-        if is_long or stretch.due(self.hypotheses.lead):
+        is_long, is_aided = stretch.is_long(self.t_ns), self.t_ns - self.last_absolute_ns <= self._aided_ns
+        if is_aided and (is_long or stretch.due(self.hypotheses.lead)):
             stretch = self._relinearise(stretch, samples)
         self.stretch = stretch
         if stretch.is_settled:
