@@ -1,7 +1,9 @@
 """MCAP records off a file that may be cut or damaged: everything that is whole, in file order, and never an exception.
 
 A record is opcode (1 byte), length (8 bytes) and content, so a cut ends the reading at the last whole record. A chunk that
-fails its CRC is left out. Where the framing itself is damaged, reading goes on at the next compressed chunk that can be found.
+fails its CRC, or declares more content than logs.chunks allows, is left out. Where the framing itself is damaged, reading goes
+on at the next compressed chunk that can be found, until more bytes have been tried in vain than _VAIN_RATIO times the size of the
+file: so the work is linear in that size.
 Format: https://mcap.dev/spec.
 """
 
@@ -20,8 +22,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
+
+from logs.chunks import MOST_RATIO, SPARE_BYTES, TooLargeError, content_of
 
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, sequence, log time, publish time, data."""
@@ -39,6 +42,7 @@ _CONTENT: Final = {
     Opcode.METADATA: Metadata.read,
     Opcode.STATISTICS: Statistics.read,
 }
+_VAIN_RATIO: Final = 4
 _NOTES: Final = {
     b"": "is empty",
     b"#ROSBAG ": "is a ROS 1 bag; convert it to MCAP (rosbags-convert)",
@@ -87,13 +91,20 @@ class RecordFile:
         return self._file.tell() / self.size
 
     def __iter__(self) -> Iterator[RawMessage]:
-        """The messages of every whole record, in file order."""
+        """The messages of every whole record, in file order. Raises LogError where there are none, and a chunk was too large."""
         self._reset()
+        count = 0
         for opcode, content, start in self._frames():
             if opcode == Opcode.CHUNK:
-                yield from self._chunk(content, start)
+                messages = self._chunk(content, start)
             elif opcode == Opcode.MESSAGE or opcode in _CONTENT:
-                yield from self._unchunked(opcode, content, start)
+                messages = self._unchunked(opcode, content, start)
+            else:
+                continue
+            count += len(messages)
+            yield from messages
+        if self._too_large and not count:
+            raise LogError(f"{self.path}: {self._too_large}")
 
     def _reset(self) -> None:
         self.profile = ""
@@ -108,6 +119,8 @@ class RecordFile:
         self._whole = len(MAGIC)  # up to here everything was understood
         self._damaged = False  # the last chunk was
         self._chunked = False
+        self._too_large = ""  # why the first chunk that was too large was left out
+        self._decompressed = self._in_vain = 0  # bytes; of chunks that were damaged
 
     def _frames(self) -> Iterator[tuple[int, bytes, int]]:
         """(opcode, content, position) of each record up to the footer; over damage to the next chunk."""
@@ -133,7 +146,9 @@ class RecordFile:
             start = end
 
     def _next_chunk(self, start: int) -> int | None:
-        """Where, from start on, a whole compressed chunk may begin."""
+        """Where, from start on, a whole compressed chunk may begin; None: nowhere, or enough has been tried."""
+        if self._in_vain > _VAIN_RATIO * self.size:
+            return None
         with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as view:
             for match in _CHUNK_START.finditer(view, start):
                 _, length = _FRAME.unpack_from(view, match.start())
@@ -145,12 +160,16 @@ class RecordFile:
         """The messages of a chunk; none of them when it is damaged."""
         try:
             fields = _stream(content)
-            stream, size = get_chunk_data_stream(Chunk.read(fields), validate_crc=True)
-            messages = self._block(stream.read(size))
-        except Exception:  # each decompressor has exceptions of its own
+            chunk = Chunk.read(fields)
+            messages = self._block(content_of(chunk, SPARE_BYTES + MOST_RATIO * start - self._decompressed))
+        except Exception as error:  # each decompressor has exceptions of its own
+            if isinstance(error, TooLargeError):
+                self._too_large = self._too_large or str(error)
+            self._in_vain += len(content)
             self._skip(start)
             self._damaged = True
             return []
+        self._decompressed += chunk.uncompressed_size
         self._whole = start + _FRAME.size + fields.count  # by the chunk's own account: the record's length may be what is wrong
         self._damaged, self._chunked = False, True
         return messages

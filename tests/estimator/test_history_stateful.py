@@ -1,4 +1,4 @@
-"""Any sequence of inserts, advances and slices keeps the invariants of the history, and ends in the bits of punctual processing."""
+"""Any sequence of inserts, advances and slices keeps the history's invariants, and ends in the bits of punctual processing."""
 
 from itertools import pairwise
 
