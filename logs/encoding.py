@@ -27,6 +27,7 @@ from models.messages import (
     PictureName,
     PoseFix,
     Quat,
+    Reason,
     Reset,
     Tick,
     Unusable,
@@ -169,7 +170,7 @@ def _diagnostic(health: Health) -> Any:
     message = f"{health.mode}: {health.detail}" if health.detail else str(health.mode)
     return _new(
         "diagnostic_msgs/msg/DiagnosticStatus",
-        level=_LEVEL[health.mode],
+        level=_ERROR if health.counts.get(Reason.INTERNAL) else _LEVEL[health.mode],
         name="landfix",
         message=message,
         hardware_id="",

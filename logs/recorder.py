@@ -105,6 +105,14 @@ class Recorder:
             self._writer.flush()
         self._chunk_start_ns = None
 
+    @property
+    def is_in_place(self) -> bool:
+        """Whether the path still leads to the file that is written: it may have been deleted, moved or replaced."""
+        try:
+            return os.path.samestat(self.path.stat(), os.fstat(self._file.fileno()))
+        except OSError:
+            return False
+
     def close(self) -> None:
         """Write index and statistics, and close the file. Again: nothing."""
         if not self._file.closed:

@@ -5,8 +5,6 @@ worked out while no message waits. What the loop gives to Fusion is decoded from
 before, so a replay of the log says the same, to the bit.
 """
 
-import queue
-import threading
 from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
@@ -16,17 +14,17 @@ from msgspec import Meta
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
 from estimator.service.clock import SECOND_NS, Clock, Stamps
+from estimator.service.mailbox import Mailbox
 from estimator.service.ports import Arrival, Log, Outbox
 from estimator.service.status import Status
 from estimator.vision_requests import Track
-from logs.codec import Decoder, Encoded, ImuMounting, encode_input
+from logs.codec import Decoder, Encoded, encode_input
 from logs.stamps import restamped, stamp_of
 from models.messages import ImuSample, Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
 REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
 _GRACE_S: Final = 0.1  # to read what has piled up meanwhile
-_MOST_WAITING: Final = 128_000_000  # bytes of messages that wait for the loop: a vehicle's sensors of minutes
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,76 +37,12 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     warm_restart_s: Annotated[float, Meta(ge=0, le=50, description="s: an older state is not gone on from")] = 10.0
 
 
-class Mailbox:
-    """The Inbox of ports.py: any thread puts, the loop gets. Pictures go straight to the log, and to vision where it is used."""
-
-    def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
-        self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
-        self.see: Callable[[Arrival], None] = _look_away
-        self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
-        self._own: queue.SimpleQueue[Encoded] = queue.SimpleQueue()
-        self._putting, self._put_bytes, self._got_bytes, self._lost = threading.Lock(), 0, 0, 0
-
-    def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
-        """A message on the wire's own bytes."""
-        arrival = Arrival(topic, schema, data, self._clock.now_ns())
-        if topic in self._images:
-            self._log.put_image(arrival)
-            self.see(arrival)
-        else:
-            self._enqueue(arrival)
-
-    def put(self, message: Input) -> None:
-        """A measurement of a link that speaks no CDR."""
-        self._enqueue(Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
-
-    def put_own(self, message: Encoded) -> None:
-        """What our own vision was asked and answers: kept until get_own()."""
-        self._own.put(message)
-
-    def get(self, timeout_s: float) -> Arrival | None:
-        """The next message; None when there is none in time, or after wake()."""
-        try:
-            arrival = self._queue.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
-        if arrival is not None:
-            self._got_bytes += len(arrival.data)
-        return arrival
-
-    def get_own(self) -> Arrival | None:
-        """The next message of our own vision, which arrives now; None when there is none."""
-        try:
-            return Arrival(*self._own.get_nowait(), self._clock.now_ns(), own=True)
-        except queue.Empty:
-            return None
-
-    def wake(self) -> None:
-        """Let get() return at once; safe in a signal handler."""
-        self._queue.put(None)
-
-    def report(self) -> dict[str, int]:
-        """For the status. lost_inputs: what came faster than it could be handled for so long that memory was at stake."""
-        return {"waiting": len(self), "lost_inputs": self._lost}
-
-    def __len__(self) -> int:
-        return self._queue.qsize() + self._own.qsize()
-
-    def _enqueue(self, arrival: Arrival) -> None:
-        with self._putting:
-            if self._put_bytes - self._got_bytes > _MOST_WAITING:
-                self._lost += 1
-                return
-            self._put_bytes += len(arrival.data)
-        self._queue.put(arrival)
-
-
-def _look_away(_: Arrival) -> None:
-    """There is no vision."""
-
-
 class Daemon:
-    """The loop and what it drives. alive(): called at every tick, for the watchdog; remember(output): for a restart."""
+    """The loop and what it drives.
+
+    alive(): called at every tick while estimates, or a known reason for none, come out; for the watchdog. remember(output): for a
+    restart.
+    """
 
     def __init__(
         self,
@@ -212,9 +146,10 @@ class Daemon:
 
     def _tick(self) -> None:
         """Tell the estimator the time, unless messages wait that came before it; and everybody how we are."""
-        self._alive()
         self._take_own()  # no IMU sample may come for it
         now_ns = self._clock.now_ns()
+        if self._status.works(now_ns):
+            self._alive()
         if not len(self.mailbox):
             self.take(Arrival(*encode_input(Tick(now_ns, now_ns)), now_ns))
         if report := self._status.report(now_ns):

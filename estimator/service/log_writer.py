@@ -2,7 +2,8 @@
 
 A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
 replay makes again, are left out first, pictures from the oldest on, and inputs only when memory is at stake. When the disk is
-full the flight goes on, the log says so, and begins again in a new file as soon as there is space.
+full the flight goes on, the log says so, and begins again in a new file as soon as there is space. Where somebody deletes, moves
+or replaces the file, a new one begins within a second, and the state counts it.
 """
 
 import contextlib
@@ -58,6 +59,7 @@ class LogState(NamedTuple):
     lost_inputs: int
     dropped_outputs: int
     dropped_images: int
+    removed_files: int  # deleted, moved or replaced by somebody while they were written
 
 
 class _Item(NamedTuple):
@@ -83,6 +85,7 @@ class LogWriter:
         self._put_bytes = self._taken_bytes = 0  # each is changed by one thread only
         self._image_lock, self._image_bytes, self._taken_image_bytes = threading.Lock(), 0, 0
         self._lost_inputs = self._dropped_outputs = self._dropped_images = 0
+        self._removed_files = 0
         self._unflushed: list[_Item] = []  # written, but not yet safe: a full disk tears it off
         self._state, self._problem = "recording", ""
         self._recorder: Recorder | None = None
@@ -132,7 +135,7 @@ class LogWriter:
         """How it is doing."""
         file = str(self._recorder.path) if self._recorder else ""
         state = f"{self._state}: {self._problem}" if self._problem else self._state
-        drops = self._lost_inputs, self._dropped_outputs, self._dropped_images
+        drops = self._lost_inputs, self._dropped_outputs, self._dropped_images, self._removed_files
         return LogState(state, file, self._written, self.waiting_bytes, *drops)
 
     def report(self) -> dict[str, Any]:
@@ -201,6 +204,11 @@ class LogWriter:
         if now_s - self._space_s < _SPACE_EVERY_S:
             return
         self._space_s = now_s
+        if not recorder.is_in_place:
+            self._removed_files += 1
+            self._end_file()
+            self._begin_file(now_s)
+            return
         if _free_mb(recorder.path.parent) < config.least_free_mb:
             self._flush(recorder, now_s)
             self._end_file()

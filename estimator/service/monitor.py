@@ -89,7 +89,9 @@ class View:
             table.add_row("on Earth", f"{lat:.6f}°  {lon:.6f}°  {alt:.1f} m")
         table.add_row("estimates", f"{self._rate_hz():.0f} Hz, {health.get('reset_counter', '?')} resets")
         if detail := health.get("detail"):
-            table.add_row("says", Text(detail, style="yellow"))
+            table.add_row("says", Text(detail, style="bold red" if "internal error" in detail else "yellow"))
+        if (defects := health.get("counts internal", "0")) != "0":
+            table.add_row("internal errors", Text(defects, style="bold red"))
         return Panel(table, title="landfix", title_align="left", width=_WIDTH)
 
     def _sources(self) -> Panel:
@@ -127,6 +129,12 @@ class View:
         for name, text, well in _links(d):
             table.add_row(name, Text(text, style="" if well else "yellow"))
         table.add_row("running", f"{float(d.get('uptime_s', '0')):.0f} s, {d.get('zenoh links', '0')} others on the bus")
+        if failed := d.get("estimator"):
+            table.add_row("estimator", Text(failed, style="bold red"))
+        if (removed := d.get("log removed_files", "0")) != "0":
+            table.add_row("", Text(f"{removed} log files were removed while they were written", style="red"))
+        for topic, count in ((key.removeprefix("inbox dropped "), n) for key, n in d.items() if key.startswith("inbox dropped ")):
+            table.add_row("flooded", Text(f"{topic}: {count} messages dropped", style="red"))
         if defect := d.get("internal_error"):
             table.add_row("internal errors", Text(f"{d['internal_errors']}, the last: {defect}", style="red"))
         return Panel(table, title="daemon", title_align="left", width=_WIDTH)

@@ -15,9 +15,10 @@ from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
 from estimator.service import state_file
 from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
-from estimator.service.daemon import Daemon, Mailbox, ServiceConfig
+from estimator.service.daemon import Daemon, ServiceConfig
 from estimator.service.handover import AutopilotConfig, Handover, Px4Config
 from estimator.service.log_writer import LogConfig, LogWriter
+from estimator.service.mailbox import Mailbox
 from estimator.service.mavlink_config import MavlinkConfig
 from estimator.service.ports import Arrival, Outbox
 from estimator.service.px4_link import Px4Link
@@ -40,6 +41,7 @@ from models.messages import Output
 if TYPE_CHECKING:
     from estimator.service.mavlink_link import MavlinkLink
 
+_STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2)
 _SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop must not wait 5 ms for the log
 
 
@@ -111,7 +113,7 @@ def assembled(
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
-        mailbox = Mailbox(clock, log, images, config.mounting())
+        mailbox = Mailbox(clock, log, images, config.inputs.imu, config.mounting())
         parts = {"clock": stamps.report, "log": log.report, "inbox": mailbox.report}
         if keeper:
             parts["state"] = keeper.report
@@ -269,8 +271,12 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) ->
 
 @contextmanager
 def _until_signalled(daemon: Daemon) -> Iterator[None]:
-    """SIGTERM and SIGINT stop the daemon; threads give way quickly, and what lives as long as we do is not garbage."""
-    before = {s: signal.signal(s, lambda *_: daemon.stop()) for s in (signal.SIGTERM, signal.SIGINT)}
+    """The signals that end a program stop the daemon, so that its log is whole; one that was ignored before (nohup) stays so.
+
+    Threads give way quickly, and what lives as long as we do is not garbage.
+    """
+    heeded = [s for s in _STOP_SIGNALS if signal.getsignal(s) is not signal.SIG_IGN]
+    before = {s: signal.signal(s, lambda *_: daemon.stop()) for s in heeded}
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()

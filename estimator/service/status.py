@@ -11,12 +11,14 @@ from estimator.service.clock import SECOND_NS
 from logs import schemas
 from logs.codec import Encoded
 from logs.schemas import STORE
-from models.messages import AidStatus, Estimate, Health, Input, Output, Tick, Unusable
+from models.messages import AidStatus, Estimate, Health, ImuSample, Input, Mode, Output, Reason, Tick, Unusable
 
 TOPIC: Final = "/landfix/daemon"
 _PERIOD_NS: Final = SECOND_NS
 _RECENT: Final = 4096  # estimates whose latency is remembered
-_OK, _WARN = 0, 1
+_OK, _WARN, _ERROR = 0, 1, 2
+_SILENT_NS: Final = 3 * SECOND_NS  # without an estimate, or a known reason for none: the estimator has failed
+_NO_ESTIMATE: Final = "no estimate, and no known reason for it: the estimator has failed"
 
 
 class Status:
@@ -31,6 +33,7 @@ class Status:
         self._defects, self._defect = 0, ""
         self.unbelieved = 0  # messages whose stamps are of no known clock
         self._health: Health | None = None
+        self._sane_ns = self._imu_ns = began_ns  # last estimate, or known reason for none; last IMU sample
         self._values: dict[str, str] = {}
 
     @property
@@ -42,6 +45,10 @@ class Status:
         """One input was handled, and what it led to is sent."""
         topic = message.topic
         self._counts[topic] = self._counts.get(topic, 0) + 1
+        if isinstance(message, ImuSample):
+            self._imu_ns = now_ns
+        if self._explains(message, outputs):
+            self._sane_ns = now_ns
         if isinstance(message, Unusable):
             self._totals["unusable"] = self._totals.get("unusable", 0) + 1
         for output in outputs:
@@ -53,6 +60,20 @@ class Status:
             elif isinstance(output, AidStatus):
                 reason = f"{output.topic} {output.reason}"
                 self._totals[reason] = self._totals.get(reason, 0) + 1
+
+    def works(self, now_ns: int) -> bool:
+        """Whether estimates come out, or the reason for none is known (no IMU samples, or what Health or a refusal says)."""
+        return now_ns - self._sane_ns <= _SILENT_NS or now_ns - self._imu_ns > _SILENT_NS
+
+    def _explains(self, message: Input, outputs: Sequence[Output]) -> bool:
+        """Whether an IMU sample, or a tick that took its place, led to an estimate or to a known reason for none."""
+        for output in outputs:
+            if isinstance(output, AidStatus) and output.reason is Reason.INTERNAL:
+                return False
+            if isinstance(output, Estimate) or (isinstance(message, ImuSample) and isinstance(output, AidStatus | Health)):
+                return True
+        waits = self._health is not None and self._health.mode in {Mode.STARTING, Mode.ALIGNING}
+        return waits and isinstance(message, ImuSample)
 
     def note_defect(self, detail: str) -> None:
         """Something happened that cannot happen."""
@@ -67,6 +88,8 @@ class Status:
         values: dict[str, Any] = {"uptime_s": f"{(now_ns - self._began_ns) * 1e-9:.0f}"}
         values |= {f"rate_hz {topic}": f"{n / period_s:.1f}" for topic, n in sorted(self._counts.items())}
         values["unbelieved_stamps"] = self.unbelieved
+        if not self.works(now_ns):
+            values["estimator"] = _NO_ESTIMATE
         if self._defects:
             values |= {"internal_errors": self._defects, "internal_error": self._defect}
         values |= self._latencies()
@@ -96,12 +119,17 @@ class Status:
 
 def _troubles(values: Mapping[str, str]) -> Iterator[str]:
     """What somebody should look at."""
+    if "estimator" in values:
+        yield values["estimator"]
     if values.get("log state", "recording") not in {"recording", "off"}:
         yield f"log {values['log state']}"
     if values.get("state file", "kept") != "kept":
         yield f"state file: {values['state file']}"
+    if values.get("log removed_files", "0") != "0":
+        yield f"{values['log removed_files']} log files were removed while they were written"
     if any(key.endswith("lost_inputs") and value != "0" for key, value in values.items()):
-        yield "inputs are lost"
+        flooded = ", ".join(key.removeprefix("inbox dropped ") for key in values if key.startswith("inbox dropped "))
+        yield f"inputs are lost: more came than can be handled of {flooded}" if flooded else "inputs are lost"
     if "internal_error" in values:
         yield f"internal error: {values['internal_error']}"
 
@@ -115,7 +143,7 @@ def _diagnostics(t_ns: int, values: Mapping[str, str]) -> Encoded:
     header: Any = types[schemas.HEADER]
     stamp: Any = types["builtin_interfaces/msg/Time"]
     array: Any = types[schemas.DIAGNOSTICS]
-    level = _WARN if troubles else _OK
+    level = _ERROR if "estimator" in values else _WARN if troubles else _OK
     entry = status(level=level, name="landfix daemon", message=troubles or "running", hardware_id="", values=pairs)
     sec, nanosec = divmod(t_ns, SECOND_NS)
     message = array(header=header(stamp=stamp(sec=sec, nanosec=nanosec), frame_id=""), status=[entry])
