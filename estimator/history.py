@@ -72,7 +72,7 @@ class History:
         if sample.t_ns > self.samples.newest_ns:
             before_ns = self.samples.newest_ns
             self.samples.insert(sample)
-            if self.tracker.t_ns > before_ns:  # the IMU was missing and the tracker has coasted
+            if self._checkpoint_times[0] <= before_ns < self.tracker.t_ns:  # the IMU was missing and the tracker has coasted
                 self._rewind_to(before_ns + 1)
             return None
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits

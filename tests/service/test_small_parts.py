@@ -1,6 +1,7 @@
 """Keys and attachments, the word to systemd, the file with the last state."""
 
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from estimator.service.zenoh_config import SecurityConfig, access_control
 from logs import schemas
 from logs.codec import Decoder, ImuMounting, encode_input, type_hash
 from logs.schemas import STORE
-from models.messages import Checkpoint, Estimate, Health, ImuSample, LastGnss, Mode
+from models.messages import AidStatus, Checkpoint, Estimate, Health, ImuSample, LastGnss, Mode, Output, Reason, Tick
 from tests.service.flying import until
 
 T0 = 1_795_000_000_000_000_000
@@ -147,12 +148,59 @@ def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest
         ("log", {"state": "recording", "lost_inputs": 3}, "inputs are lost"),
         ("inbox", {"waiting": 7, "lost_inputs": 0}, "running"),
         ("inbox", {"waiting": 7, "lost_inputs": 1}, "inputs are lost"),
+        ("inbox", {"lost_inputs": 9, "dropped /gnss": 9}, "inputs are lost: more came than can be handled of /gnss"),
+        ("log", {"state": "recording", "removed_files": 2}, "2 log files were removed while they were written"),
         ("state", {"file": "kept"}, "running"),
         ("state", {"file": "Permission denied"}, "state file: Permission denied"),
     ],
 )
 def test_what_somebody_should_look_at_is_a_warning(name: str, values: dict[str, object], said: str) -> None:
     assert _said(Status(T0, {name: lambda: values})) == (0 if said == "running" else 1, said)
+
+
+def _after(seconds: float, outputs: Sequence[Output], *, imu: bool = True) -> Status:
+    """Estimates come out for a second; then, for so long, each IMU sample leads to these outputs."""
+    status = Status(T0, {})
+    for k in range(round(100 * (1.0 + seconds))):
+        now_ns = T0 + k * 10_000_000
+        sample = ImuSample(now_ns, now_ns, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8))
+        if k < 100:
+            status.note(sample, [_estimate(now_ns)], now_ns)
+        elif imu:
+            status.note(sample, outputs, now_ns)
+        else:
+            status.note(Tick(now_ns, now_ns), outputs, now_ns)
+    return status
+
+
+_INTERNAL = AidStatus(T0, T0, "/imu", "ImuSample", Reason.INTERNAL, detail="internal error: IndexError")
+_FUTURE = AidStatus(T0, T0, "/imu", "ImuSample", Reason.IN_FUTURE)
+_ALIGNING = Health(T0, T0, Mode.ALIGNING, 0.0, 1.0, 1.0, 0, {}, {}, 0, detail="waiting for a position")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "imu", "works"),
+    [
+        ([_estimate(T0)], True, True),
+        ([_INTERNAL], True, False),
+        ([_INTERNAL, _ALIGNING], True, False),
+        ([], True, False),  # the mode was never said to be one without estimates
+        ([_ALIGNING], True, True),
+        ([_FUTURE], True, True),
+        ([], False, True),  # no IMU: that is the reason
+    ],
+)
+def test_the_watchdog_is_fed_while_estimates_or_a_known_reason_for_none_come_out(
+    outputs: list[Output], imu: bool, works: bool
+) -> None:
+    now_ns = T0 + 9 * 1_000_000_000
+    status = _after(8.0, outputs, imu=imu)
+    assert status.works(now_ns) is works
+    assert _after(2.0, outputs, imu=imu).works(T0 + 3 * 1_000_000_000), "not at once"
+    report = status.report(now_ns)
+    assert report is not None
+    message: Any = STORE.deserialize_cdr(report.data, report.schema)
+    assert message.status[0].level == (0 if works else 2)
 
 
 def test_a_defect_is_a_warning() -> None:

@@ -116,7 +116,7 @@ def _estimates(folder: Path) -> int:
     return len(odometry(files[-1])) if files else 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])  # of systemd, and of a terminal that is closed
 def test_told_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: signal.Signals) -> None:
     port = free_port()
     text = toml(tmp_path, port)
