@@ -18,7 +18,7 @@ from estimator.doctor import Check, judge
 from estimator.service.mavlink_config import Serial, address_of, signing_key
 from estimator.service.mavlink_inputs import Inputs
 from estimator.service.recovery import FolderError, claim
-from estimator.service.zenoh_config import is_local, session_config
+from estimator.service.zenoh_config import Endpoint, is_local, session_config
 from estimator.service.zenoh_keys import plain_key
 from estimator.strict_toml import ConfigError
 
@@ -96,12 +96,11 @@ def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
 
 def _refused(endpoint: str) -> OSError | None:
     """Why a Zenoh endpoint cannot be listened on; None where it can, or is of a kind that is not tried."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("#")[0].rpartition(":")
+    protocol, host, port, _ = Endpoint.of(endpoint)
     kinds = {"tcp": socket.SOCK_STREAM, "tls": socket.SOCK_STREAM, "udp": socket.SOCK_DGRAM, "quic": socket.SOCK_DGRAM}
     if protocol not in kinds or not port.isdecimal():
         return None
-    return _bound(host.strip("[]"), int(port), kinds[protocol])
+    return _bound(host, int(port), kinds[protocol])
 
 
 def _bound(host: str, port: int, kind: socket.SocketKind) -> OSError | None:
@@ -127,11 +126,10 @@ def _port(name: str, endpoint: str, flaw: OSError | None, good: str) -> Check:
 
 def _answers(endpoint: str) -> bool:
     """Whether somebody accepts a connection; True for kinds that are not tried."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("#")[0].rpartition(":")
+    protocol, host, port, _ = Endpoint.of(endpoint)
     if protocol not in {"tcp", "tls"} or not port.isdecimal():
         return True
-    with suppress(OSError), socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S):
+    with suppress(OSError), socket.create_connection((host, int(port)), timeout=_ANSWER_S):
         return True
     return False
 
