@@ -33,10 +33,10 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
     gnss_quiet_s: Annotated[
-        float, Meta(ge=0, description="s: its own GNSS must not have been fused for so long before a fix goes out")
+        float, Meta(ge=0, le=1e6, description="s: its own GNSS must not have been fused for so long before a fix goes out")
     ] = 5.0
     odometry_hz: Annotated[
-        float, Meta(gt=0, le=50, description="Hz: rate of the odometry; PX4 needs more than 5, ArduPilot 4 to 50")
+        float, Meta(ge=0.01, le=50, description="Hz: rate of the odometry; PX4 needs more than 5, ArduPilot 4 to 50")
     ] = 30.0
 
 

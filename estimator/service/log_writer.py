@@ -37,15 +37,19 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     enabled: Annotated[bool, Meta(description="whether anything is recorded")] = True
     folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
-    rotate_mb: Annotated[float, Meta(gt=0, description="MB: a file that has grown so large is followed by another")] = 4000.0
-    rotate_min: Annotated[float, Meta(gt=0, description="min: a file that is so old is followed by another")] = 120.0
-    keep_gb: Annotated[float, Meta(ge=0, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
-    least_free_mb: Annotated[float, Meta(ge=0, description="MB: with less free the log pauses, for the sake of the system")] = (
-        200.0
-    )
-    sync_s: Annotated[float, Meta(ge=0, description="s: between writes that outlive a power cut; 0: left to the system")] = 5.0
+    rotate_mb: Annotated[
+        float, Meta(ge=1e-3, le=1e9, description="MB: a file that has grown so large is followed by another")
+    ] = 4000.0
+    rotate_min: Annotated[float, Meta(ge=1e-3, le=1e6, description="min: a file that is so old is followed by another")] = 120.0
+    keep_gb: Annotated[float, Meta(ge=0, le=1e6, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
+    least_free_mb: Annotated[
+        float, Meta(ge=0, le=1e9, description="MB: with less free the log pauses, for the sake of the system")
+    ] = 200.0
+    sync_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: between writes that outlive a power cut; 0: left to the system")
+    ] = 5.0
     images: Annotated[bool, Meta(description="whether pictures are recorded")] = True
-    image_queue_mb: Annotated[float, Meta(gt=0, description="MB: pictures that may wait for the disk")] = 64.0
+    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: pictures that may wait for the disk")] = 64.0
 
 
 class LogState(NamedTuple):
