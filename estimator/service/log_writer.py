@@ -19,6 +19,7 @@ import msgspec
 from msgspec import Meta
 
 from estimator.service.ports import Arrival
+from estimator.service.recovery import FILE_MODE, FOLDER_MODE
 from logs.codec import Encoded
 from logs.reader import Attachment, LogError
 from logs.recorder import Recorder
@@ -216,11 +217,12 @@ class LogWriter:
 
     def _begin_file(self, now_s: float) -> None:
         path = self._name(self._number)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
         self._thin_out(path.parent)
         if _free_mb(path.parent) < self._config.least_free_mb:
             self._pause(now_s)
             return
+        path.touch(FILE_MODE)
         self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
         for attachment in self._attachments:
             self._recorder.attach(attachment.name, attachment.media_type, attachment.data)

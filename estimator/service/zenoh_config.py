@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from estimator.service.loopback import is_loopback
-from estimator.service.secret_file import read_secret
+from estimator.service.secret_file import check_secret, read_secret
 from estimator.strict_toml import ConfigError
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
         settings |= {
             "transport/link/tls/root_ca_certificate": _file(folder, security.ca_file),
             "transport/link/tls/connect_certificate": _file(folder, security.certificate_file),
-            "transport/link/tls/connect_private_key": _file(folder, security.key_file),
+            "transport/link/tls/connect_private_key": _secret(folder, "key_file", security.key_file),
             "transport/link/tls/enable_mtls": True,
         }
     return settings
@@ -215,10 +215,10 @@ def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], o
     """Who may come, and what they may do."""
     settings: dict[str, Any] = {}
     if security.users_file:
-        settings["transport/auth/usrpwd/dictionary_file"] = _file(folder, security.users_file)
+        settings["transport/auth/usrpwd/dictionary_file"] = _secret(folder, "users_file", security.users_file)
     if security.certificate_file and security.key_file:
         settings["transport/link/tls/listen_certificate"] = _file(folder, security.certificate_file)
-        settings["transport/link/tls/listen_private_key"] = _file(folder, security.key_file)
+        settings["transport/link/tls/listen_private_key"] = _secret(folder, "key_file", security.key_file)
     if security.feeders or security.listeners:
         settings["access_control"] = access_control(security, inputs, outputs)
         settings["transport/shared_memory/enabled"] = False  # a way around the access control
@@ -262,3 +262,10 @@ def _file(folder: Path, name: str) -> str:
     if not path.is_file():
         raise ConfigError(f"[zenoh.security] {path}: no such file; paths count from the configuration's folder")
     return str(path)
+
+
+def _secret(folder: Path, key: str, name: str) -> str:
+    """A file that Zenoh reads itself, and that nobody else may."""
+    path = _file(folder, name)
+    check_secret(f"zenoh.security.{key}", Path(path))
+    return path

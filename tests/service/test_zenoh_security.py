@@ -146,6 +146,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_users_are_let_in_by_password_and_may_do_what_they_are_named_for(tmp_path: Path) -> None:
     port = free_port()
     (tmp_path / "users").write_text(_USERS)
+    (tmp_path / "users").chmod(0o600)
     text = toml(tmp_path, port) + '[zenoh.security]\nusers_file = "users"\nfeeders = ["alice"]\nlisteners = ["alice", "bob"]\n'
     with in_thread(parse(text), tmp_path):
         with pytest.raises(zenoh.ZError), client(port):
@@ -239,6 +240,7 @@ def _with(folder: Path, name: str) -> dict[str, object]:
 
 def test_the_configuration_that_is_logged_holds_no_password(tmp_path: Path) -> None:
     (tmp_path / "password").write_text("secret\n")
+    (tmp_path / "password").chmod(0o600)
     config = parse('[zenoh.security]\nuser = "landfix"\npassword_file = "password"')
     assert isinstance(config, Config)
     assert "secret" not in config.toml()
