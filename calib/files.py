@@ -17,6 +17,7 @@ __all__ = ["CalibrationError", "Format", "load_camera", "load_rig", "save_camera
 
 _LONGEST_BASELINE_M = 20.0  # of a rig on a vehicle; a larger number is in millimetres
 _SHORTEST_BASELINE_M = 1e-3
+_MOST_BYTES = 1_000_000
 
 
 class Format(StrEnum):
@@ -133,7 +134,11 @@ def _is_opencv(text: str) -> bool:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise CalibrationError(f"{path}: is larger than {_MOST_BYTES:_} bytes: no rig or camera file")
+        return data.decode("utf-8")
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such file") from None
     except (UnicodeDecodeError, IsADirectoryError):

@@ -5,6 +5,9 @@ A rig: image_width, image_height, M1, D1, M2, D2, R, T (x_r = R @ x_c + T, metre
 covariance_RT, R_body, T_body, covariance_body, time_offset_s].
 """
 
+import re
+from xml.parsers import expat
+
 import cv2
 import numpy as np
 
@@ -14,6 +17,10 @@ from models.camera import CameraModel, StereoRig
 from models.messages import Array
 from vision.rectify import rectification
 
+_DEEPEST = 100  # levels of nesting; OpenCV's parser calls itself for each, and some ten thousand end the process
+_JSON = re.compile(r'"(?:[^"\\\n]|\\.)*"|(?P<open>[\[{])|(?P<close>[\]}])')
+_YAML = re.compile(_JSON.pattern + "|#.*")
+_OPENING = re.compile(r"[:?!]|-(?!\.?\d)")  # what opens a level of block YAML within a line; signs of numbers do not
 _COUNTS = (0, 4, 5, 8)  # distortion coefficients that CameraModel takes
 
 
@@ -116,10 +123,42 @@ def _put_camera(storage: cv2.FileStorage, camera: CameraModel, matrix: str, dist
         storage.write(covariance, camera.covariance)
 
 
+def _deepest(text: str) -> int:
+    """An upper bound of the nesting of XML, YAML or JSON. Raises ExpatError for what is no XML."""
+    depth = deepest = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth, deepest
+        depth += 1
+        deepest = max(deepest, depth)
+
+    def end(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    if text.lstrip().startswith("<"):
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = begin, end
+        parser.Parse(text.strip().encode(), True)
+        return deepest
+    is_json = text.lstrip().startswith("{")
+    for found in (_JSON if is_json else _YAML).finditer(text):
+        if found["open"]:
+            begin()
+        elif found["close"]:
+            end()
+    if is_json:
+        return deepest
+    lines = text.splitlines()
+    return deepest + max((len(line) - len(line.lstrip()) + len(_OPENING.findall(line)) for line in lines), default=0)
+
+
 def _open(text: str, where: str) -> cv2.FileStorage:
     try:
+        if _deepest(text) > _DEEPEST:
+            raise CalibrationError(f"{where}: is nested more than {_DEEPEST} levels deep: no rig or camera file")
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError):
+    except (cv2.error, SystemError, expat.ExpatError):
         raise CalibrationError(f"{where}: no valid OpenCV file (torn, or not XML/YAML)") from None
     version = storage.getNode("version")
     if not version.empty() and version.real() > VERSION:

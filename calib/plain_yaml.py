@@ -18,6 +18,8 @@ def parse(text: str, where: str) -> dict[str, Any]:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark is not None else ""
         raise CalibrationError(f"{where}: no valid YAML{line}: {getattr(error, 'problem', None) or 'cannot be read'}") from None
+    except RecursionError:
+        raise CalibrationError(f"{where}: no valid YAML: it is nested too deeply") from None
     if not isinstance(value, dict):
         raise CalibrationError(f"{where}: expected a YAML mapping of names to values")
     return value

@@ -15,7 +15,7 @@ from models import so3
 from models.messages import Array
 from models.state import E, X
 
-_Speed: TypeAlias = Annotated[float, Meta(gt=0, le=2000)]
+_Speed: TypeAlias = Annotated[float, Meta(ge=0.1, le=2000)]
 _Height: TypeAlias = Annotated[float, Meta(ge=-12_000, le=100_000)]
 Vehicle: TypeAlias = Literal["any", "multirotor", "fixed_wing", "rover", "boat"]
 

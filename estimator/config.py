@@ -26,6 +26,7 @@ from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.strict_toml import ConfigError
 from estimator.vision_requests import PictureFile, VisionConfig
 from logs.codec import Decoder, ImuMounting, Topics
+from models import toml_text
 from models.imu import Coast, ImuNoise
 
 __all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
@@ -85,15 +86,19 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str | None,
         Meta(description="orthophoto or satellite picture, GeoTIFF or with a world file, relative to the configuration"),
     ] = None
-    picture_sigma_m: Annotated[float, Meta(ge=0, description="m: how far it may lie from its place, per axis")] = 1.0
+    picture_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: how far it may lie from its place, per axis")] = 1.0
     picture_height_m: Annotated[
         _Height | None, Meta(description="m: of its ground above the ellipsoid; none: the origin's height")
     ] = None
-    picture_height_sigma_m: Annotated[float, Meta(ge=0, description="m: how well the height of its ground is known")] = 2.0
+    picture_height_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: how well the height of its ground is known")] = (
+        2.0
+    )
     picture_heights: Annotated[
         str | None, Meta(description="GeoTIFF or picture with a world file: heights [m] of its ground above the ellipsoid")
     ] = None
-    picture_epsg: Annotated[int, Meta(ge=0, description="coordinate system of the picture where it does not tell")] = 0
+    picture_epsg: Annotated[
+        int, Meta(ge=0, le=999_999, description="coordinate system of the picture where it does not tell")
+    ] = 0
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -189,11 +194,12 @@ def load(path: Path | None) -> Config:
 def read(path: Path) -> Config:
     """What stands in the file; none of the files that it names is looked at. Raises ConfigError, as load does."""
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            text = toml_text.decode(file.read(toml_text.MOST_BYTES + 1))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not a text file") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
     return parse(text, str(path))
 
 

@@ -18,14 +18,14 @@ from estimator.doctor import Check, judge
 from estimator.service.mavlink_config import Serial, address_of, signing_key
 from estimator.service.mavlink_inputs import Inputs
 from estimator.service.recovery import FolderError, claim
-from estimator.service.zenoh_config import is_local, session_config
+from estimator.service.zenoh_config import Endpoint, is_local, session_config
 from estimator.service.zenoh_keys import plain_key
 from estimator.strict_toml import ConfigError
 
 _ANSWER_S: Final = 1.0
 _ANY_KEY: Final = "landfix/doctor"  # which keys may be read is not what is asked here
 _OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
-_READERS: Final = stat.S_IRGRP | stat.S_IROTH
+_ANYBODY: Final = stat.S_IRWXO
 _ADVICE: Final = {
     errno.EADDRINUSE: "another program has it: a landfix that runs already?",
     errno.EADDRNOTAVAIL: "this computer has no such address now: mend it, or bring its interface up",
@@ -91,17 +91,16 @@ def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
         )
     for name in ("users_file", "password_file", "key_file"):
         if given := getattr(config.security, name):
-            yield _secret(f"zenoh.security.{name}", folder / given)
+            yield judge(f"zenoh.security.{name}", f"{folder / given}: for its owner only")
 
 
 def _refused(endpoint: str) -> OSError | None:
     """Why a Zenoh endpoint cannot be listened on; None where it can, or is of a kind that is not tried."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("#")[0].rpartition(":")
+    protocol, host, port, _ = Endpoint.of(endpoint)
     kinds = {"tcp": socket.SOCK_STREAM, "tls": socket.SOCK_STREAM, "udp": socket.SOCK_DGRAM, "quic": socket.SOCK_DGRAM}
     if protocol not in kinds or not port.isdecimal():
         return None
-    return _bound(host.strip("[]"), int(port), kinds[protocol])
+    return _bound(host, int(port), kinds[protocol])
 
 
 def _bound(host: str, port: int, kind: socket.SocketKind) -> OSError | None:
@@ -127,11 +126,10 @@ def _port(name: str, endpoint: str, flaw: OSError | None, good: str) -> Check:
 
 def _answers(endpoint: str) -> bool:
     """Whether somebody accepts a connection; True for kinds that are not tried."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("#")[0].rpartition(":")
+    protocol, host, port, _ = Endpoint.of(endpoint)
     if protocol not in {"tcp", "tls"} or not port.isdecimal():
         return True
-    with suppress(OSError), socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S):
+    with suppress(OSError), socket.create_connection((host, int(port)), timeout=_ANSWER_S):
         return True
     return False
 
@@ -156,13 +154,7 @@ def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
     else:
         yield judge("mavlink.endpoint", f"{config.endpoint}: landfix begins to talk")
     if key is not None:
-        yield _secret("mavlink.signing_key_file", folder / config.signing_key_file)
-
-
-def _secret(name: str, file: Path) -> Check:
-    """A file that nobody else should read."""
-    shared = bool(file.stat().st_mode & _READERS)
-    return judge(name, str(file), warn=shared, advice=f"whoever reads it can fly the vehicle: chmod 600 {file}")
+        yield judge("mavlink.signing_key_file", f"{folder / config.signing_key_file}: for its owner only")
 
 
 def _device(path: Path) -> Check:
@@ -205,6 +197,9 @@ def _log(config: Config) -> Iterator[Check]:
     if config.service.state_file and state.parent != folder and not os.access(state.parent, os.W_OK):
         advice = "without it a restart begins from nothing: name a file, it is kept beside the logs"
         yield judge("service.state_file", f"{state}: cannot be written", warn=True, advice=advice)
+    if existing == folder and folder.stat().st_mode & _ANYBODY:
+        advice = f"they show where the vehicle flew: chmod 750 {folder}"
+        yield judge("log.permissions", f"{folder}: anybody on this machine may read the logs", warn=True, advice=advice)
     advice = f"the log pauses below {config.log.least_free_mb:.0f} MB: delete old ones, or set [log] keep_gb"
     yield judge("log.folder", found, fail=free < least, warn=free < 10.0 * least, advice=advice)
 

@@ -47,14 +47,16 @@ _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of 
 class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[estimator]: how far back it looks, and how it speaks."""
 
-    history_s: Annotated[float, Meta(gt=0, le=60, description="s: measurements may be late by this much")] = 6.0
+    history_s: Annotated[float, Meta(ge=0.01, le=60, description="s: measurements may be late by this much")] = 6.0
     dead_reckoning_after_s: Annotated[
-        float, Meta(gt=0, description="s: without an absolute position the mode is dead_reckoning")
+        float, Meta(ge=1e-3, le=1e6, description="s: without an absolute position the mode is dead_reckoning")
     ] = 3.0
-    health_hz: Annotated[float, Meta(gt=0, le=10, description="Hz: rate of /landfix/health")] = 2.0
-    future_s: Annotated[float, Meta(gt=0, description="s: a stamp may run ahead of its stream's clock by this much")] = 1.0
+    health_hz: Annotated[float, Meta(ge=0.01, le=10, description="Hz: rate of /landfix/health")] = 2.0
+    future_s: Annotated[
+        float, Meta(ge=1e-3, le=3600, description="s: a stamp may run ahead of its stream's clock by this much")
+    ] = 1.0
     reset_sigma: Annotated[
-        float, Meta(gt=0, description="a jump larger than this many standard deviations is told as a reset")
+        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is told as a reset")
     ] = 5.0
 
 

@@ -39,16 +39,26 @@ _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[initialise]: what is assumed before anything is known, and what must be known before anything is said."""
 
-    level_s: Annotated[float, Meta(gt=0, le=5, description="s: of specific force used to level")] = 1.0
-    velocity_sigma_m_s: Annotated[float, Meta(gt=0, description="m/s: of the unknown velocity at the start")] = 10.0
-    gyro_bias_sigma: Annotated[float, Meta(gt=0, description="rad/s: of the gyro bias at the start")] = 0.05
-    accel_bias_sigma: Annotated[float, Meta(gt=0, description="m/s^2: of the accelerometer bias at the start")] = 0.3
-    still_gyro: Annotated[float, Meta(gt=0, description="rad/s: deviation below which the vehicle may be at rest")] = 0.02
-    still_accel: Annotated[float, Meta(gt=0, description="m/s^2: deviation below which the vehicle may be at rest")] = 0.3
-    still_rate: Annotated[float, Meta(gt=0, description="rad/s: mean rate below which the vehicle may be at rest")] = 0.15
-    level_moving_deg: Annotated[float, Meta(gt=0, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
-    heading_deg: Annotated[float, Meta(gt=0, description="deg: attitude sigma below which the estimate is aligned")] = 5.0
-    velocity_m_s: Annotated[float, Meta(gt=0, description="m/s: velocity sigma below which the estimate is aligned")] = 3.0
+    level_s: Annotated[float, Meta(ge=0.01, le=5, description="s: of specific force used to level")] = 1.0
+    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: of the unknown velocity at the start")] = 10.0
+    gyro_bias_sigma: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: of the gyro bias at the start")] = 0.05
+    accel_bias_sigma: Annotated[float, Meta(ge=1e-6, le=100, description="m/s^2: of the accelerometer bias at the start")] = 0.3
+    still_gyro: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: deviation below which the vehicle may be at rest")] = (
+        0.02
+    )
+    still_accel: Annotated[
+        float, Meta(ge=1e-6, le=100, description="m/s^2: deviation below which the vehicle may be at rest")
+    ] = 0.3
+    still_rate: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: mean rate below which the vehicle may be at rest")] = (
+        0.15
+    )
+    level_moving_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
+    heading_deg: Annotated[
+        float, Meta(ge=0.01, le=180, description="deg: attitude sigma below which the estimate is aligned")
+    ] = 5.0
+    velocity_m_s: Annotated[
+        float, Meta(ge=1e-3, le=1000, description="m/s: velocity sigma below which the estimate is aligned")
+    ] = 3.0
 
 
 @dataclass(frozen=True, slots=True)

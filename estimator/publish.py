@@ -27,10 +27,12 @@ def file_attachment(kind: str, path: Path) -> Attachment:
 class OutputConfig(msgspec.Struct, frozen=True):
     """How often what is published."""
 
-    rate_hz: Annotated[float, Meta(ge=0, description="/landfix/odometry at most this often; 0: one per IMU sample")] = 0.0
-    slow_rate_hz: Annotated[float, Meta(gt=0, le=30, description="/landfix/pose, /tf and /landfix/global at most this often")] = (
-        30.0
-    )
+    rate_hz: Annotated[
+        float, Meta(ge=0, le=10_000, description="/landfix/odometry at most this often; 0: one per IMU sample")
+    ] = 0.0
+    slow_rate_hz: Annotated[
+        float, Meta(ge=0.01, le=30, description="/landfix/pose, /tf and /landfix/global at most this often")
+    ] = 30.0
     overlay_hz: Annotated[
         float, Meta(ge=0, le=30, description="Hz: /landfix/overlay at most this often, drawn while somebody subscribes; 0: never")
     ] = 2.0

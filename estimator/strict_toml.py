@@ -9,17 +9,22 @@ import difflib
 import json
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import msgspec.inspect as mi
 
+from models import toml_text
+
 T = TypeVar("T", bound=msgspec.Struct)
 
 _UNITS = {"s": "s", "ms": "ms", "ns": "ns", "m": "m", "mps": "m/s", "mps2": "m/s^2", "deg": "deg", "dps": "deg/s", "rad": "rad",
           "hz": "Hz", "px": "px", "pa": "Pa", "m2": "m^2"}  # fmt: skip
+
+
+_SMALLEST = 1e-12  # of what is not 0: of no quantity here less is meant, and its inverse would overflow
+_LARGEST = 2**53  # of whole numbers, which a float holds
 
 
 class ConfigError(ValueError):
@@ -39,14 +44,12 @@ class Key(NamedTuple):
 def decode(kind: type[T], text: str, name: str) -> T:
     """The struct `kind` from TOML text; `name` is what the user calls the text. Raises ConfigError."""
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{name}: not valid TOML: {error}") from None
-    try:
+        table = toml_text.table(text)
         checked = _checked(_struct(mi.type_info(kind)), table, "")
-        return msgspec.convert(checked, kind)
-    except ConfigError as error:
+    except ValueError as error:  # ConfigError too
         raise ConfigError(f"{name}: {error}") from None
+    try:
+        return msgspec.convert(checked, kind)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{name}: {_explain(str(error), table)}") from None
 
@@ -93,6 +96,8 @@ def _value(info: mi.Type, value: Any, path: str) -> Any:
     if isinstance(value, dict):
         struct = _nested(info)
         return _checked(struct, value, path) if struct else value
+    if isinstance(value, str) and not value.isprintable():
+        raise ConfigError(f"{path} = {_shown(value)}: holds a character that cannot be printed")
     if isinstance(value, str) and any(isinstance(a, mi.VarTupleType) for a in alternatives):
         return [value]
     if isinstance(value, list):
@@ -100,19 +105,38 @@ def _value(info: mi.Type, value: Any, path: str) -> Any:
         return (
             [_value(t, v, f"{path}[{i}]") for i, (t, v) in enumerate(zip(tuples[0].item_types, value, strict=True))]
             if tuples
-            else value
+            else [_value(_item(alternatives), v, f"{path}[{i}]") for i, v in enumerate(value)]
         )
     choices = [choice for a in alternatives if isinstance(a, mi.LiteralType) for choice in a.values]
     if choices and value not in choices:
-        raise ConfigError(f"{path} = {json.dumps(value, default=str)}: must be one of {', '.join(map(str, choices))}")
+        raise ConfigError(f"{path} = {_shown(value)}: must be one of {', '.join(map(str, choices))}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{path} = {value}: must be a finite number")
+    if isinstance(value, float) and 0.0 < abs(value) < _SMALLEST:
+        raise ConfigError(f"{path} = {value}: must be 0 or at least {_SMALLEST:g} in size")
+    if type(value) is int and abs(value) > _LARGEST:
+        raise ConfigError(f"{path} = {_shown(value)}: must be at most {_LARGEST:_} in size")
     if type(value) is int and any(isinstance(a, mi.FloatType) for a in alternatives):
         return float(value)
     return value
 
 
+def _item(alternatives: tuple[mi.Type, ...]) -> mi.Type:
+    """The type of the items of a list; anything where the field is none."""
+    return next((a.item_type for a in alternatives if isinstance(a, mi.VarTupleType)), mi.AnyType())
+
+
+def _shown(value: Any) -> str:
+    """A value in a message."""
+    try:
+        text = json.dumps(value, default=str)
+    except RecursionError:
+        text = "a nested value"
+    return toml_text.one_line(text, 80)
+
+
 def _unknown(key: str, known: list[str], path: str) -> str:
+    key = toml_text.one_line(key, 80)
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ";"
     where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")
@@ -131,7 +155,7 @@ def _explain(message: str, table: Mapping[str, Any]) -> str:
         elif isinstance(value, list) and index.isdigit():
             value = value[int(index)]
     what = what.replace("`", "")
-    given = "" if isinstance(value, dict) else f" = {json.dumps(value, default=str)}"
+    given = "" if isinstance(value, dict) else f" = {_shown(value)}"
     return f"{path}{given}: {what[:1].lower()}{what[1:]}" if path else what
 
 

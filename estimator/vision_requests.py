@@ -27,15 +27,18 @@ _KEPT: Final = 2000  # estimates: seconds at IMU rate
 class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[vision]: used where [rig] file and [map] landmarks are given."""
 
-    most_hz: Annotated[float, Meta(gt=0, le=100, description="Hz: at most so many pairs are looked at")] = 10.0
+    most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are looked at")] = 10.0
     pair_ms: Annotated[float, Meta(ge=0, le=100, description="ms: stamps of a pair differ by no more")] = 5.0
     patience_ms: Annotated[
         float, Meta(ge=0, le=1000, description="ms: how long one picture waits for the other, then it goes alone")
     ] = 100.0
     replay_latency_ms: Annotated[
-        float, Meta(ge=0, description="ms: how late fixes come in a replay of pictures that were never looked at in flight")
+        float,
+        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of pictures that were never looked at in flight"),
     ] = 50.0
-    timeout_s: Annotated[float, Meta(gt=0, description="s: vision that does not answer for so long is started anew")] = 2.0
+    timeout_s: Annotated[
+        float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
+    ] = 2.0
 
 
 class PictureFile(NamedTuple):

@@ -45,10 +45,14 @@ _LANES = 8  # numbers that a vector register holds
 class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Noise densities and random walks of the IMU as mounted: vibration makes them up to 20 x the data sheet's."""
 
-    gyro_noise: Annotated[float, msgspec.Meta(gt=0, description="rad/s/sqrt(Hz): white noise of the gyroscope")] = 2e-3
-    accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): white noise of the accelerometer")] = 0.1
-    gyro_walk: Annotated[float, msgspec.Meta(gt=0, description="rad/s^2/sqrt(Hz): random walk of the gyro bias")] = 1e-4
-    accel_walk: Annotated[float, msgspec.Meta(gt=0, description="m/s^3/sqrt(Hz): random walk of the accel bias")] = 3e-3
+    gyro_noise: Annotated[float, msgspec.Meta(ge=1e-9, le=10, description="rad/s/sqrt(Hz): white noise of the gyroscope")] = 2e-3
+    accel_noise: Annotated[
+        float, msgspec.Meta(ge=1e-9, le=100, description="m/s^2/sqrt(Hz): white noise of the accelerometer")
+    ] = 0.1
+    gyro_walk: Annotated[float, msgspec.Meta(ge=1e-12, le=1, description="rad/s^2/sqrt(Hz): random walk of the gyro bias")] = 1e-4
+    accel_walk: Annotated[float, msgspec.Meta(ge=1e-12, le=10, description="m/s^3/sqrt(Hz): random walk of the accel bias")] = (
+        3e-3
+    )
     gyro_scale: Annotated[
         float, msgspec.Meta(ge=0, lt=1, description="share of a turn that is wrong: scale and axes of the gyroscope; 0: none")
     ] = 1e-3
@@ -57,10 +61,16 @@ class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The model that carries on when IMU samples are missing."""
 
-    gap_s: Annotated[float, msgspec.Meta(gt=0, description="s: longer gaps between IMU samples are coasted")] = 0.1
-    accel_noise: Annotated[float, msgspec.Meta(gt=0, description="m/s^2/sqrt(Hz): unknown acceleration while coasting")] = 3.0
-    gyro_noise: Annotated[float, msgspec.Meta(gt=0, description="rad/s/sqrt(Hz): unknown turning while coasting")] = 0.3
-    turn_decay_s: Annotated[float, msgspec.Meta(gt=0, description="s: time in which the last turn rate dies away")] = 1.0
+    gap_s: Annotated[float, msgspec.Meta(ge=1e-3, le=60, description="s: longer gaps between IMU samples are coasted")] = 0.1
+    accel_noise: Annotated[
+        float, msgspec.Meta(ge=1e-6, le=1000, description="m/s^2/sqrt(Hz): unknown acceleration while coasting")
+    ] = 3.0
+    gyro_noise: Annotated[float, msgspec.Meta(ge=1e-6, le=100, description="rad/s/sqrt(Hz): unknown turning while coasting")] = (
+        0.3
+    )
+    turn_decay_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1e4, description="s: time in which the last turn rate dies away")] = (
+        1.0
+    )
 
 
 # Layout of the constants that the kernels read, one float array.

@@ -37,7 +37,7 @@ def command(
     from models.sim.scenario import simulate
     from models.sim.scenario_file import loads
 
-    plan = loads(scenario.read_text(), str(scenario))
+    plan = loads(scenario.read_bytes(), str(scenario))
     simulation = simulate(plan, seed)
     config, text = out.with_suffix(".toml"), simulation.config_toml
     with progress(f"simulate {scenario.stem}") as report:

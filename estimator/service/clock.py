@@ -34,8 +34,8 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     foreign: Annotated[
         tuple[str, ...], Meta(description="topics stamped by a clock that is not set to ours: its offset is always estimated")
     ] = ()
-    ahead_s: Annotated[float, Meta(gt=0, le=10, description="s: a stamp may be ahead of its arrival by this much")] = 0.5
-    late_s: Annotated[float, Meta(gt=0, le=60, description="s: a message may take this long; more is another clock")] = 6.0
+    ahead_s: Annotated[float, Meta(ge=1e-3, le=10, description="s: a stamp may be ahead of its arrival by this much")] = 0.5
+    late_s: Annotated[float, Meta(ge=1e-3, le=60, description="s: a message may take this long; more is another clock")] = 6.0
     quickest_s: Annotated[
         float, Meta(ge=0, le=1, description="s: what the quickest message of a foreign clock takes on its way")
     ] = 0.001

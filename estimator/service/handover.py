@@ -14,14 +14,18 @@ from collections.abc import Iterable, Sequence
 from typing import Annotated, Final, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from models.messages import AidStatus, Estimate, Mode, Output, Reason
+from models.state import X
 
 _HALVING_S: Final = 10.0
 _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
 _SECOND_NS: Final = 1_000_000_000
+_LARGEST: Final = 1e12  # of any number of an estimate that is one, in SI units and their squares
+_LAT_DEG, _LON_DEG, _HEIGHT_M = 90.0, 360.0, 1e5
 
 
 class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -29,10 +33,10 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
     gnss_quiet_s: Annotated[
-        float, Meta(ge=0, description="s: its own GNSS must not have been fused for so long before a fix goes out")
+        float, Meta(ge=0, le=1e6, description="s: its own GNSS must not have been fused for so long before a fix goes out")
     ] = 5.0
     odometry_hz: Annotated[
-        float, Meta(gt=0, le=50, description="Hz: rate of the odometry; PX4 needs more than 5, ArduPilot 4 to 50")
+        float, Meta(ge=0.01, le=50, description="Hz: rate of the odometry; PX4 needs more than 5, ArduPilot 4 to 50")
     ] = 30.0
 
 
@@ -87,3 +91,16 @@ class Handover:
 def newest(outputs: Sequence[Output]) -> Estimate | None:
     """The estimate among the outputs of one input, if there is one."""
     return next((o for o in reversed(outputs) if isinstance(o, Estimate)), None)
+
+
+def is_sound(e: Estimate) -> bool:
+    """Whether messages can be made of it: numbers of possible size, no negative variance, a rotation, an origin on Earth."""
+    lat, lon, alt = e.origin or (0.0, 0.0, 0.0)
+    return bool(
+        all(np.abs(numbers).max() <= _LARGEST for numbers in (e.nav, e.covariance, e.gyro_b))
+        and np.diagonal(e.covariance).min() >= 0.0
+        and 0.5 <= np.linalg.norm(e.nav[X.Q]) <= 2.0
+        and abs(lat) <= _LAT_DEG
+        and abs(lon) <= _LON_DEG
+        and abs(alt) <= _HEIGHT_M
+    )

@@ -20,6 +20,7 @@ import msgspec
 from msgspec import Meta
 
 from estimator.service.ports import Arrival
+from estimator.service.recovery import FILE_MODE, FOLDER_MODE
 from logs.codec import Encoded
 from logs.reader import Attachment, LogError
 from logs.recorder import Recorder
@@ -38,15 +39,19 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     enabled: Annotated[bool, Meta(description="whether anything is recorded")] = True
     folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
-    rotate_mb: Annotated[float, Meta(gt=0, description="MB: a file that has grown so large is followed by another")] = 4000.0
-    rotate_min: Annotated[float, Meta(gt=0, description="min: a file that is so old is followed by another")] = 120.0
-    keep_gb: Annotated[float, Meta(ge=0, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
-    least_free_mb: Annotated[float, Meta(ge=0, description="MB: with less free the log pauses, for the sake of the system")] = (
-        200.0
-    )
-    sync_s: Annotated[float, Meta(ge=0, description="s: between writes that outlive a power cut; 0: left to the system")] = 5.0
+    rotate_mb: Annotated[
+        float, Meta(ge=1e-3, le=1e9, description="MB: a file that has grown so large is followed by another")
+    ] = 4000.0
+    rotate_min: Annotated[float, Meta(ge=1e-3, le=1e6, description="min: a file that is so old is followed by another")] = 120.0
+    keep_gb: Annotated[float, Meta(ge=0, le=1e6, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
+    least_free_mb: Annotated[
+        float, Meta(ge=0, le=1e9, description="MB: with less free the log pauses, for the sake of the system")
+    ] = 200.0
+    sync_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: between writes that outlive a power cut; 0: left to the system")
+    ] = 5.0
     images: Annotated[bool, Meta(description="whether pictures are recorded")] = True
-    image_queue_mb: Annotated[float, Meta(gt=0, description="MB: pictures that may wait for the disk")] = 64.0
+    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: pictures that may wait for the disk")] = 64.0
 
 
 class LogState(NamedTuple):
@@ -220,11 +225,12 @@ class LogWriter:
 
     def _begin_file(self, now_s: float) -> None:
         path = self._name(self._number)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
         self._thin_out(path.parent)
         if _free_mb(path.parent) < self._config.least_free_mb:
             self._pause(now_s)
             return
+        path.touch(FILE_MODE)
         self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
         for attachment in self._attachments:
             self._recorder.attach(attachment.name, attachment.media_type, attachment.data)

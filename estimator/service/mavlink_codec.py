@@ -38,6 +38,8 @@ _FIX_3D: Final = 3
 _GPS_EPOCH_NS: Final = 315_964_800_000_000_000  # 1980-01-06
 _LEAP_NS: Final = 18_000_000_000  # GPS time is ahead of UTC by this much, since 2017
 _WEEK_MS: Final = 604_800_000
+_DATES_NS: Final = (1_483_228_800_000_000_000, 4_102_444_800_000_000_000)  # 2017 to 2100: whoever is outside has no date
+_TURN: Final = 2.0 * math.pi
 _POSE: Final = np.r_[0:3, 6:9]  # position and attitude in the error state
 _UPPER: Final = np.triu_indices(6)
 _DIAGONAL: Final = np.flatnonzero(_UPPER[0] == _UPPER[1])  # of the 21 numbers of a 6x6 upper triangle
@@ -90,9 +92,15 @@ def baro(message: Any, t_ns: int, topic: str) -> Baro | None:
 
 
 def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str) -> AttitudePrior:
-    """ATTITUDE, roll, pitch and heading in rad; sigma_deg: of its tilt and of its heading, for it tells none."""
+    """ATTITUDE, roll, pitch and heading in rad; sigma_deg: of its tilt and of its heading, for it gives none.
+
+    Raises ValueError for what are no angles.
+    """
+    angles = message.roll, message.pitch, message.yaw
+    if not all(abs(angle) <= _TURN for angle in angles):
+        raise ValueError("roll, pitch, yaw = {:g}, {:g}, {:g} rad: are no angles".format(*angles))
     tilt, heading = (math.radians(sigma) ** 2 for sigma in sigma_deg)
-    w, x, y, z = so3.from_euler(message.roll, message.pitch, message.yaw).tolist()
+    w, x, y, z = so3.from_euler(*angles).tolist()
     return AttitudePrior(t_ns, t_ns, (w, x, y, z), np.diag([tilt, tilt, heading]), topic)
 
 
@@ -166,13 +174,21 @@ def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: i
 
 
 def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int | None) -> Any:
-    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where the autopilot knows it."""
+    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where the autopilot knows it; week 0 where it knows none."""
     eph, epv = position_sigmas(e.covariance)
-    week, week_ms = (0, 0) if utc_ns is None else divmod((utc_ns + _LEAP_NS - _GPS_EPOCH_NS) // _MS_NS, _WEEK_MS)
+    week, week_ms = 0, 0
+    if utc_ns is not None and is_date(utc_ns):
+        week, week_ms = divmod((utc_ns + _LEAP_NS - _GPS_EPOCH_NS) // _MS_NS, _WEEK_MS)
     nothing = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # hdop, vdop, three of velocity and its accuracy: flagged as not given
     return mavlink.MAVLink_gps_input_message(
         time_usec, gps_id, _IGNORED, week_ms, week, _FIX_3D, *_degrees_e7(at), at.sea_m, *nothing, eph, epv, _NOT_COUNTED
     )
+
+
+def is_date(utc_ns: int) -> bool:
+    """Whether the time is one that a clock can show that was ever set."""
+    first, end = _DATES_NS
+    return first <= utc_ns < end
 
 
 def _degrees_e7(at: Place) -> tuple[int, int]:

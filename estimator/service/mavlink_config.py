@@ -1,6 +1,5 @@
 """[mavlink]: the link to an autopilot, and what is refused before it is opened."""
 
-import ipaddress
 import termios
 from hashlib import sha256
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 import msgspec
 from msgspec import Meta
 
+from estimator.service.loopback import is_loopback
 from estimator.service.secret_file import read_secret
 from estimator.strict_toml import ConfigError
 
@@ -38,13 +38,13 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = True
     baro: Annotated[bool, Meta(description="whether its barometer is the first topic of [inputs] baro")] = True
     attitude_sigma_deg: Annotated[
-        tuple[Annotated[float, Meta(gt=0, le=90)], Annotated[float, Meta(gt=0, le=180)]] | None,
+        tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]] | None,
         Meta(
             description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude; none: not used"
         ),
     ] = None
-    imu_hz: Annotated[float, Meta(gt=0, le=1000, description="Hz: asked of the autopilot")] = 200.0
-    gnss_hz: Annotated[float, Meta(gt=0, le=25, description="Hz: asked of the autopilot")] = 5.0
+    imu_hz: Annotated[float, Meta(ge=0.01, le=1000, description="Hz: asked of the autopilot")] = 200.0
+    gnss_hz: Annotated[float, Meta(ge=0.01, le=25, description="Hz: asked of the autopilot")] = 5.0
     odometry: Annotated[bool, Meta(description="whether it is told ODOMETRY, at [autopilot] odometry_hz")] = True
     fixes: Annotated[bool, Meta(description="whether it is told fixes: GLOBAL_POSITION_SENSOR (PX4), GPS_INPUT (ArduPilot)")] = (
         True
@@ -83,7 +83,7 @@ def address_of(config: MavlinkConfig) -> Udp | Serial:
     host, _, port = rest.rpartition(":")
     if kind not in _UDP or not host or not port.isdecimal() or not 0 <= int(port) <= _LARGEST_PORT:
         raise ConfigError(f"mavlink.endpoint = {config.endpoint}: is not udpin:HOST:PORT, udpout:HOST:PORT or /dev/...")
-    if not (_is_local(host) or config.signing_key_file or config.trust_network):
+    if not (is_loopback(host) or config.signing_key_file or config.trust_network):
         raise ConfigError(
             f"mavlink.endpoint = {config.endpoint}: anybody in reach could feed it; set mavlink.signing_key_file "
             "(trust_network = true if that is meant)"
@@ -96,12 +96,3 @@ def signing_key(config: MavlinkConfig, folder: Path) -> bytes | None:
     if not config.signing_key_file:
         return None
     return sha256(read_secret("mavlink.signing_key_file", folder / config.signing_key_file).encode()).digest()
-
-
-def _is_local(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

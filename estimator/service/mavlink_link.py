@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.publish import Pace
 from estimator.service import mavlink_codec as codec
 from estimator.service.autopilot_clock import AutopilotClock
 from estimator.service.clock import SECOND_NS, Clock
-from estimator.service.handover import Handover, newest
+from estimator.service.handover import Handover, is_sound, newest
 from estimator.service.mavlink_config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink_inputs import Inputs
 from estimator.service.mavlink_io import opened
@@ -73,7 +72,8 @@ class MavlinkLink:
         self._next_heartbeat_ns = self._next_timesync_ns = 0
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
-        self._defect = ""  # the last one
+        self.refused = self.out_of_range = self.impossible_dates = 0
+        self._defect = self._refusal = ""  # the last one
         self._endpoint = opened(address_of(config))
         self._thread: threading.Thread | None = None
 
@@ -94,7 +94,8 @@ class MavlinkLink:
             or self._clock.now_ns() - self._heartbeat_ns > _GONE_NS
         ):
             return
-        if not (np.isfinite(estimate.nav).all() and np.isfinite(estimate.covariance).all()):
+        if not is_sound(estimate):
+            self.out_of_range += 1
             return
         time_usec = estimate.t_ns // _US_NS
         if self._config.odometry and self._pace.due(estimate.t_ns):
@@ -129,6 +130,10 @@ class MavlinkLink:
             "odometry": self.sent_odometry,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
+            "out_of_range": self.out_of_range,
+            "impossible_dates": self.impossible_dates,
+            "refused": self.refused,
+            **({"refusal": self._refusal} if self._refusal else {}),
             "damaged": self._in.damaged,
             "passed_over": self._in.passed_over,
             "refused_signatures": self._in.refused,
@@ -157,8 +162,10 @@ class MavlinkLink:
                 return False
             signing = self._out.signing
             signing.timestamp = max(signing.timestamp, self._in.signing.timestamp)
-            went = self._endpoint.send(self._out.packed(message), self._peer)
-        self.unsent += not went
+            frame = self._out.packed(message)
+            went = frame is not None and self._endpoint.send(frame, self._peer)
+        self.out_of_range += frame is None
+        self.unsent += frame is not None and not went
         return went
 
     def _run(self, inbox: Inbox) -> None:
@@ -175,8 +182,15 @@ class MavlinkLink:
         if heard is not None:
             for message in self._in.messages(heard.data, whole=self._endpoint.whole):
                 if self._is_peer(heard.sender, now_ns):
-                    self._take(message, now_ns, inbox)
+                    self._judge(message, now_ns, inbox)
         self._speak(now_ns)
+
+    def _judge(self, message: Any, now_ns: int, inbox: Inbox) -> None:
+        """Take it; one that cannot be taken is refused with the reason, and costs none of those that came with it."""
+        try:
+            self._take(message, now_ns, inbox)
+        except Exception as error:  # of what a stranger's bytes can say not everything is foreseen
+            self.refused, self._refusal = self.refused + 1, f"{message.get_type()}: {str(error) or type(error).__name__}"
 
     def _is_peer(self, sender: Any, now_ns: int) -> bool:
         """Whoever spoke first is the autopilot, until it is silent."""
@@ -228,7 +242,9 @@ class MavlinkLink:
         if self._boot.reboots != before:
             self._inputs.ask_again()
         unix_ns = message.time_unix_usec * _US_NS
-        self._unix_ahead_ns = unix_ns - now_ns if unix_ns else None
+        dated = codec.is_date(unix_ns)
+        self.impossible_dates += unix_ns > 0 and not dated
+        self._unix_ahead_ns = unix_ns - now_ns if dated else None
 
     def _speak(self, now_ns: int) -> None:
         """What is due of ourselves: HEARTBEAT, TIMESYNC, and requests of messages that do not come."""

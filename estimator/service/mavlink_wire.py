@@ -1,6 +1,8 @@
 """pymavlink's codec with a doorkeeper: which messages of whom are decoded at all, signatures, and memory that does not grow."""
 
 import hmac
+import math
+import struct
 from collections.abc import Iterator
 from hashlib import sha256
 from typing import Any, Final
@@ -41,7 +43,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         """The wanted messages in what has come. whole: frames do not go on in the next data."""
         try:
             found = self.parse_buffer(data) or []
-        except Exception:  # struct.error, IndexError, MAVError ...: a damaged frame is counted, not told
+        except Exception:  # IndexError, MAVError ... of the parser itself: what has come is counted as damaged
             self.damaged += 1
             self._forget()
             return
@@ -62,9 +64,14 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             else:
                 yield message
 
-    def packed(self, message: Any) -> bytes:
-        """The frame to send."""
-        data = bytes(message.pack(self))
+    def packed(self, message: Any) -> bytes | None:
+        """The frame to send; None: a number does not fit its field, or is none."""
+        try:
+            data = bytes(message.pack(self)) if _is_finite(message) else b""
+        except (struct.error, OverflowError):
+            data = b""
+        if not data:
+            return None
         self.seq = (self.seq + 1) % 256
         return data
 
@@ -78,7 +85,12 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             raise mavlink.MAVError("short frame")
         if system != self._system or component not in self._listen_to or number not in self._wanted:
             return mavlink.MAVLink_unknown(number, b"")
-        return super().decode(frame)
+        try:
+            return super().decode(frame)
+        except mavlink.MAVError:
+            raise
+        except Exception as error:  # struct.error, IndexError ...: costs this frame, not the others that came with it
+            raise mavlink.MAVError(f"damaged frame: {error}") from None
 
     def check_signature(self, frame: bytearray, system: int, component: int) -> bool:
         """First who signed it, then whether it is new: else anybody could set the time of a stream and silence it."""
@@ -92,3 +104,10 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         self.buf = bytearray()
         self.buf_index = 0
         self.expected_length = _HEADER_V1 + 2
+
+
+def _is_finite(message: Any) -> bool:
+    """Whether all floats of a message are finite."""
+    values = (getattr(message, name) for name in message.fieldnames)
+    numbers = (x for value in values for x in (value if isinstance(value, list) else [value]))
+    return all(math.isfinite(x) for x in numbers if isinstance(x, float))

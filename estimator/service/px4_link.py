@@ -14,7 +14,7 @@ from estimator.publish import Pace
 from estimator.service import px4_messages as px4
 from estimator.service.autopilot_clock import AutopilotClock
 from estimator.service.clock import SECOND_NS, Clock
-from estimator.service.handover import Handover, Px4Config, newest
+from estimator.service.handover import Handover, Px4Config, is_sound, newest
 from estimator.service.zenoh_keys import rmw_key
 from logs.codec import Encoded
 from models.frames import Origin
@@ -44,7 +44,7 @@ class Px4Link:
         self._pace = Pace(odometry_hz)
         self._boot, self._heard_ns = AutopilotClock(), 0
         self._fix_waits = False
-        self.sent_odometry = self.sent_fixes = self.unsent = 0
+        self.sent_odometry = self.sent_fixes = self.unsent = self.out_of_range = 0
         fix_type = px4.AUX_GLOBAL_POSITION if config.release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
         drop: Any = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
         keys = {
@@ -65,11 +65,14 @@ class Px4Link:
         sent_ns, sample_ns = offset.theirs(now_ns), offset.theirs(estimate.t_ns)
         if sent_ns is None or sample_ns is None or now_ns - self._heard_ns > _STALE_NS or sample_ns < 0:
             return
+        if not is_sound(estimate):
+            self.out_of_range += 1
+            return
         try:
             if self._config.odometry and self._pace.due(estimate.t_ns):
                 quality = self._handover.quality(estimate)
-                self._odometry.put(px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, quality))
-                self.sent_odometry += 1
+                data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, quality)
+                self.sent_odometry += self._put(self._odometry, data)
             if self._fix_waits:
                 self._fix_waits = False
                 self._tell_fix(estimate, sent_ns // _US, sample_ns // _US)
@@ -89,6 +92,7 @@ class Px4Link:
             "odometry": self.sent_odometry,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
+            "out_of_range": self.out_of_range,
         }
 
     def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
@@ -100,8 +104,15 @@ class Px4Link:
             data = px4.aux_global_position(estimate, lla, self._geoid_m, sent_us, sample_us, self._config.slot)
         else:
             data = px4.vehicle_global_position(estimate, lla, self._geoid_m, sent_us, sample_us)
-        self._fix.put(data)
-        self.sent_fixes += 1
+        self.sent_fixes += self._put(self._fix, data)
+
+    def _put(self, publisher: zenoh.Publisher, data: bytes | None) -> bool:
+        """Whether it went out; a message that no bytes can hold is counted and forgotten. Raises ZError."""
+        if data is None:
+            self.out_of_range += 1
+            return False
+        publisher.put(data)
+        return True
 
     def _hear(self, sample: zenoh.Sample) -> None:
         """Something of PX4's: what time is it there? The attachment is stamped later, so it comes quicker."""

@@ -3,6 +3,7 @@
 The definitions are written out for their hashes, which are part of the keys; the bytes are packed by hand.
 """
 
+import math
 import struct
 from functools import cache
 from typing import Final
@@ -100,36 +101,46 @@ def type_hash(schema: str) -> str:
     return store.hash_rihs01(schema)
 
 
-def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, quality: int) -> bytes:
-    """The estimate in NED; attitude variances about the body's axes, as ours are."""
+def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, quality: int) -> bytes | None:
+    """The estimate in NED; attitude variances about the body's axes, as ours are. None, here and below: a number does not fit."""
     q = so3.normalise(e.nav[X.Q])
     v = np.diag(e.covariance)
     numbers = vec3(e.nav[X.P]), tuple(q.tolist()), vec3(e.nav[X.V]), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
     p, q_nb, velocity, gyro, var_p, var_theta, var_v = numbers
     counter = e.reset_counter % _BYTE
-    return _ODOMETRY.pack(
-        _HEAD, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality
+    return _packed(
+        _ODOMETRY, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality
     )
 
 
 def aux_global_position(
     e: Estimate, lla: tuple[float, float, float], geoid_m: float, sent_us: int, sample_us: int, slot: int
-) -> bytes:
+) -> bytes | None:
     """PX4 1.18 and newer. slot: EKF2_AGPx_ID."""
     eph, epv = position_sigmas(e.covariance)
     lat, lon, alt = lla
-    return _AUX.pack(_HEAD, sent_us, sample_us, slot, _VISION, lat, lon, alt - geoid_m, eph, epv, e.reset_counter % _BYTE)
+    return _packed(_AUX, sent_us, sample_us, slot, _VISION, lat, lon, alt - geoid_m, eph, epv, e.reset_counter % _BYTE)
 
 
-def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int, sample_us: int) -> bytes:
+def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int, sample_us: int) -> bytes | None:
     """PX4 1.16 and 1.17, under the key of the auxiliary position."""
     eph, epv = position_sigmas(e.covariance)
     lat, lon, alt = lla
     counter = e.reset_counter % _BYTE
     heights, nothing = (alt - geoid_m, alt), (0.0, 0.0)
-    return _GLOBAL.pack(
-        _HEAD, sent_us, sample_us, lat, lon, *heights, True, True, *nothing, counter, 0, 0, eph, epv, 0.0, False, False
+    return _packed(
+        _GLOBAL, sent_us, sample_us, lat, lon, *heights, True, True, *nothing, counter, 0, 0, eph, epv, 0.0, False, False
     )
+
+
+def _packed(layout: struct.Struct, *fields: float) -> bytes | None:
+    """None: a field is out of the range of its type, or no number."""
+    if not all(map(math.isfinite, fields)):
+        return None
+    try:
+        return layout.pack(_HEAD, *fields)
+    except (struct.error, OverflowError):
+        return None
 
 
 def position_sigmas(covariance: Array) -> tuple[float, float]:

@@ -8,9 +8,11 @@ from typing import IO, Final
 
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
+FILE_MODE, FOLDER_MODE = 0o640, 0o750  # of what the daemon creates: where it flew is not for everybody; a stricter umask stays
 _SCRIPT: Final = """\
 import fcntl, os, sys
 os.nice(19)
+os.umask(0o027 | os.umask(0o027))
 from pathlib import Path
 from estimator.service.recovery import is_torn
 from logs.recover import recover
@@ -34,7 +36,8 @@ class FolderError(Exception):
 def claim(folder: Path) -> IO[str]:
     """Make the folder ours for as long as the file that is returned stays open. Raises FolderError when it is another's."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
+        (folder / "landfix.lock").touch(FILE_MODE)
         lock = (folder / "landfix.lock").open("w")
     except OSError as error:
         raise FolderError(f"[log] {folder}: {(error.strerror or 'cannot be used').lower()}") from None

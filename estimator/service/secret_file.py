@@ -1,12 +1,29 @@
-"""Passwords and passphrases, each in a file of its own."""
+"""Passwords, passphrases and private keys, each in a file of its own that nobody but its owner may use."""
 
+import shlex
+import stat
 from pathlib import Path
 
 from estimator.strict_toml import ConfigError
 
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+def check_secret(key: str, path: Path) -> None:
+    """Raises ConfigError for a secret that others may read or change, or that is no file."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise ConfigError(f"{key} = {path}: {(error.strerror or 'cannot be read').lower()}") from None
+    if not stat.S_ISREG(mode):
+        raise ConfigError(f"{key} = {path}: is no file")
+    if mode & _OTHERS:
+        raise ConfigError(f"{key} = {path}: others may use this secret; type: chmod 600 {shlex.quote(str(path))}")
+
 
 def read_secret(key: str, path: Path) -> str:
     """The text of a file that the configuration names under a key. Raises ConfigError."""
+    check_secret(key, path)
     try:
         secret = path.read_text(encoding="utf-8").strip()
     except OSError as error:

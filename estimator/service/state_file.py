@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 
 from estimator.service.clock import SECOND_NS, Clock
+from estimator.service.recovery import FILE_MODE
 from logs.codec import encode_input
 from models.messages import Checkpoint, Estimate, Health, LastGnss, Output
 
@@ -104,6 +105,7 @@ class StateKeeper:
         try:
             data = encode_input(checkpoint_of(estimate, self._last_gnss)).data
             saved = SavedState(_FORMAT, self._boot, self._clock.anchor_ns, estimate.t_ns, self._config, data)
+            part.touch(FILE_MODE)
             part.write_bytes(msgspec.msgpack.encode(saved))
             part.replace(self._path)
             self.problem = ""

@@ -1,24 +1,27 @@
 """The Zenoh session: closed by default, opened by the configuration, never open by accident.
 
 Zenoh itself listens on every interface and answers multicast; here nothing but loopback is listened to, nobody is scouted for,
-and an endpoint beyond loopback needs a name for everybody who may come: user and password, certificate, or network interface.
+and at an endpoint beyond loopback, listened on or connected to, others must prove who they are: by certificate or by password.
 """
 
+import ipaddress
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
-from estimator.service.secret_file import read_secret
+from estimator.service.loopback import is_loopback
+from estimator.service.secret_file import check_secret, read_secret
 from estimator.strict_toml import ConfigError
 
 if TYPE_CHECKING:
     import zenoh
 
-_LOOPBACK = ("127.", "localhost", "[::1]")
+_WITH_CERTIFICATE = ("tls", "quic")
+_HARMLESS = frozenset({"iface", "bind", "dscp", "so_sndbuf", "so_rcvbuf"})  # behind '#'; others can undo the certificates
 _LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe")
 _WITH_PORT, _WITHOUT_PORT = ("tcp", "udp", "tls", "quic", "ws"), (*_LOCAL_PROTOCOLS, "serial", "vsock")
 _LARGEST_PORT = 65535
@@ -42,7 +45,7 @@ class SecurityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = "users"
     feeders: Annotated[tuple[str, ...], Meta(description="names that may feed the inputs")] = ()
     listeners: Annotated[tuple[str, ...], Meta(description="names that may read what we publish, and ask the queryables")] = ()
-    insecure: Annotated[bool, Meta(description="whether endpoints beyond loopback may be open to everybody")] = False
+    insecure: Annotated[bool, Meta(description="whether endpoints beyond loopback may be open to everybody in reach")] = False
 
 
 class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,7 +61,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     node: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", description="our name in the ROS graph")] = "landfix"
     rmw: Annotated[bool, Meta(description="keys of rmw_zenoh: ROS 2 Jazzy and newer")] = True
     ros2dds: Annotated[bool, Meta(description="plain keys beside them, for zenoh-bridge-ros2dds")] = False
-    largest_kb: Annotated[int, Meta(ge=1, description="kB: a larger message, pictures apart, is refused")] = 64
+    largest_kb: Annotated[int, Meta(ge=1, le=1_000_000, description="kB: a larger message, pictures apart, is refused")] = 64
     largest_image_mb: Annotated[int, Meta(ge=1, le=1024, description="MB: a larger picture is refused")] = 32
     security: SecurityConfig = SecurityConfig()
 
@@ -116,19 +119,35 @@ def first_sentence(error: Exception) -> str:
     return str(error).split(" at ", 1)[0].strip()
 
 
+class Endpoint(NamedTuple):
+    """PROTOCOL/HOST:PORT?metadata#settings; of a protocol without ports host is all of the address and port is empty."""
+
+    protocol: str
+    host: str
+    port: str
+    settings: frozenset[str]
+
+    @classmethod
+    def of(cls, text: str) -> "Endpoint":
+        """The parts, whatever stands in them."""
+        protocol, _, rest = text.partition("/")
+        place, _, behind = rest.partition("#")
+        address, settings = place.partition("?")[0], frozenset(s.partition("=")[0] for s in behind.split(";") if s)
+        if protocol not in _WITH_PORT:
+            return cls(protocol, address, "", settings)
+        host, _, port = address.rpartition(":")
+        return cls(protocol, host[1:-1] if host[:1] + host[-1:] == "[]" else host, port, settings)
+
+
 def check(config: ZenohConfig) -> None:
     """Raises ConfigError for an endpoint beyond loopback that is open to everybody, or names that nobody checks."""
+    security = config.security
+    proofs = {"listen": bool(security.users_file), "connect": bool(security.user and security.password_file)}
     for name, endpoints in (("listen", config.listen), ("connect", config.connect)):
         for endpoint in endpoints:
             _check_endpoint(name, endpoint)
-    security = config.security
-    known = bool(security.users_file or security.certificate_file or security.feeders or security.listeners)
-    for endpoint in config.listen:
-        if not (is_local(endpoint) or known or security.insecure):
-            raise ConfigError(
-                f"zenoh.listen = {endpoint}: is open to everybody in reach; set [zenoh.security] users_file, certificate_file, "
-                "or feeders and listeners by interface (insecure = true if that is meant)"
-            )
+            if not (is_local(endpoint) or security.insecure):
+                _check_protected(name, endpoint, by_password=proofs[name], by_certificate=bool(security.certificate_file))
     named = bool(security.feeders or security.listeners)
     if named and security.names_are == "users" and not security.users_file:
         raise ConfigError("zenoh.security.users_file: is needed where feeders and listeners are users")
@@ -140,18 +159,40 @@ def check(config: ZenohConfig) -> None:
         raise ConfigError("zenoh.security.password_file: is needed beside user")
 
 
-def _check_endpoint(name: str, endpoint: str) -> None:
-    protocol, _, address = endpoint.partition("/")
-    port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]
-    with_port = protocol in _WITH_PORT and port.isdecimal() and int(port) <= _LARGEST_PORT
-    if not address or not (with_port or protocol in _WITHOUT_PORT):
-        raise ConfigError(f"zenoh.{name} = {endpoint}: is not PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")
+def _check_endpoint(name: str, text: str) -> None:
+    endpoint = Endpoint.of(text)
+    with_port = bool(endpoint.host) and endpoint.port.isdecimal() and int(endpoint.port) <= _LARGEST_PORT
+    if not (with_port if endpoint.protocol in _WITH_PORT else endpoint.protocol in _WITHOUT_PORT and endpoint.host):
+        raise ConfigError(f"zenoh.{name} = {text}: is not PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")
 
 
-def is_local(endpoint: str) -> bool:
-    """Whether only this machine can reach it."""
-    protocol, _, address = endpoint.partition("/")
-    return protocol in _LOCAL_PROTOCOLS or address.startswith(_LOOPBACK)
+def _check_protected(name: str, text: str, *, by_password: bool, by_certificate: bool) -> None:
+    """Of an endpoint beyond loopback. A multicast group has no handshake, so that nobody proves anything in it."""
+    endpoint = Endpoint.of(text)
+    if by_password and not _is_multicast(endpoint.host):
+        return
+    if by_certificate and endpoint.protocol in _WITH_CERTIFICATE:
+        if undone := sorted(endpoint.settings - _HARMLESS):
+            raise ConfigError(f"zenoh.{name} = {text}: {undone[0]} behind '#' may undo the certificates; leave it out")
+        return
+    password = "users_file" if name == "listen" else "user and password_file"
+    raise ConfigError(
+        f"zenoh.{name} = {text}: is open to everybody in reach; write tls/HOST:PORT and set [zenoh.security] ca_file, "
+        f"certificate_file and key_file, or set {password} (insecure = true if that is meant)"
+    )
+
+
+def _is_multicast(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_multicast
+    except ValueError:
+        return False
+
+
+def is_local(text: str) -> bool:
+    """Whether only this machine can reach the endpoint."""
+    endpoint = Endpoint.of(text)
+    return endpoint.protocol in _LOCAL_PROTOCOLS or (endpoint.protocol in _WITH_PORT and is_loopback(endpoint.host))
 
 
 def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
@@ -164,7 +205,7 @@ def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
         settings |= {
             "transport/link/tls/root_ca_certificate": _file(folder, security.ca_file),
             "transport/link/tls/connect_certificate": _file(folder, security.certificate_file),
-            "transport/link/tls/connect_private_key": _file(folder, security.key_file),
+            "transport/link/tls/connect_private_key": _secret(folder, "key_file", security.key_file),
             "transport/link/tls/enable_mtls": True,
         }
     return settings
@@ -174,10 +215,10 @@ def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], o
     """Who may come, and what they may do."""
     settings: dict[str, Any] = {}
     if security.users_file:
-        settings["transport/auth/usrpwd/dictionary_file"] = _file(folder, security.users_file)
+        settings["transport/auth/usrpwd/dictionary_file"] = _secret(folder, "users_file", security.users_file)
     if security.certificate_file and security.key_file:
         settings["transport/link/tls/listen_certificate"] = _file(folder, security.certificate_file)
-        settings["transport/link/tls/listen_private_key"] = _file(folder, security.key_file)
+        settings["transport/link/tls/listen_private_key"] = _secret(folder, "key_file", security.key_file)
     if security.feeders or security.listeners:
         settings["access_control"] = access_control(security, inputs, outputs)
         settings["transport/shared_memory/enabled"] = False  # a way around the access control
@@ -221,3 +262,10 @@ def _file(folder: Path, name: str) -> str:
     if not path.is_file():
         raise ConfigError(f"[zenoh.security] {path}: no such file; paths count from the configuration's folder")
     return str(path)
+
+
+def _secret(folder: Path, key: str, name: str) -> str:
+    """A file that Zenoh reads itself, and that nobody else may."""
+    path = _file(folder, name)
+    check_secret(f"zenoh.security.{key}", Path(path))
+    return path

@@ -25,16 +25,25 @@ _FALSE_HEIGHT_M = 50.0
 class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
-    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.01
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
     lie_s: Annotated[
-        float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last (a port in the wind, weather)")
+        float,
+        Meta(
+            ge=1e-3,
+            le=1e6,
+            description="s: how long a fault that repeats itself is expected to last (a port in the wind, weather)",
+        ),
     ] = 60.0
     spacing_s: Annotated[
-        float, Meta(ge=0, description="s: errors of readings closer than this are the same; only one of them is fused")
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 1.0
-    sigma_m: Annotated[float, Meta(gt=0, description="m: error by gusts and airspeed; a message's own noise is added")] = 2.0
-    drift_m_sqrt_s: Annotated[float, Meta(gt=0, description="m/sqrt(s): drift of the zero")] = 0.1
-    temperature_sigma_k: Annotated[float, Meta(ge=0, description="K: how far the air is from the standard atmosphere")] = 15.0
+    sigma_m: Annotated[
+        float, Meta(ge=1e-3, le=1e4, description="m: error by gusts and airspeed; a message's own noise is added")
+    ] = 2.0
+    drift_m_sqrt_s: Annotated[float, Meta(ge=1e-6, le=1000, description="m/sqrt(s): drift of the zero")] = 0.1
+    temperature_sigma_k: Annotated[
+        float, Meta(ge=0, le=100, description="K: how far the air is from the standard atmosphere")
+    ] = 15.0
 
 
 def height_m(pressure_pa: float) -> float:

@@ -6,7 +6,7 @@ repeats from fix to fix and is considered, not averaged away.
 
 import math
 from functools import cache
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from msgspec import Meta
@@ -31,34 +31,48 @@ _FASTEST_M_S = 500.0
 _HIGHEST_M = 50_000.0
 
 
+_Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
+
+
 class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[gnss]: delay, lever arm, noise where the receiver gives none, and how the source is judged."""
 
-    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.01
-    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 10.0
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
+    lie_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last")] = (
+        10.0
+    )
     believe_after_s: Annotated[
-        float, Meta(gt=0, description="s: after so long of consistent contradiction GNSS is believed, not the filter")
+        float, Meta(ge=1e-3, le=1e6, description="s: after so long of consistent contradiction GNSS is believed, not the filter")
     ] = 60.0
     probation: Annotated[
-        int, Meta(ge=0, description="fixes that must pass before a (returning) GNSS is fused beside another absolute source")
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000,
+            description="fixes that must pass before a (returning) GNSS is fused beside another absolute source",
+        ),
     ] = 10
-    hold_s: Annotated[float, Meta(ge=0, description="s: how long GNSS is held off when its innovations drift; 0: never")] = 10.0
+    hold_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: how long GNSS is held off when its innovations drift; 0: never")
+    ] = 10.0
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
     ] = 0.0
     velocity_delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: velocities are older than positions of the same stamp by this much")
     ] = 0.0
-    antenna_b_m: Annotated[tuple[float, float, float], Meta(description="m: antenna from the IMU, forward right down")] = (
+    antenna_b_m: Annotated[tuple[_Lever, _Lever, _Lever], Meta(description="m: antenna from the IMU, forward right down")] = (
         0.0,
         0.0,
         0.0,
     )
-    horizontal_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 1.5
-    vertical_sigma_m: Annotated[float, Meta(gt=0, description="m: where the receiver gives no covariance")] = 3.0
-    velocity_sigma_m_s: Annotated[float, Meta(gt=0, description="m/s: where the receiver gives no covariance")] = 0.3
-    slow_sigma_m: Annotated[float, Meta(ge=0, description="m: slow part of the position error, horizontal; 0: none")] = 0.5
-    slow_s: Annotated[float, Meta(gt=0, description="s: correlation time of the slow part")] = 60.0
+    horizontal_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no covariance")] = 1.5
+    vertical_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no covariance")] = 3.0
+    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: where the receiver gives no covariance")] = 0.3
+    slow_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: slow part of the position error, horizontal; 0: none")] = (
+        0.5
+    )
+    slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of the slow part")] = 60.0
 
 
 def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:

@@ -43,10 +43,13 @@ _ATTITUDES: dict[tuple[bool, ...], str] = {
 }
 
 _Tilt: TypeAlias = Annotated[
-    float, Meta(ge=0, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
+    float, Meta(ge=0, le=180, description="deg: how well the frame of the fixes is levelled, where they do not say; 0: exactly")
 ]
 _Mount: TypeAlias = Annotated[
-    float, Meta(ge=0, description="deg: how well the axes of fixes and IMU agree on the body, where they do not say; 0: exactly")
+    float,
+    Meta(
+        ge=0, le=180, description="deg: how well the axes of fixes and IMU agree on the body, where they do not say; 0: exactly"
+    ),
 ]
 
 _Share: TypeAlias = Annotated[
@@ -57,11 +60,11 @@ _Share: TypeAlias = Annotated[
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes from outside are judged."""
 
-    noise_scale: Annotated[float, Meta(gt=0, description="factor on the standard deviations that fixes claim")] = 1.0
+    noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: _Tilt = 0.2
     mount_deg: _Mount = 0.17
     lasting_share: _Share = 0.0
-    lasting_s: Annotated[float, Meta(gt=0, description="s: for so long it lasts")] = 3.0
+    lasting_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: for so long it lasts")] = 3.0
 
 
 class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):

@@ -35,20 +35,30 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(gt=0.5, lt=1, description="share of good measurements that pass the chi-square gate")
     ] = 0.9999
     spacing_s: Annotated[
-        float, Meta(ge=0, description="s: errors of readings closer than this are the same; only one of them is fused")
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 0.0
-    timeout_s: Annotated[float, Meta(gt=0, description="s: silent for longer, the source has stopped")] = 5.0
-    false_share: Annotated[float, Meta(gt=0, lt=1, description="share of measurements expected to be false")] = 0.05
-    lie_s: Annotated[float, Meta(gt=0, description="s: how long a fault that repeats itself is expected to last")] = 1.5
+    timeout_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: silent for longer, the source has stopped")] = 5.0
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
+    lie_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last")] = (
+        1.5
+    )
     believe_after_s: Annotated[
-        float, Meta(gt=0, description="s: after so long of consistent contradiction the source is believed, not the filter")
+        float,
+        Meta(ge=1e-3, le=1e6, description="s: after so long of consistent contradiction the source is believed, not the filter"),
     ] = 20.0
     probation: Annotated[
-        int, Meta(ge=0, description="measurements that must pass before a (returning) source is fused beside another one")
+        int,
+        Meta(
+            ge=0, le=1_000_000, description="measurements that must pass before a (returning) source is fused beside another one"
+        ),
     ] = 0
-    hold_s: Annotated[float, Meta(ge=0, description="s: how long a source that was found out is held off; 0: never")] = 0.0
-    cusum_slack: Annotated[float, Meta(gt=0, description="sigma: bias of the innovations that is tolerated")] = 1.0
-    cusum_limit: Annotated[float, Meta(gt=0, description="sigma: cumulated bias at which the source is found out")] = 10.0
+    hold_s: Annotated[float, Meta(ge=0, le=1e6, description="s: how long a source that was found out is held off; 0: never")] = (
+        0.0
+    )
+    cusum_slack: Annotated[float, Meta(ge=1e-3, le=1000, description="sigma: bias of the innovations that is tolerated")] = 1.0
+    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is found out")] = (
+        10.0
+    )
 
 
 class Aid(msgspec.Struct, frozen=True, eq=False):

@@ -3,13 +3,13 @@
 import difflib
 import math
 import re
-import tomllib
 from collections.abc import Iterator
 from typing import Any
 
 import msgspec
 import msgspec.inspect as mi
 
+from models import toml_text
 from models.sim.scenario import Scenario
 
 _KIND = "kind"  # says which vehicle, which fault: the tag field of those structs
@@ -19,18 +19,16 @@ class ScenarioError(ValueError):
     """One clear line: which file, which key, what is wrong."""
 
 
-def loads(text: str, name: str = "scenario") -> Scenario:
-    """The scenario of a TOML text; `name` is what the user calls the text. Raises ScenarioError."""
+def loads(text: str | bytes, name: str = "scenario") -> Scenario:
+    """The scenario of a TOML text, or of a file's bytes; `name` is what the user calls it. Raises ScenarioError."""
     try:
-        table = tomllib.loads(text)
+        table = toml_text.table(toml_text.decode(text) if isinstance(text, bytes) else text)
         _check(mi.type_info(Scenario), table, "")
         return msgspec.convert(table, Scenario)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{name}: not valid TOML: {error}") from None
     except msgspec.ValidationError as error:
         what = re.sub(r" - at `\$\.?(.*)`$", r" in '\1'", str(error)).replace("`", "")
         raise ScenarioError(f"{name}: {what[:1].lower()}{what[1:]}") from None
-    except ScenarioError as error:
+    except ValueError as error:  # ScenarioError too
         raise ScenarioError(f"{name}: {error}") from None
 
 

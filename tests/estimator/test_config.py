@@ -79,7 +79,7 @@ def test_everything_survives_writing_and_reading() -> None:
         ('[imu]\naxis = "flu"\n', "v.toml: unknown key 'axis' in [imu]; did you mean 'axes'?"),
         ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: imu, inputs, gnss, pose_fix, "),
         ('[imu]\naxes = "ned"\n', 'v.toml: imu.axes = "ned": must be one of '),
-        ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float > 0.0"),
+        ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float >= 1e-09"),
         ("[imu]\ngyro_noise = nan\n", "v.toml: imu.gyro_noise = nan: must be a finite number"),
         ("[map]\norigin = [91, 8, 0]\n", "v.toml: map.origin[0] = 91: expected float <= 90.0"),
         ('[inputs]\nimu = "/a"\ngnss = "/a"\n', "v.toml: [inputs]: topic /a cannot feed two inputs"),

@@ -85,22 +85,41 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
 def test_what_run_would_refuse_fails(text: str, name: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("left: 3\n")
     (tmp_path / "noise").write_bytes(b"\xff\xfe\xfd")
+    (tmp_path / "noise").chmod(0o600)
     found = checked(tmp_path, text)[name]
     assert found.state is State.FAIL
     assert said in found.found
     assert found.advice
 
 
-def test_a_secret_that_others_can_read_is_said(tmp_path: Path) -> None:
+def test_a_secret_that_others_can_use_is_refused_with_what_to_type(tmp_path: Path) -> None:
+    for name in ("key", "ca.pem", "us.pem"):
+        (tmp_path / name).write_text("a secret of two")
     key = tmp_path / "key"
-    key.write_text("a secret of two")
-    for mode, state in ((0o644, State.WARN), (0o600, State.OK)):
-        key.chmod(mode)
-        found = checked(tmp_path, "[mavlink]\nendpoint = 'udpout:127.0.0.1:14540'\nsigning_key_file = 'key'\n")
-        assert found["mavlink.signing_key_file"].state is state
-        assert found["mavlink.endpoint"].found.endswith("landfix begins to talk")
-        found = checked(tmp_path, "[zenoh]\nlisten = []\n[zenoh.security]\nuser = 'a'\npassword_file = 'key'\n")
-        assert found["zenoh.security.password_file"].state is state
+    certificate = "ca_file = 'ca.pem'\ncertificate_file = 'us.pem'\nkey_file = 'key'\n"
+    for text, name in (
+        ("[mavlink]\nendpoint = 'udpout:127.0.0.1:14540'\nsigning_key_file = 'key'\n", "mavlink.signing_key_file"),
+        ("[zenoh]\nlisten = []\n[zenoh.security]\nuser = 'a'\npassword_file = 'key'\n", "zenoh.security.password_file"),
+        ("[zenoh]\nlisten = []\n[zenoh.security]\nusers_file = 'key'\n", "zenoh.security.users_file"),
+        (f"[zenoh]\nlisten = []\n[zenoh.security]\n{certificate}", "zenoh.security.key_file"),
+    ):
+        for mode in (0o644, 0o640, 0o604, 0o620, 0o601):
+            key.chmod(mode)
+            found = checked(tmp_path, text)[name.partition(".")[0]]
+            assert found.state is State.FAIL
+            assert found.found == f"{name} = {key}: others may use this secret; type: chmod 600 {key}"
+        key.chmod(0o600)
+        assert checked(tmp_path, text)[name].state is State.OK
+
+
+def test_a_folder_of_logs_that_anybody_can_read_is_said(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for mode, said in ((0o755, True), (0o701, True), (0o750, False), (0o700, False)):
+        folder.chmod(mode)
+        found = checked(tmp_path, "[zenoh]\nenabled = false\n")
+        assert ("log.permissions" in found) is said
+        assert not said or f"chmod 750 {folder}" in found["log.permissions"].advice
 
 
 def test_a_state_that_cannot_be_kept_is_said(tmp_path: Path) -> None:
@@ -137,7 +156,7 @@ def test_a_folder_where_another_records_is_said(tmp_path: Path) -> None:
 
 
 def test_little_room_for_the_log_is_said(tmp_path: Path) -> None:
-    assert checked(tmp_path, "least_free_mb = 1e12\n")["log.folder"].state is State.FAIL
+    assert checked(tmp_path, "least_free_mb = 1e9\n")["log.folder"].state is State.FAIL
 
 
 def test_cameras_in_part_are_said(tmp_path: Path) -> None:

@@ -293,6 +293,7 @@ def test_others_are_not_listened_to() -> None:
 
 def test_signed_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "key").write_text(PASSPHRASE + "\n")
+    (tmp_path / "key").chmod(0o600)
     unsigned, forger, friend = UdpAutopilot(), UdpAutopilot(passphrase="a guess"), UdpAutopilot(passphrase=PASSPHRASE)
     config = MavlinkConfig(endpoint="udpin:127.0.0.1:0", signing_key_file="key")
     with _linked(config, tmp_path) as (link, inbox, _):

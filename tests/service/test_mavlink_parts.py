@@ -64,6 +64,7 @@ def test_a_key_or_speed_that_is_not_there_says_so(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         signing_key(MavlinkConfig("/dev/null", signing_key_file="none"), tmp_path)
     (tmp_path / "empty").write_text("\n")
+    (tmp_path / "empty").chmod(0o600)
     with pytest.raises(ConfigError, match="is empty"):
         signing_key(MavlinkConfig("/dev/null", signing_key_file="empty"), tmp_path)
     with pytest.raises(ConfigError, match="is not a speed"):

@@ -51,6 +51,7 @@ def test_definitions_have_the_hashes_that_px4_has_in_its_keys(schema: str) -> No
 def test_vehicle_odometry_is_read_as_it_was_meant() -> None:
     e = _estimate()
     data = px4.vehicle_odometry(e, 5_000_000, 4_990_000, 87)
+    assert data is not None
     assert len(data) == 118
     read: Any = STORE.deserialize_cdr(data, px4.VEHICLE_ODOMETRY)
     assert bytes(STORE.serialize_cdr(read, px4.VEHICLE_ODOMETRY)) == data
@@ -68,6 +69,8 @@ def test_both_kinds_of_fixes_are_read_as_they_were_meant() -> None:
     e, lla = _estimate(), (47.1, 8.2, 500.0)
     aux = px4.aux_global_position(e, lla, 47.5, 7, 6, 3)
     old = px4.vehicle_global_position(e, lla, 47.5, 7, 6)
+    assert aux is not None
+    assert old is not None
     assert (len(aux), len(old)) == (57, 74)
     for data, schema in ((aux, px4.AUX_GLOBAL_POSITION), (old, px4.VEHICLE_GLOBAL_POSITION)):
         read: Any = STORE.deserialize_cdr(data, schema)

@@ -1,5 +1,6 @@
 """Keys and attachments, the word to systemd, the file with the last state."""
 
+import os
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,12 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from mcap.writer import MCAP0_MAGIC as MAGIC
 from zenoh.ext import Int64, z_serialize
 
 from estimator.service import state_file, zenoh_keys
 from estimator.service.clock import Clock
 from estimator.service.log_writer import LogConfig, LogWriter
 from estimator.service.mailbox import Mailbox
+from estimator.service.recovery import claim, recover_in_background
 from estimator.service.state_file import SavedState, StateKeeper
 from estimator.service.status import Status
 from estimator.service.watchdog import Notifier
@@ -98,6 +101,32 @@ def test_the_last_state_is_found_again(tmp_path: Path) -> None:
     assert read.nav.tolist() == list(range(16))
     assert (read.t_ns, read.reset_counter, read.origin) == (T0 + 7, 4, (47.0, 8.0, 400.0))
     assert read.last_gnss is not None
+
+
+@pytest.mark.parametrize(
+    ("umask", "file_mode", "folder_mode"), [(0o000, 0o640, 0o750), (0o022, 0o640, 0o750), (0o077, 0o600, 0o700)]
+)
+def test_what_the_daemon_creates_is_not_for_everybody(tmp_path: Path, umask: int, file_mode: int, folder_mode: int) -> None:
+    folder, before = tmp_path / "logs", os.umask(umask)
+    try:
+        lock = claim(folder)
+        torn = folder / "landfix-0.mcap"
+        torn.write_bytes(MAGIC)
+        process = recover_in_background(folder)
+        assert process is not None
+        assert process.wait(60.0) == 0
+        writer = LogWriter(LogConfig(least_free_mb=0.0), lambda n: folder / "deeper" / f"landfix-{n}.mcap", {})
+        keeper = StateKeeper(folder / "state", Clock(), "a")
+        keeper.note(_estimate(T0))
+        keeper.close()
+        writer.close()
+        lock.close()
+    finally:
+        os.umask(before)
+    made = {path.name: path.stat().st_mode & 0o777 for path in (folder, *folder.rglob("*"))}
+    folders = {name: made.pop(name) for name in ("logs", "deeper")}
+    assert folders == dict.fromkeys(folders, folder_mode)
+    assert made == dict.fromkeys(["landfix.lock", "landfix.recovery.lock", "landfix-0.mcap", "state"], file_mode)
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 100, msgspec.msgpack.encode({"format": 1}), b"\x93\x01\x02"])

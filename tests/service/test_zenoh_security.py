@@ -52,36 +52,90 @@ def _listened_to() -> set[tuple[str, int]]:
     return found
 
 
+_MUTUAL_TLS = SecurityConfig(ca_file="ca.pem", certificate_file="us.pem", key_file="us.key")
+_USERS_FILE, _PASSWORD = SecurityConfig(users_file="users"), SecurityConfig(user="us", password_file="password")
+_BEYOND = (
+    "tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/*:7447", "udp/192.168.1.2:7447", "ws/10.0.0.1:7447", "tcp/169.254.1.1:7447",
+    "tcp/127.evil.example:7447", "tcp/127.0.0.1.evil.example:7447", "tcp/localhost.evil.example:7447", "tcp/Localhost:7447",
+    "tcp/127.1:7447", "tcp/0x7f000001:7447", "tcp/2130706433:7447", "tcp/0.0.0.0:7447#iface=lo", "tcp/0.0.0.0:7447?127.0.0.1:1",
+    "tcp/[fe80::1%eth0]:7447", "tcp/[::1%eth0]:7447", "tcp/[::ffff:10.0.0.1]:7447", "udp/224.0.0.224:7447", "vsock/-1:7447",
+    "serial//dev/ttyUSB0#baudrate=9600",
+)  # fmt: skip
+_LOOPBACK = (
+    "tcp/127.0.0.1:7447", "udp/127.9.9.9:7447", "tcp/localhost:7447", "tcp/[::1]:7447", "ws/[::ffff:127.0.0.1]:7447",
+    "tls/127.0.0.1:7447#enable_mtls=false", "tcp/127.0.0.1:7447?prio=1-7#so_sndbuf=1", "unixsock-stream//run/landfix.sock",
+    "unixpipe//run/p",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["listen", "connect"])
+@pytest.mark.parametrize("endpoint", _BEYOND)
+def test_an_endpoint_beyond_loopback_that_nothing_protects_is_refused(endpoint: str, side: str) -> None:
+    for security in (SecurityConfig(), _MUTUAL_TLS, SecurityConfig(names_are="interfaces", feeders=("eth0",))):
+        with pytest.raises(ConfigError, match=f"^zenoh.{side} = .*: is open to everybody in reach; write tls/") as refused:
+            check(_session(**{"listen": (), side: (endpoint,)}, security=security))
+        assert "\n" not in str(refused.value)
+    check(_session(**{"listen": (), side: (endpoint,)}, security=SecurityConfig(insecure=True)))
+
+
+@pytest.mark.parametrize("side", ["listen", "connect"])
+@pytest.mark.parametrize("endpoint", _LOOPBACK)
+def test_what_only_this_machine_can_reach_needs_no_protection(endpoint: str, side: str) -> None:
+    check(_session(**{"listen": (), side: (endpoint,)}))
+
+
+@pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/[::]:7447", "tls/vehicle7:7447#iface=eth0"])
+def test_certificates_protect_tls_and_quic(endpoint: str) -> None:
+    for side in ("listen", "connect"):
+        check(_session(**{"listen": (), side: (endpoint,)}, security=_MUTUAL_TLS))
+        with pytest.raises(ConfigError, match="is open to everybody"):
+            check(_session(**{"listen": (), side: (endpoint,)}))
+        for undone in (
+            "#enable_mtls=false",
+            "#verify_name_on_connect=false",
+            "#iface=eth0;root_ca_certificate_file=/tmp/any.pem",
+        ):
+            with pytest.raises(ConfigError, match="behind '#' may undo the certificates"):
+                check(_session(**{"listen": (), side: (endpoint.partition("#")[0] + undone,)}, security=_MUTUAL_TLS))
+
+
+def test_one_open_endpoint_beside_protected_ones_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"tcp/0\.0\.0\.0:7447: is open to everybody"):
+        check(_session(listen=("tls/0.0.0.0:7448", "tcp/0.0.0.0:7447"), security=_MUTUAL_TLS))
+
+
+def test_passwords_protect_whom_they_are_asked_of() -> None:
+    for endpoint in ("tcp/10.0.0.1:7447", "udp/[fe80::1%eth0]:7447", "serial//dev/ttyUSB0"):
+        check(_session(listen=(endpoint,), security=_USERS_FILE))
+        check(_session(listen=(), connect=(endpoint,), security=_PASSWORD))
+        with pytest.raises(ConfigError, match="or set users_file"):
+            check(_session(listen=(endpoint,), security=_PASSWORD))
+        with pytest.raises(ConfigError, match="or set user and password_file"):
+            check(_session(listen=(), connect=(endpoint,), security=_USERS_FILE))
+    with pytest.raises(ConfigError, match="is open to everybody"):  # a multicast group has no handshake
+        check(_session(listen=("udp/224.0.0.224:7447",), security=_USERS_FILE))
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["", "tcp", "tcp/", "tcp/:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:99999", "TCP/127.0.0.1:1", "x/y:1"]
+)
+def test_what_is_no_endpoint_is_refused(endpoint: str) -> None:
+    with pytest.raises(ConfigError, match="is not PROTOCOL/HOST:PORT"):
+        check(_session(listen=(endpoint,)))
+
+
 @pytest.mark.parametrize(
     ("config", "said"),
     [
-        (_session(listen=("tcp/0.0.0.0:7447",)), "open to everybody"),
-        (_session(listen=("tcp/[::]:7447",)), "open to everybody"),
-        (_session(listen=("udp/192.168.1.2:7447",)), "open to everybody"),
         (_session(security=SecurityConfig(feeders=("alice",))), "users_file"),
         (_session(security=SecurityConfig(feeders=("alice",), names_are="certificates")), "certificate_file"),
         (_session(security=SecurityConfig(certificate_file="a.pem")), "key_file"),
         (_session(security=SecurityConfig(user="alice")), "password_file"),
     ],
 )
-def test_what_would_be_open_by_accident_is_refused(config: ZenohConfig, said: str) -> None:
+def test_names_that_nobody_checks_are_refused(config: ZenohConfig, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         check(config)
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        ZenohConfig(),
-        _session(listen=()),
-        _session(listen=("unixsock-stream//run/landfix.sock", "tcp/localhost:7447", "tcp/[::1]:7447")),
-        _session(listen=("tcp/0.0.0.0:7447",), security=SecurityConfig(insecure=True)),
-        _session(listen=("tcp/10.0.0.1:7447",), security=SecurityConfig(users_file="users")),
-        _session(listen=("tcp/10.0.0.1:7447",), security=SecurityConfig(names_are="interfaces", feeders=("eth0",))),
-    ],
-)
-def test_what_is_closed_or_meant_is_taken(config: ZenohConfig) -> None:
-    check(config)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -92,6 +146,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_users_are_let_in_by_password_and_may_do_what_they_are_named_for(tmp_path: Path) -> None:
     port = free_port()
     (tmp_path / "users").write_text(_USERS)
+    (tmp_path / "users").chmod(0o600)
     text = toml(tmp_path, port) + '[zenoh.security]\nusers_file = "users"\nfeeders = ["alice"]\nlisteners = ["alice", "bob"]\n'
     with in_thread(parse(text), tmp_path):
         with pytest.raises(zenoh.ZError), client(port):
@@ -185,6 +240,7 @@ def _with(folder: Path, name: str) -> dict[str, object]:
 
 def test_the_configuration_that_is_logged_holds_no_password(tmp_path: Path) -> None:
     (tmp_path / "password").write_text("secret\n")
+    (tmp_path / "password").chmod(0o600)
     config = parse('[zenoh.security]\nuser = "landfix"\npassword_file = "password"')
     assert isinstance(config, Config)
     assert "secret" not in config.toml()
