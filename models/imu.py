@@ -117,7 +117,7 @@ _NEXT = (1, 2, 0)  # row i of [s]x r is s_a r_b - s_b r_a, a and b the two that 
 _FIRST, _LAST = (_P,) * _T + (_T,) * 3, (_N,) * _T + (_A,) * 3
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, phi: Array) -> None:
     """One step of the nominal state, in place; fills r = R0, Rm, R1 (3, 3, 3) and the error transition phi (9, 15).
 
@@ -180,7 +180,7 @@ def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, ph
             phi[_T + i, _G + j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _transition_rows(phi: Array, m: Array, out: Array) -> None:
     """out (9, k) = phi m, m (15, k): position, velocity and attitude rows of Phi m; its bias rows are those of m.
 
@@ -235,7 +235,7 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
             p[i, j] = rows[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _add_noise(
     p: Array, x: Array, h: float, i: int, coasting: bool, t_ns: NDArray[np.int64], u: Array, known: Array, c: Array
 ) -> None:
@@ -288,7 +288,7 @@ def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> Non
         cov[i, i] += 0.5 * psd[k] * tau[k] * (1.0 - stays * stays)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _coast(x: Array, h: float, age: float, w: Array, c: Array, r: Array, phi: Array) -> None:
     """One step of the nominal state without IMU: attitude turns on at the last rate, which dies away, and v with it.
 
@@ -319,7 +319,7 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, r: Array, phi: Ar
             phi[_T + i, _T + j] = r1[0, i] * r0[0, j] + r1[1, i] * r0[1, j] + r1[2, i] * r0[2, j]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _step(
     x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array,
     rotations: Array, ends: Array, n: Array, phi: Array,
@@ -348,7 +348,7 @@ def _step(
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _of_state(cov: Array) -> Array:
     """The first 15 rows of P (n, n), and columns of zeros behind them: they fill vector registers, no rest is done one by one."""
     n = cov.shape[0]
@@ -359,7 +359,7 @@ def _of_state(cov: Array) -> Array:
     return p
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _into(cov: Array, p: Array) -> None:
     """The other way: rows and columns of the 15 in P (n, n) from p (15, >= n)."""
     for i in range(_N):
@@ -390,7 +390,7 @@ def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, 
     return whole
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _run(
     x: Array, cov: Array, whole: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int,
     to_ns: int, c: Array, tau: Array, psd: Array,
@@ -421,7 +421,7 @@ def _run(
     return sound(x, cov)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
     """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
     out = np.empty(6)
