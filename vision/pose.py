@@ -304,19 +304,11 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     edges, pictures = seen.found.shape
     R = np.zeros((edges, pictures, 2, pictures, 2))
     for k, line in enumerate(seen.lines):
-        _rough(line.unit, seen.opened[k], common_px**2, R[:, k, :, k])
+        variance = common_px**2
+        R[:, k, :, k] = 0.5 * variance * line.unit  # variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)
+        R[:, k, 0, k, 0] += variance + seen.opened[k]
+        R[:, k, 1, k, 1] += 0.5 * variance
     return fit.solve(_system(seen, R), robust=True)
-
-
-@njit(cache=True)
-def _rough(unit: Array, opened: Array, variance: float, R: Array) -> None:
-    """R (E, 2, 2) = variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)."""
-    for e in range(len(unit)):
-        for i in range(2):
-            for j in range(2):
-                R[e, i, j] = 0.5 * variance * unit[e, i, j]
-        R[e, 0, 0] += variance + opened[e]
-        R[e, 1, 1] += 0.5 * variance
 
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:

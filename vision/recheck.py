@@ -109,7 +109,6 @@ def recheck(
     return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
-@njit(cache=True)
 def _looked_at(
     image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array
 ) -> _Looked:
