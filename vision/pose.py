@@ -271,18 +271,8 @@ def _rms(values: Array) -> float:
 
 def _bend_px(seen: Look, dx: Array) -> float:
     """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
-    return float(_bent(seen.A, seen.found, dx))
-
-
-@njit(cache=True)
-def _bent(A: Array, found: Mask, dx: Array) -> float:
-    """_bend_px, A (E, K, 2, 6 + P) and found (E, K) as in Look."""
-    square, bend = 0.0, np.cross(dx[3:], dx[:3])
-    for e in range(found.shape[0]):
-        for k in range(found.shape[1]):
-            if found[e, k]:
-                square = max(square, np.sum(A[e, k, 0, :3] ** 2))
-    return float(0.5 * np.sqrt(square * np.sum(bend**2)))
+    square = np.sum(seen.A[:, :, 0, :3] ** 2, axis=2)[seen.found].max(initial=0.0)
+    return float(0.5 * np.sqrt(square * np.sum(np.cross(dx[3:], dx[:3]) ** 2)))
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:

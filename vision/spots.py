@@ -59,7 +59,8 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
         while stop < count and landmark[stop] == landmark[e]:
             stop += 1
         if small:
-            block[e:stop], spot[e:stop] = e, True
+            for i in range(e, stop):
+                block[i], spot[i] = e, True
         e = stop
     return block, spot
 
@@ -141,7 +142,9 @@ def _steepest(values: Array, contrast: Array, normal: Array, du: int, dv: int, u
             steep[j] = 0.0
             for c in range(len(contrast)):
                 steep[j] += (values[i, j + 1, c] - values[i, j - 1, c]) * contrast[c]
-        j = 2 + int(np.argmax(steep[2 : 2 * _HALF - 1]))
+        j = 2
+        for k in range(3, 2 * _HALF - 1):
+            j = k if steep[k] > steep[j] else j
         before, here, after = steep[j - 1], steep[j], steep[j + 1]
         if here > 0.0 and here >= before and here >= after and here > 0.5 * (before + after):
             s = (j - _HALF + 0.5 * (before - after) / (before - 2.0 * here + after)) * _STEP_PX
@@ -155,8 +158,13 @@ def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int
     for i in range(len(px)):
         pixel[i, 0], pixel[i, 1] = int(px[i, 0] + 0.5), int(px[i, 1] + 0.5)
     size, none = 2 * half + 1, np.zeros(image.shape[2])
-    left, top = pixel[:, 0].min() - half, pixel[:, 1].min() - half
-    g = _gradients(image, left, top, pixel[:, 0].max() + half - left + 1, pixel[:, 1].max() + half - top + 1)
+    left = right = pixel[0, 0]
+    top = bottom = pixel[0, 1]
+    for i in range(1, len(pixel)):
+        left, right = min(left, pixel[i, 0]), max(right, pixel[i, 0])
+        top, bottom = min(top, pixel[i, 1]), max(bottom, pixel[i, 1])
+    left, top = left - half, top - half
+    g = _gradients(image, left, top, right + half - left + 1, bottom + half - top + 1)
     score, best, at = np.zeros((size, size)), 0.0, (0, 0)
     for b in range(size):
         for a in range(size):
@@ -167,15 +175,19 @@ def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int
             if square > (_LEAST * total) ** 2:
                 score[b, a] = square / total
     for _ in range(size * size):
-        k = int(np.argmax(score))
-        b, a = k // size, k % size
+        a = b = 0
+        for k in range(size * size):
+            if score[k // size, k % size] > score[b, a]:
+                b, a = k // size, k % size
         if score[b, a] <= _RIVAL * best:
             break
         if _in_shadow(image, pixel, normal, a - half, b - half):
             score[b, a] = 0.0
         elif best == 0.0:
             best, at = score[b, a], (b, a)
-            score[max(b - _APART_PX, 0) : b + _APART_PX + 1, max(a - _APART_PX, 0) : a + _APART_PX + 1] = 0.0
+            for i in range(max(b - _APART_PX, 0), min(b + _APART_PX + 1, size)):
+                for j in range(max(a - _APART_PX, 0), min(a + _APART_PX + 1, size)):
+                    score[i, j] = 0.0
         else:
             return 0, 0, none
     if best == 0.0:
