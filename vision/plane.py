@@ -65,4 +65,9 @@ def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) ->
         x = np.linalg.solve(normal, belief * (x[0], *slope) + weighted @ d)
         residual = (d - rows @ x) / sigma
         scale = float((_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0)))
-    return x, np.linalg.inv(normal), math.sqrt(scale), int((robust > 0.25).sum())
+    return (
+        np.asarray(x, dtype=np.float64),
+        np.asarray(np.linalg.inv(normal), dtype=np.float64),
+        math.sqrt(scale),
+        int((robust > 0.25).sum()),
+    )
