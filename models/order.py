@@ -2,6 +2,7 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from models.messages import Array
 
@@ -21,6 +22,24 @@ def sort(values: Array) -> None:
 
 
 @njit(cache=True)
+def ranked(values: Array) -> NDArray[np.int64]:
+    """Indices (N,) of the values in ascending order, equal ones in their own."""
+    index, gap = np.arange(len(values)), len(values) // 2
+    while gap > 0:
+        for i in range(gap, len(values)):
+            k, j = index[i], i
+            while j >= gap:
+                before = index[j - gap]
+                if values[before] < values[k] or (values[before] == values[k] and before < k):
+                    break
+                index[j] = before
+                j -= gap
+            index[j] = k
+        gap = 1 if gap == 2 else int(gap / 2.2)
+    return index
+
+
+@njit(cache=True)
 def quantile(values: Array, share: float) -> float:
     """What a share of the values (N,) is below, linear between them, as numpy.quantile; NaN of none, or of NaN."""
     n, total = len(values), 0.0
@@ -28,12 +47,12 @@ def quantile(values: Array, share: float) -> float:
         total += values[i]
     if n == 0 or np.isnan(total):
         return np.nan
-    ranked = values.copy()
-    sort(ranked)
+    few = values.copy()
+    sort(few)
     place = 1.0 + (n - 1) * share
     k = min(int(place), n)
     part = place - k
-    return float(ranked[k - 1] if part == 0.0 or k == n else ranked[k - 1] * (1.0 - part) + ranked[k] * part)
+    return float(few[k - 1] if part == 0.0 or k == n else few[k - 1] * (1.0 - part) + few[k] * part)
 
 
 @njit(cache=True)

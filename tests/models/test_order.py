@@ -13,6 +13,7 @@ def test_median_and_quantiles_are_numpys(count: int) -> None:
     for share in (0.25, 0.75, 0.8):
         np.testing.assert_allclose(order.quantile(values, share), np.quantile(values, share), rtol=1e-12)
     np.testing.assert_array_equal(values, before)
+    np.testing.assert_array_equal(order.ranked(values), np.argsort(values, kind="stable"))
     order.sort(values)
     np.testing.assert_array_equal(values, np.sort(before))
 
