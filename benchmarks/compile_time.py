@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -92,7 +92,6 @@ def _demo(folder: Path) -> None:
     warm_up.warm_up()
     vision_warm_up.warm_up()
     flight_pictures.pool = _here  # type: ignore[assignment]
-    demo._vision_compiled = nullcontext  # type: ignore[assignment]
     demo.demo(folder, seed=1, scenario=_DEMO)
 
 

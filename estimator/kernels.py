@@ -1,0 +1,109 @@
+"""All kernels that a flight or the demonstration calls, compiled before the first of them, in two processes.
+
+    python -m estimator.kernels
+
+Nothing is done where they are compiled already. What is compiled is named while it is.
+"""
+
+import gc
+import sys
+from collections.abc import Callable
+from multiprocessing.connection import Connection, wait
+from typing import Final
+
+from estimator import compilation
+from estimator.workers import SPAWNED
+
+_SCENARIO: Final = """
+duration_s = 4.0
+origin = [47.3977, 8.5456, 488.0]
+[vehicle]
+kind = "multirotor"
+area_m = 160.0
+height_m = 75.0
+[gnss]
+[pose_fix]
+[cameras]
+"""
+_SIGNATURES: Final = 260  # about so many are compiled, of which the bar is a share
+
+Report = Callable[[float, str], None]  # share that is done, and what is compiled now
+
+
+class KernelsError(Exception):
+    """They could not be compiled."""
+
+
+def prepare(report: Report = lambda _, __: None) -> None:
+    """Compile what is missing. Raises KernelsError."""
+    if compilation.is_current():
+        return
+    compilation.forget()
+    pipes, done, names = [], 0, dict[Connection, str]()
+    processes = []
+    for part in (_vision, _flight):
+        ours, theirs = SPAWNED.Pipe(duplex=False)
+        processes.append(SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}"))
+        processes[-1].start()
+        theirs.close()
+        pipes.append(ours)
+    while pipes:
+        for pipe in wait(pipes):
+            assert isinstance(pipe, Connection)
+            try:
+                names[pipe] = pipe.recv()
+                done += bool(names[pipe])
+            except EOFError:
+                pipes.remove(pipe)
+                names.pop(pipe, None)
+            report(min(done / _SIGNATURES, 1.0), ", ".join(filter(None, names.values())))
+    for process in processes:
+        process.join()
+        if process.exitcode != 0:
+            raise KernelsError(f"{process.name} ended with {process.exitcode}; LANDFIX_DEBUG=1 landfix demo shows where")
+    compilation.mark_current()
+
+
+def _compile(pipe: Connection, part: Callable[[], None]) -> None:
+    """A process: it says what it compiles."""
+    gc.disable()  # a sixth of the time: the compiler makes many objects, and few that refer to each other
+    compilation.listen(lambda kernel, _: pipe.send(kernel))
+    part()
+    pipe.close()
+
+
+def _vision() -> None:
+    from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415  (each process loads what it needs)
+
+    warm_up()
+
+
+def _flight() -> None:
+    """What estimates, then what simulates and draws."""
+    from estimator import flight_pictures  # noqa: PLC0415
+    from estimator.service.warm_up import warm_up  # noqa: PLC0415
+    from models.sim.scenario import simulate  # noqa: PLC0415
+    from models.sim.scenario_file import loads  # noqa: PLC0415
+
+    warm_up()
+    plan = loads(_SCENARIO)
+    simulation = simulate(plan, 0)
+    assert plan.cameras is not None
+    flight_pictures.plan(plan.cameras, simulation, 0).draw(0)
+
+
+def main() -> None:
+    """With a line on stderr that says how far it is."""
+    terminal = sys.stderr.isatty()
+
+    def report(share: float, now: str) -> None:
+        if terminal:
+            print(f"\r\x1b[Kcompiling {share:4.0%} {now[:100]}", end="", file=sys.stderr, flush=True)
+
+    prepare(report)
+    if terminal:
+        print("\r\x1b[K", end="", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
