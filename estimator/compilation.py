@@ -46,7 +46,7 @@ class _Listener(event.Listener):
 
 def listen(heard: Heard) -> None:
     """Call `heard` from now on when this process compiles; a kernel that is loaded from the cache is not compiled."""
-    event.register("numba:compile", _Listener(heard))
+    event.register("numba:compile", _Listener(heard))  # type: ignore[no-untyped-call]
 
 
 def is_current() -> bool:

@@ -63,7 +63,7 @@ def lines_of(
     line, unit, found = np.zeros((edges, 2)), np.zeros((edges, 2, 2)), np.zeros(edges, dtype=np.bool_)
     gain, weight, residual = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
     square, points = np.zeros(edges), np.zeros(edges)
-    start = np.int64(0)  # a literal would be another signature of what is called with it, as in other kernels
+    start = int(np.int64(0))  # a literal would be another signature of what is called with it, as in other kernels
     while start < n:
         stop = start
         while stop < n and edge[stop] == edge[start]:

@@ -117,7 +117,7 @@ def _visible_edges(
     most = 3 * len(vertices)
     ends, by_map = np.empty((2, most, 3)), np.zeros((2, most, 3, _ERRORS))
     landmark, kind, partner = np.empty(most, np.int64), np.empty(most, np.int64), np.full(most, -1)
-    foot, n = np.zeros(3), np.int64(0)  # not a literal: _put would be compiled for both
+    foot, n = np.zeros(3), int(np.int64(0))  # not a literal: _put would be compiled for both
     for m in range(len(base_d)):
         roof_d = base_d[m] - height[m] - shift[m, _RISE]
         if p_c[2] >= roof_d:

@@ -21,7 +21,8 @@ ConfigFile = Annotated[
 class Reported(Protocol):
     """What a bar is called with."""
 
-    def __call__(self, fraction: float, now: str = "") -> None: ...
+    def __call__(self, fraction: float, now: str = "") -> None:
+        """Share that is done, and what is done now."""
 
 
 @contextmanager

@@ -6,6 +6,7 @@ python -m tests.service.many_looks
 import json
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from estimator import compilation
 from estimator.sight import Sight
 from estimator.vision_requests import Shot
+from logs.codec import Encoded
 from logs.pictures import Picture, encode_picture
 from logs.schemas import STORE
 from models import so3
@@ -87,6 +89,11 @@ def _shot(t_ns: int, picture: Picture, *, raw: bool) -> Shot:
     return Shot("", message.schema, message.data, t_ns, t_ns, t_ns)
 
 
+def _outcome(report: Encoded) -> str:
+    told: Any = STORE.deserialize_cdr(report.data, report.schema)
+    return str(told.outcome)
+
+
 def main() -> None:
     from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415
 
@@ -101,7 +108,7 @@ def main() -> None:
         w, x, y, z = so3.from_matrix(np.ascontiguousarray(R_nb)).tolist()
         request = VisionRequest(t_ns, t_ns, vec3(p_n), (w, x, y, z), np.diag(sigmas**2), None, None)
         said = sight.look(request, (shots[0], shots[1]))
-        outcomes[str(STORE.deserialize_cdr(said[0].data, said[0].schema).outcome)] += 1
+        outcomes[_outcome(said[0])] += 1
         sight.draw("aided")
     ours = [kernel for kernel in compiled if not kernel.startswith("vision.synthetic")]
     print(json.dumps({"looks": count, "compiled": ours, "outcomes": outcomes}))

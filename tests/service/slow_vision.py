@@ -39,7 +39,7 @@ def _serve(first: Callable[[], object], *args: Any) -> None:
 
     def then_slow() -> None:
         warm_up()
-        Sight.look = slow  # type: ignore[method-assign]
+        Sight.look = slow  # type: ignore[assignment, method-assign]
 
     vision_warm_up.warm_up = then_slow
     serve(*args)
@@ -58,4 +58,4 @@ def _kernel_that_takes(seconds: float) -> Callable[[], object]:
     def kernel() -> int:
         return wait()
 
-    return kernel
+    return kernel  # type: ignore[return-value]

@@ -134,3 +134,11 @@ def test_no_kernel_is_compiled_whatever_pictures_come() -> None:
     assert said["looks"] > 300
     assert said["outcomes"]["fixed"] > 100
     assert len(said["outcomes"]) > 4
+
+
+def test_no_kernel_is_compiled_whatever_is_flown() -> None:
+    """Coasting, late, false and partial fixes, hypotheses, relinearisation, a barometer, no place on Earth, and the smoother."""
+    said = _run("-m", "tests.service.many_flights")
+    assert said["compiled"] == []
+    assert said["estimates"] > 10_000
+    assert {"gnss_position fused", "gnss_velocity fused", "baro fused", "pose fused", "pose gated"} <= set(said["reasons"])

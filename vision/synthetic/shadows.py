@@ -28,7 +28,7 @@ def _collect(
     vertices: Array, offsets: Indices, height_m: Array, centre_n: Array, radius_m: Array, away: Array, ground_d: float,
     p_nc: Array, R_nc: Array, limits: Array, piece: float,
 ) -> tuple[Array, Indices, Indices]:  # fmt: skip
-    points, end, fall, middle = np.empty((4096, 3)), np.int64(0), np.empty(2), np.empty(3)
+    points, end, fall, middle = np.empty((4096, 3)), int(np.int64(0)), np.empty(2), np.empty(3)
     polygons, n_polygons = np.zeros(len(vertices) + 2 * len(height_m) + 1, dtype=np.int64), 0
     groups, n_groups = np.zeros(len(height_m) + 1, dtype=np.int64), 0
     for i in range(len(height_m)):
