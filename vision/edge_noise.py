@@ -103,7 +103,6 @@ def _common(
     return common
 
 
-@njit(cache=True)
 def _scatter(square: Array, points: Array, edge_points: float, least_px: float) -> Array:
     """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
     freedom = np.maximum(points - 2.0, 0.0)

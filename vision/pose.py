@@ -378,9 +378,9 @@ def difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
 
 @njit(cache=True)
 def _difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
-    off = np.empty(6)
-    off[:3] = p_n - p0_n
-    off[3:] = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    off, turn = np.empty(6), so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    for k in range(3):
+        off[k], off[3 + k] = p_n[k] - p0_n[k], turn[k]
     return off
 
 

@@ -270,22 +270,14 @@ def _turned(q: Array, m: Array) -> Array:
     return out
 
 
-@njit(cache=True, error_model="numpy")
 def symmetric_root(covariance: Array) -> tuple[Array, float]:
     """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), and the largest variance, nan where C is no covariance (NaN, negative).
 
     Unlike Cholesky's it changes little when C does, and C may be singular.
     """
-    k = covariance.shape[0]
-    root = np.zeros((k, k))
     if not np.isfinite(covariance).all():
-        return root, math.nan
+        return np.zeros_like(covariance), math.nan
     values, vectors = np.linalg.eigh(covariance)
-    if values.min() < -_ROUNDING * max(np.trace(covariance), 0.0):
-        return root, math.nan
-    for line in range(k):
-        scale = math.sqrt(max(values[line], 0.0))
-        for i in range(k):
-            for j in range(k):
-                root[i, j] += vectors[i, line] * scale * vectors[j, line]
-    return root, values.max()
+    if values[0] < -_ROUNDING * max(float(np.trace(covariance)), 0.0):
+        return np.zeros_like(covariance), math.nan
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, dtype=np.float64), float(values[-1])
