@@ -52,7 +52,8 @@ def listen(heard: Heard) -> None:
 def is_current() -> bool:
     """Whether all was compiled from the sources as they are now."""
     stamp = _stamp()
-    return stamp.is_file() and stamp.read_text(encoding="utf-8") == _digest()
+    there = stamp.is_file() and any(stamp.parent.glob("*.nbi"))
+    return there and stamp.read_text(encoding="utf-8") == _digest()
 
 
 def mark_current() -> None:

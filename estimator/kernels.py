@@ -7,7 +7,7 @@ Nothing is done where they are compiled already. What is compiled is named while
 
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Final
 
@@ -34,14 +34,13 @@ class KernelsError(Exception):
     """They could not be compiled."""
 
 
-def prepare(report: Report = lambda _, __: None) -> None:
-    """Compile what is missing. Raises KernelsError."""
+def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], None]] = ()) -> None:
+    """Compile all where a source has changed; parts: one process each (none: vision, and all else). Raises KernelsError."""
     if compilation.is_current():
         return
     compilation.forget()
-    pipes, done, names = [], 0, dict[Connection, str]()
-    processes = []
-    for part in (_vision, _flight):
+    pipes, processes, done, names = [], [], 0, dict[Connection, str]()
+    for part in parts or (_vision, _flight):
         ours, theirs = SPAWNED.Pipe(duplex=False)
         processes.append(SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}"))
         processes[-1].start()
@@ -60,7 +59,7 @@ def prepare(report: Report = lambda _, __: None) -> None:
     for process in processes:
         process.join()
         if process.exitcode != 0:
-            raise KernelsError(f"{process.name} ended with {process.exitcode}; LANDFIX_DEBUG=1 landfix demo shows where")
+            raise KernelsError(f"kernels cannot be compiled: {process.name} ended with {process.exitcode}, and said above why")
     compilation.mark_current()
 
 
