@@ -380,22 +380,22 @@ def propagate(
     Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
     A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
     """
-    return bool(_run(x, cov, _NOTHING, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
+    return bool(advance(x, cov, _NOTHING, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
 
 
 def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
     """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
     whole: Array = np.eye(_N)
-    _run(x.copy(), _NOTHING, whole, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
+    advance(x.copy(), _NOTHING, whole, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
     return whole
 
 
 @njit(cache=True, error_model="numpy")
-def _run(
+def advance(
     x: Array, cov: Array, whole: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int,
     to_ns: int, c: Array, tau: Array, psd: Array,
 ) -> bool:  # fmt: skip
-    """propagate, and whole (15, 15) <- Phi whole; either of cov and whole may be empty: one kernel is compiled for both."""
+    """propagate, and whole (15, 15) <- Phi whole; either of cov and whole may be empty: one kernel for both, and for others."""
     n = cov.shape[0]
     p = _of_state(cov)
     rows = np.empty((_G, max(p.shape[1], _N)))
