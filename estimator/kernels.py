@@ -9,6 +9,7 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Final
 
 from estimator import compilation
@@ -39,13 +40,30 @@ def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], No
     if compilation.is_current():
         return
     compilation.forget()
-    pipes, processes, done, names = [], [], 0, dict[Connection, str]()
-    for part in parts or (_vision, _flight):
-        ours, theirs = SPAWNED.Pipe(duplex=False)
-        processes.append(SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}"))
-        processes[-1].start()
-        theirs.close()
-        pipes.append(ours)
+    processes, pipes = list[BaseProcess](), list[Connection]()
+    try:
+        for part in parts or (_vision, _flight):
+            ours, theirs = SPAWNED.Pipe(duplex=False)
+            process = SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}")
+            process.start()
+            theirs.close()
+            processes.append(process)
+            pipes.append(ours)
+        _follow(pipes, report)
+    except BaseException:
+        for begun in processes:
+            begun.terminate()
+        raise
+    for ended in processes:
+        ended.join()
+        if ended.exitcode != 0:
+            raise KernelsError(f"kernels cannot be compiled: {ended.name} ended with {ended.exitcode}, and said above why")
+    compilation.mark_current()
+
+
+def _follow(pipes: list[Connection], report: Report) -> None:
+    """Report what the processes say until they have ended."""
+    done, names = 0, dict[Connection, str]()
     while pipes:
         for pipe in wait(pipes):
             assert isinstance(pipe, Connection)
@@ -56,11 +74,6 @@ def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], No
                 pipes.remove(pipe)
                 names.pop(pipe, None)
             report(min(done / _SIGNATURES, 1.0), ", ".join(filter(None, names.values())))
-    for process in processes:
-        process.join()
-        if process.exitcode != 0:
-            raise KernelsError(f"kernels cannot be compiled: {process.name} ended with {process.exitcode}, and said above why")
-    compilation.mark_current()
 
 
 def _compile(pipe: Connection, part: Callable[[], None]) -> None:
