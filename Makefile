@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real campaign soak site install lock clean
+.PHONY: help demo test check bench bench-real campaign soak site install kernels lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -39,12 +39,11 @@ soak: install  ## the daemon under load for an hour: latency, memory, drops, and
 site: install $(VENV)/.site  ## the documentation as pages to browse, links checked: site/index.html
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build
 
-install: $(VENV)/.installed $(VENV)/.kernels
+install: kernels
 
-# Compiled kernels are cached by the file they stand in; one that calls a kernel of a changed file would stay as it was.
-$(VENV)/.kernels: $(wildcard models/*.py estimator/*.py estimator/sources/*.py logs/*.py vision/*.py vision/synthetic/*.py calib/*.py) | $(VENV)/.installed
-	@find models estimator logs vision calib -name '*.nb[ic]' -delete
-	@touch $@
+# Compiles the kernels where any file has changed that goes into one: numba looks at a kernel's own file only.
+kernels: $(VENV)/.installed
+	@$(BIN)/python -m estimator.kernels
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models import sampling, so3
-from models.imu import propagate
+from models.imu import advance
 from models.messages import Array
 from models.state import E, X
 
@@ -33,13 +33,13 @@ def innovations(
     R_no: board to n; R_bc, p_bc: camera on the body; c: models.imu.constants.
     """
     out = np.full((shutter_ns.shape[0], 6), np.nan)
-    none = np.empty(0)
+    none, nothing = np.empty(0), np.empty((0, 0))
     R_cb = np.ascontiguousarray(R_bc.T)
     H = np.zeros((6, _N))
     identity, unknown = np.eye(_N), np.zeros((t_ns.shape[0], sampling.SIZE))
     for k in range(shutter_ns.shape[0]):
         i = int(np.searchsorted(t_ns, from_ns, side="right"))
-        if not propagate(x, P, t_ns, u, unknown, t_ns.shape[0], i, from_ns, shutter_ns[k], c, none, none):
+        if not advance(x, P, nothing, t_ns, u, unknown, t_ns.shape[0], i, from_ns, shutter_ns[k], c, none, none):
             return out
         from_ns = shutter_ns[k]
         R_bn = np.ascontiguousarray(so3.matrix(x[_XQ:_XG]).T)

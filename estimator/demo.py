@@ -3,8 +3,7 @@
 GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from estimator import simulate as simulated
 from estimator.config import Config, load
 from estimator.replay import replay
 from estimator.tally import ReplaySummary
-from estimator.workers import SPAWNED
 from logs.evaluate import find_outages
 from logs.evaluation import Evaluation
 from logs.report import Written, compose, gather
@@ -81,22 +79,7 @@ def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> Non
         pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
         text = flight_pictures.configuration(simulation, "map.geojson", "rig.yaml")
     (folder / "demo.toml").write_text(text, encoding="utf-8")
-    with _vision_compiled() if pictures else nullcontext():
-        simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
-
-
-@contextmanager
-def _vision_compiled() -> Iterator[None]:
-    """Meanwhile another process compiles the kernels of vision, if nobody has yet: the first time that takes a minute or two."""
-    from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415
-
-    process = SPAWNED.Process(target=warm_up)
-    process.start()
-    try:
-        yield
-        process.join()
-    finally:
-        process.terminate()
+    simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
 
 
 def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:

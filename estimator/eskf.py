@@ -171,7 +171,7 @@ class Eskf:
 _T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, float, float]:
     """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s, in place; s: mean (n - 15,) of the slow errors."""
     for i in range(nu.shape[0]):
@@ -182,14 +182,18 @@ def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple
     return hp, s, distance2, logdet
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Which states a (k,) of P (n, n) are corrected, and P (k + m, k + m) and H (m, k + m) of a and e = H_c c, H (m, n).
 
     estimated: (n - 15,) 0 where a slow error is considered.
     """
-    kept = np.append(np.arange(_N), _N + np.flatnonzero(estimated))
-    k, m = kept.shape[0], h.shape[0]
+    kept, k, m = np.arange(_N + estimated.shape[0]), _N, h.shape[0]
+    for i in range(estimated.shape[0]):
+        if estimated[i] != 0.0:
+            kept[k] = _N + i
+            k += 1
+    kept = kept[:k].copy()
     of_considered = h.copy()
     by = np.zeros((m, k + m))
     for i in range(m):
@@ -199,7 +203,9 @@ def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Ar
         by[i, k + i] = 1.0
     between, with_all = innovation_covariance(cov, of_considered, np.zeros((m, m)))
     small = np.empty((k + m, k + m))
-    small[k:, k:] = between
+    for i in range(m):
+        for j in range(m):
+            small[k + i, k + j] = between[i, j]
     for i in range(k):
         for j in range(k):
             small[i, j] = cov[kept[i], kept[j]]
@@ -209,7 +215,7 @@ def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Ar
     return kept, small, by
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
     """P (n, n), in place, from what `summed` made and the update turned into posterior and gain (k + m, m); hp: H P (m, n)."""
     n, k = cov.shape[0], kept.shape[0]
@@ -226,12 +232,15 @@ def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[n
             cov[j, kept[i]] = cov[kept[i], j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inject(x: Array, cov: Array, dx: Array) -> bool:
     """x <- x (+) dx and P <- G P G^T, in place; dx (15,). False where the result is not sound."""
-    x[:] = retract(x, dx)
-    g = np.eye(3) - 0.5 * so3.skew(dx[_T:_G])
-    n = cov.shape[0]
+    moved, g, n = retract(x, dx), so3.skew(dx[_T:_G]), cov.shape[0]
+    for i in range(x.shape[0]):
+        x[i] = moved[i]
+    for i in range(3):
+        for j in range(3):
+            g[i, j] = (1.0 if i == j else 0.0) - 0.5 * g[i, j]
     row = np.empty(3)
     for j in range(n):
         for i in range(3):

@@ -6,6 +6,7 @@ so that not even one that is still importing answers with a traceback.
 """
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -15,14 +16,26 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 
 class _Worker(SpawnProcess):
     def start(self) -> None:
-        """It has the signal mask of the thread that starts it. A tracker started between would unblock SIGINT: that first."""
+        """It has the signal mask of the thread that starts it. A tracker started between would unblock SIGINT: that first.
+
+        Ctrl-C may reach another thread meanwhile, and Python would interrupt this one: it waits until the process is known, or
+        nobody would end it.
+        """
         self.daemon = True  # terminated with this process
         resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), list[int]()
+        handler = signal.getsignal(signal.SIGINT)
+        holds = handler is not None and threading.current_thread() is threading.main_thread()
+        if holds:
+            signal.signal(signal.SIGINT, lambda number, _: held.append(number))
         try:
             super().start()
         finally:
+            if holds:
+                signal.signal(signal.SIGINT, handler)
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            if held:
+                signal.raise_signal(signal.SIGINT)
 
 
 class _Workers(SpawnContext):

@@ -25,6 +25,19 @@ _ODOMETRY_SIZE: Final = 85  # doubles: pose 7 + 36, twist 6 + 36
 
 _P, _V, _TH, _BG = E.P.start, E.V.start, E.THETA.start, E.BG.start
 _XP, _XV, _XQ = X.P.start, X.V.start, X.Q.start
+_N_TO_M, _B_TO_M, _N_TO_F, _TURN_TO_F, _BIAS_TO_F = range(5)
+_BLOCKS: Final = (  # of pose (from 7 on) and twist (from 49 on): row, column, which matrix A, where in P, which B, of A P B^T
+    (7, 0, 0, _N_TO_M, _P, _P, _N_TO_M),
+    (7, 0, 3, _N_TO_M, _P, _TH, _B_TO_M),
+    (7, 3, 3, _B_TO_M, _TH, _TH, _B_TO_M),
+    (49, 0, 0, _N_TO_F, _V, _V, _N_TO_F),
+    (49, 0, 0, _N_TO_F, _V, _TH, _TURN_TO_F),
+    (49, 0, 0, _TURN_TO_F, _TH, _V, _N_TO_F),
+    (49, 0, 0, _TURN_TO_F, _TH, _TH, _TURN_TO_F),
+    (49, 0, 3, _N_TO_F, _V, _BG, _BIAS_TO_F),
+    (49, 0, 3, _TURN_TO_F, _TH, _BG, _BIAS_TO_F),
+    (49, 3, 3, _BIAS_TO_F, _BG, _BG, _BIAS_TO_F),
+)
 
 
 def imu(data: bytes) -> tuple[int, Vec3, Vec3] | None:
@@ -48,7 +61,7 @@ def odometry(t_ns: int, values: Array) -> bytes:
     return _ODOMETRY_HEAD.pack(b"\0\1\0\0", sec, nanosec, 4, b"map\0", 10, b"base_link\0") + values.tobytes()
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def odometry_values(nav: Array, covariance: Array, gx: float, gy: float, gz: float) -> Array:
     """The 85 doubles of an Odometry from the packed state, its covariance and the angular rate in FRD, rad/s.
 
@@ -60,52 +73,37 @@ def odometry_values(nav: Array, covariance: Array, gx: float, gy: float, gz: flo
     """
     out = np.zeros(_ODOMETRY_SIZE)
     q = nav[_XQ : _XQ + 4]
-    R_nb = so3.matrix(q)
-    rotate_b_to_m = _product(ENU_FROM_NED, R_nb)
-    rotate_n_to_f = _product(FLU_FROM_FRD, R_nb.T)
+    R_nb, by = so3.matrix(q), np.zeros((5, 3, 3))
     v_b = np.zeros(3)
     for i in range(3):
         for k in range(3):
             out[i] += ENU_FROM_NED[i, k] * nav[_XP + k]
             v_b[i] += R_nb[k, i] * nav[_XV + k]
+    across = so3.skew(v_b)
+    for i in range(3):
+        for j in range(3):
+            by[_N_TO_M, i, j], by[_BIAS_TO_F, i, j] = ENU_FROM_NED[i, j], -FLU_FROM_FRD[i, j]
+            for k in range(3):
+                by[_B_TO_M, i, j] += ENU_FROM_NED[i, k] * R_nb[k, j]
+                by[_N_TO_F, i, j] += FLU_FROM_FRD[i, k] * R_nb[j, k]
+                by[_TURN_TO_F, i, j] += FLU_FROM_FRD[i, k] * across[k, j]
     s = np.sqrt(0.5)  # the quaternion, as logs.axes.attitude turns it
     out[3], out[4] = s * (q[1] + q[2]), s * (q[1] - q[2])
     out[5], out[6] = s * (q[0] - q[3]), s * (q[0] + q[3])
     out[43], out[44], out[45] = v_b[0], -v_b[1], -v_b[2]
     out[46], out[47], out[48] = gx, -gy, -gz
 
-    pose = out[7:43].reshape(6, 6)
-    _add(pose, 0, 0, ENU_FROM_NED, covariance, _P, _P, ENU_FROM_NED)
-    _add(pose, 0, 3, ENU_FROM_NED, covariance, _P, _TH, rotate_b_to_m)
-    _add(pose, 3, 3, rotate_b_to_m, covariance, _TH, _TH, rotate_b_to_m)
-    _mirror(pose)
-
-    twist = out[49:85].reshape(6, 6)
-    attitude_to_f = _product(FLU_FROM_FRD, so3.skew(v_b))
-    bias_to_f = -FLU_FROM_FRD
-    _add(twist, 0, 0, rotate_n_to_f, covariance, _V, _V, rotate_n_to_f)
-    _add(twist, 0, 0, rotate_n_to_f, covariance, _V, _TH, attitude_to_f)
-    _add(twist, 0, 0, attitude_to_f, covariance, _TH, _V, rotate_n_to_f)
-    _add(twist, 0, 0, attitude_to_f, covariance, _TH, _TH, attitude_to_f)
-    _add(twist, 0, 3, rotate_n_to_f, covariance, _V, _BG, bias_to_f)
-    _add(twist, 0, 3, attitude_to_f, covariance, _TH, _BG, bias_to_f)
-    _add(twist, 3, 3, bias_to_f, covariance, _BG, _BG, bias_to_f)
-    _mirror(twist)
+    for n in range(len(_BLOCKS)):
+        at, row, column, left, i0, j0, right = _BLOCKS[n]
+        _add(out[at : at + 36].reshape(6, 6), row, column, by[left], covariance, i0, j0, by[right])
+    for at in (7, 49):  # the lower triangle becomes the upper one: symmetric to the bit
+        for i in range(6):
+            for j in range(i):
+                out[at + 6 * i + j] = out[at + 6 * j + i]
     return out
 
 
-@njit(cache=True)
-def _product(a: Array, b: Array) -> Array:
-    """a b of two (3, 3); written out, for BLAS costs more than the product."""
-    c = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                c[i, j] += a[i, k] * b[k, j]
-    return c
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _add(out: Array, row: int, column: int, a: Array, p: Array, i0: int, j0: int, b: Array) -> None:
     """out[row.., column..] += a P[i0.., j0..] b^T with (3, 3) blocks."""
     for i in range(3):
@@ -113,11 +111,3 @@ def _add(out: Array, row: int, column: int, a: Array, p: Array, i0: int, j0: int
             ap = a[i, 0] * p[i0, j0 + m] + a[i, 1] * p[i0 + 1, j0 + m] + a[i, 2] * p[i0 + 2, j0 + m]
             for j in range(3):
                 out[row + i, column + j] += ap * b[j, m]
-
-
-@njit(cache=True)
-def _mirror(p: Array) -> None:
-    """The lower triangle becomes the upper one: symmetric to the bit."""
-    for i in range(6):
-        for j in range(i):
-            p[i, j] = p[j, i]

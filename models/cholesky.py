@@ -8,7 +8,7 @@ from numba import njit
 from models.messages import Array
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def factor(s: Array, low: Array) -> bool:
     """Fill the lower triangle of low, which may be S itself, with L of S (m, m); False where S is not positive definite."""
     for i in range(s.shape[0]):
@@ -25,7 +25,7 @@ def factor(s: Array, low: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forward(low: Array, b: Array) -> None:
     """b (m, k) <- L^-1 b, in place."""
     for i in range(b.shape[0]):
@@ -36,7 +36,7 @@ def forward(low: Array, b: Array) -> None:
             b[i, j] /= low[i, i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def backward(low: Array, b: Array) -> None:
     """b (m, k) <- L^-T b, in place."""
     for i in range(b.shape[0] - 1, -1, -1):
@@ -47,7 +47,7 @@ def backward(low: Array, b: Array) -> None:
             b[i, j] /= low[i, i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def substitute(low: Array, b: Array) -> None:
     """b (m,) <- S^-1 b = L^-T L^-1 b, in place."""
     for i in range(b.shape[0]):
@@ -60,7 +60,7 @@ def substitute(low: Array, b: Array) -> None:
         b[i] /= low[i, i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inverse(s: Array) -> Array:
     """S^-1 = L^-T L^-1 (m, m), exactly symmetric. Raises numpy.linalg.LinAlgError where S is not positive definite."""
     m = s.shape[0]
@@ -78,7 +78,7 @@ def inverse(s: Array) -> Array:
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def symmetrise(m: Array) -> None:
     """m <- (m + m^T) / 2, in place, (n, n)."""
     for i in range(m.shape[0]):

@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import sampling, so3
+from models import sampling
 from models.frames import GRAVITY, Origin
 from models.messages import Array
 from models.state import E, X, sound
@@ -38,6 +38,7 @@ _XP, _XV, _XQ, _XG, _XA = X.P.start, X.V.start, X.Q.start, X.BG.start, X.BA.star
 
 _NS = 1e-9  # s per ns
 _EARTH_RADIUS = 6_371_000.0  # m, mean
+_NONE, _NOTHING = np.zeros(0), np.zeros((0, 0))
 _LANES = 8  # numbers that a vector register holds
 # What a step calls is inlined: a call counts references to every array that it hands over, a quarter of the time of a step.
 
@@ -103,27 +104,6 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
 
 
 @njit(cache=True, inline="always")
-def _gravity(p: Array, v: Array, c: Array) -> tuple[float, float, float]:
-    """g(p) - 2 w_ie x v in n: towards the Earth's centre, weaker with height, plus Coriolis (Groves 2013, eq. 5.53)."""
-    w = c[_C_EARTH : _C_EARTH + 3]
-    k = c[_C_GRADIENT]
-    gx = -k * p[0] - 2.0 * (w[1] * v[2] - w[2] * v[1])
-    gy = -k * p[1] - 2.0 * (w[2] * v[0] - w[0] * v[2])
-    gz = c[_C_GRAVITY] + 2.0 * k * p[2] - 2.0 * (w[0] * v[1] - w[1] * v[0])
-    return gx, gy, gz
-
-
-@njit(cache=True, inline="always")
-def _rotate(r: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """R x."""
-    return (
-        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
-        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
-        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
-    )
-
-
-@njit(cache=True, inline="always")
 def _matrix_into(q: Array, r: Array) -> None:
     """so3.matrix without a new array."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -142,36 +122,26 @@ def _turn(q: Array, hw: float, hx: float, hy: float, hz: float) -> None:
     q[3] = w * hz + x * hy - y * hx + z * hw
 
 
-@njit(cache=True, inline="always")
-def _cross_columns(sx: float, sy: float, sz: float, r: Array, scale: float, out: Array) -> None:
-    """out = scale [s]x R."""
-    for j in range(3):
-        out[0, j] = scale * (sy * r[2, j] - sz * r[1, j])
-        out[1, j] = scale * (sz * r[0, j] - sx * r[2, j])
-        out[2, j] = scale * (sx * r[1, j] - sy * r[0, j])
-
-
+_NEXT = (1, 2, 0)  # row i of [s]x r is s_a r_b - s_b r_a, a and b the two that come after i
 # The rows of Phi that are not those of the identity, (9, 15), have nothing outside these columns.
 _FIRST, _LAST = (_P,) * _T + (_T,) * 3, (_N,) * _T + (_A,) * 3
 
 
-@njit(cache=True, inline="always")
-def _strapdown(
-    x: Array, h: float, w0: Array, w1: Array, f0: Array, f1: Array, c: Array, r0: Array, rm: Array, r1: Array, phi: Array,
-) -> None:  # fmt: skip
-    """One step of the nominal state, in place; fills r0, rm, r1 (3, 3) and the error transition phi (9, 15)."""
-    p, v, q, bg, ba = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA], x[_XA:]
+@njit(cache=True, error_model="numpy")
+def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, phi: Array) -> None:
+    """One step of the nominal state, in place; fills r = R0, Rm, R1 (3, 3, 3) and the error transition phi (9, 15).
+
+    ends (4, 3): w0, w1, f0, f1. Scratch: n (3, 3), R (f - b_a) of the three, of which s_p and s_v are made.
+    """
+    q, r0, rm, r1 = x[_XQ:_XG], r[0], r[1], r[2]
+    wx, wy, wz = c[_C_EARTH], c[_C_EARTH + 1], c[_C_EARTH + 2]
     _matrix_into(q, r0)
-    earth = c[_C_EARTH : _C_EARTH + 3]
-    a0, a1, a2 = w0[0] - bg[0], w0[1] - bg[1], w0[2] - bg[2]
-    b0, b1, b2 = w1[0] - bg[0], w1[1] - bg[1], w1[2] - bg[2]
-    k = h * h / 12.0
-    ex = r0[0, 0] * earth[0] + r0[1, 0] * earth[1] + r0[2, 0] * earth[2]
-    ey = r0[0, 1] * earth[0] + r0[1, 1] * earth[1] + r0[2, 1] * earth[2]
-    ez = r0[0, 2] * earth[0] + r0[1, 2] * earth[1] + r0[2, 2] * earth[2]
-    ax = 0.5 * h * (a0 + b0) + k * (a1 * b2 - a2 * b1) - h * ex
-    ay = 0.5 * h * (a1 + b1) + k * (a2 * b0 - a0 * b2) - h * ey
-    az = 0.5 * h * (a2 + b2) + k * (a0 * b1 - a1 * b0) - h * ez
+    a0, a1, a2 = ends[0, 0] - x[_XG], ends[0, 1] - x[_XG + 1], ends[0, 2] - x[_XG + 2]
+    b0, b1, b2 = ends[1, 0] - x[_XG], ends[1, 1] - x[_XG + 1], ends[1, 2] - x[_XG + 2]
+    k12 = h * h / 12.0
+    ax = 0.5 * h * (a0 + b0) + k12 * (a1 * b2 - a2 * b1) - h * (r0[0, 0] * wx + r0[1, 0] * wy + r0[2, 0] * wz)
+    ay = 0.5 * h * (a1 + b1) + k12 * (a2 * b0 - a0 * b2) - h * (r0[0, 1] * wx + r0[1, 1] * wy + r0[2, 1] * wz)
+    az = 0.5 * h * (a2 + b2) + k12 * (a0 * b1 - a1 * b0) - h * (r0[0, 2] * wx + r0[1, 2] * wy + r0[2, 2] * wz)
     quarter = 0.25 * math.sqrt(ax * ax + ay * ay + az * az)  # half of the half rotation's angle
     s = 0.25 if quarter < 1e-8 else 0.25 * math.sin(quarter) / quarter
     hw = math.cos(quarter)
@@ -179,42 +149,48 @@ def _strapdown(
     _matrix_into(q, rm)
     _turn(q, hw, s * ax, s * ay, s * az)
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    q[0], q[1], q[2], q[3] = q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
+    for k in range(4):
+        q[k] *= scale
     _matrix_into(q, r1)
-    n0 = _rotate(r0, f0[0] - ba[0], f0[1] - ba[1], f0[2] - ba[2])
-    nm = _rotate(rm, 0.5 * (f0[0] + f1[0]) - ba[0], 0.5 * (f0[1] + f1[1]) - ba[1], 0.5 * (f0[2] + f1[2]) - ba[2])
-    n1 = _rotate(r1, f1[0] - ba[0], f1[1] - ba[1], f1[2] - ba[2])
-    kv, kp = h / 6.0, h * h / 6.0
-    vx, vy, vz = kv * (n0[0] + 4.0 * nm[0] + n1[0]), kv * (n0[1] + 4.0 * nm[1] + n1[1]), kv * (n0[2] + 4.0 * nm[2] + n1[2])
-    px, py, pz = kp * (n0[0] + 2.0 * nm[0]), kp * (n0[1] + 2.0 * nm[1]), kp * (n0[2] + 2.0 * nm[2])
-    gx, gy, gz = _gravity(p, v, c)
-    hh = 0.5 * h * h
-    p[0] += h * v[0] + px + hh * gx
-    p[1] += h * v[1] + py + hh * gy
-    p[2] += h * v[2] + pz + hh * gz
-    v[0] += vx + h * gx
-    v[1] += vy + h * gy
-    v[2] += vz + h * gz
-    _cross_columns(px, py, pz, r0, -1.0, phi[_P:_V, _T:_G])
-    _cross_columns(vx, vy, vz, r0, -1.0, phi[_V:_T, _T:_G])
-    _cross_columns(vx, vy, vz, rm, kp, phi[_P:_V, _G:_A])
-    _cross_columns(vx, vy, vz, rm, 0.5 * h, phi[_V:_T, _G:_A])
-    wx, wy, wz = h * earth[0], h * earth[1], h * earth[2]
+    for i in range(3):
+        f0, f1 = ends[2, i], ends[3, i]
+        n[0, i], n[1, i], n[2, i] = f0 - x[_XA + i], 0.5 * (f0 + f1) - x[_XA + i], f1 - x[_XA + i]
+    kv, kp, hh = h / 6.0, h * h / 6.0, 0.5 * h * h
+    sp, sv = ends[0], ends[1]
+    for i in range(3):
+        n0 = r0[i, 0] * n[0, 0] + r0[i, 1] * n[0, 1] + r0[i, 2] * n[0, 2]
+        nm = rm[i, 0] * n[1, 0] + rm[i, 1] * n[1, 1] + rm[i, 2] * n[1, 2]
+        n1 = r1[i, 0] * n[2, 0] + r1[i, 1] * n[2, 1] + r1[i, 2] * n[2, 2]
+        sp[i], sv[i] = kp * (n0 + 2.0 * nm), kv * (n0 + 4.0 * nm + n1)
+    k = c[_C_GRADIENT]  # g(p) - 2 w_ie x v in n: weaker with height, plus Coriolis (Groves 2013, eq. 5.53)
+    g = ends[2]
+    g[0] = -k * x[_XP] - 2.0 * (wy * x[_XV + 2] - wz * x[_XV + 1])
+    g[1] = -k * x[_XP + 1] - 2.0 * (wz * x[_XV] - wx * x[_XV + 2])
+    g[2] = c[_C_GRAVITY] + 2.0 * k * x[_XP + 2] - 2.0 * (wx * x[_XV + 1] - wy * x[_XV])
+    for i in range(3):
+        x[_XP + i] += h * x[_XV + i] + sp[i] + hh * g[i]
+        x[_XV + i] += sv[i] + h * g[i]
+    wx, wy, wz = h * wx, h * wy, h * wz
     phi[_V, _V], phi[_V, _V + 1], phi[_V, _V + 2] = 1.0, 2.0 * wz, -2.0 * wy  # I - 2h [w_ie]x
     phi[_V + 1, _V], phi[_V + 1, _V + 1], phi[_V + 1, _V + 2] = -2.0 * wz, 1.0, 2.0 * wx
     phi[_V + 2, _V], phi[_V + 2, _V + 1], phi[_V + 2, _V + 2] = 2.0 * wy, -2.0 * wx, 1.0
     for j in range(3):
         phi[_P + j, _P + j], phi[_P + j, _V + j] = 1.0, h
-        phi[_V + j, _P + j] = (2.0 if j == 2 else -1.0) * c[_C_GRADIENT] * h
+        phi[_V + j, _P + j] = (2.0 if j == 2 else -1.0) * k * h
         x0, x1, x2 = r0[0, j], r0[1, j], r0[2, j]
         y0, y1, y2 = x0 + wz * x1 - wy * x2, x1 - wz * x0 + wx * x2, x2 + wy * x0 - wx * x1
         for i in range(3):
+            a, b = _NEXT[i], _NEXT[_NEXT[i]]
+            phi[_P + i, _T + j] = -1.0 * (sp[a] * r0[b, j] - sp[b] * r0[a, j])
+            phi[_V + i, _T + j] = -1.0 * (sv[a] * r0[b, j] - sv[b] * r0[a, j])
+            phi[_P + i, _G + j] = kp * (sv[a] * rm[b, j] - sv[b] * rm[a, j])
+            phi[_V + i, _G + j] = 0.5 * h * (sv[a] * rm[b, j] - sv[b] * rm[a, j])
             phi[_P + i, _A + j], phi[_V + i, _A + j] = -hh * rm[i, j], -h * rm[i, j]
             phi[_T + i, _T + j] = r1[0, i] * y0 + r1[1, i] * y1 + r1[2, i] * y2
             phi[_T + i, _G + j] = -h * (r1[0, i] * rm[0, j] + r1[1, i] * rm[1, j] + r1[2, i] * rm[2, j])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _transition_rows(phi: Array, m: Array, out: Array) -> None:
     """out (9, k) = phi m, m (15, k): position, velocity and attitude rows of Phi m; its bias rows are those of m.
 
@@ -270,24 +246,34 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
 
 
 @njit(cache=True, inline="always")
-def _add_noise(p: Array, h: float, gyro: float, accel: float, gyro_walk: float, accel_walk: float) -> None:
-    """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral)."""
-    for i in range(3):
-        p[_P + i, _P + i] += accel * h * h * h / 3.0
-        p[_P + i, _V + i] += 0.5 * accel * h * h
-        p[_V + i, _P + i] += 0.5 * accel * h * h
-        p[_V + i, _V + i] += accel * h
-        p[_T + i, _T + i] += gyro * h
-        p[_G + i, _G + i] += gyro_walk * h
-        p[_A + i, _A + i] += accel_walk * h
+def _add_noise(
+    p: Array, x: Array, h: float, i: int, coasting: bool, t_ns: NDArray[np.int64], u: Array, known: Array, c: Array
+) -> None:
+    """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral).
 
-
-@njit(cache=True, inline="always")
-def _turning(w: Array, bg: Array, c: Array) -> float:
-    """Density s^2 T |w - b_g|^2, (rad/s)^2/Hz, of w, b_g (3,) rad/s: a share s of the rate is wrong for T, as a turn lasts."""
-    x, y, z = w[0] - bg[0], w[1] - bg[1], w[2] - bg[2]
-    density: float = c[_C_SCALE_PSD] * (x * x + y * y + z * z)
-    return density
+    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz.
+    """
+    gyro, accel = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
+    if not coasting:
+        span, square = (t_ns[i] - t_ns[i - 1]) * _NS, 0.0
+        for k in range(3):
+            rate = u[i, k] - x[_XG + k]
+            square += rate * rate
+        for sensor in range(2):  # not literals: density would be compiled once for each
+            psd = c[_C_GYRO_PSD + sensor]
+            psd += sampling.density(known[i], sensor, span, psd)
+            if sensor == 0:
+                gyro = psd + c[_C_SCALE_PSD] * square
+            else:
+                accel = psd
+    for k in range(3):
+        p[_P + k, _P + k] += accel * h * h * h / 3.0
+        p[_P + k, _V + k] += 0.5 * accel * h * h
+        p[_V + k, _P + k] += 0.5 * accel * h * h
+        p[_V + k, _V + k] += accel * h
+        p[_T + k, _T + k] += gyro * h
+        p[_G + k, _G + k] += c[_C_GYRO_WALK_PSD] * h
+        p[_A + k, _A + k] += c[_C_ACCEL_WALK_PSD] * h
 
 
 @njit(cache=True, inline="always")
@@ -312,8 +298,8 @@ def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> Non
         cov[i, i] += 0.5 * psd[k] * tau[k] * (1.0 - stays * stays)
 
 
-@njit(cache=True)
-def _coast(x: Array, h: float, age: float, w: Array, c: Array, r0: Array, r1: Array, phi: Array) -> None:
+@njit(cache=True, error_model="numpy")
+def _coast(x: Array, h: float, age: float, w: Array, c: Array, r: Array, phi: Array) -> None:
     """One step of the nominal state without IMU: attitude turns on at the last rate, which dies away, and v with it.
 
     psi = integral of w_n,z;  v1 = Rz(psi) v,  p1 = p + h v,  R1 = R exp(alpha)      (coordinated turn; Bar-Shalom 2001, 11.7)
@@ -321,39 +307,45 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, r0: Array, r1: Ar
     """
     decay = c[_C_TURN_DECAY_S]
     gain = decay * (math.exp(-age / decay) - math.exp(-(age + h) / decay))
-    p, v, q, bg = x[_XP:_XV], x[_XV:_XQ], x[_XQ:_XG], x[_XG:_XA]
     phi[:] = 0.0
+    q, r0, r1 = x[_XQ:_XG], r[0], r[2]
     _matrix_into(q, r0)
-    a = np.empty(3)
+    ax, ay, az = gain * (w[0] - x[_XG]), gain * (w[1] - x[_XG + 1]), gain * (w[2] - x[_XG + 2])
+    psi = r0[2, 0] * ax + r0[2, 1] * ay + r0[2, 2] * az
     for i in range(3):
-        a[i] = gain * (w[i] - bg[i])
-        p[i] += h * v[i]
-    psi = r0[2, 0] * a[0] + r0[2, 1] * a[1] + r0[2, 2] * a[2]
+        x[_XP + i] += h * x[_XV + i]
     cos, sin = math.cos(psi), math.sin(psi)
-    v[0], v[1] = cos * v[0] - sin * v[1], sin * v[0] + cos * v[1]
-    q[:] = so3.normalise(so3.multiply(q, so3.quat_exp(a)))
+    x[_XV], x[_XV + 1] = cos * x[_XV] - sin * x[_XV + 1], sin * x[_XV] + cos * x[_XV + 1]
+    angle = math.sqrt(ax * ax + ay * ay + az * az)
+    s = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
+    _turn(q, math.cos(0.5 * angle), s * ax, s * ay, s * az)
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for k in range(4):
+        q[k] /= norm
     _matrix_into(q, r1)
-    phi[_T:_G, _T:_G] = r1.T @ r0
     for i in range(3):
         phi[_P + i, _P + i], phi[_P + i, _V + i], phi[_V + i, _V + i] = 1.0, h, 1.0
+        for j in range(3):
+            phi[_T + i, _T + j] = r1[0, i] * r0[0, j] + r1[1, i] * r0[1, j] + r1[2, i] * r0[2, j]
 
 
 @njit(cache=True, inline="always")
 def _step(
     x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array,
-    rotations: Array, ends: Array, phi: Array,
+    rotations: Array, ends: Array, n: Array, phi: Array,
 ) -> bool:  # fmt: skip
     """The nominal state from `from_ns` to `to_ns`, both within the interval that sample i closes; True where it had to coast.
 
     Fills phi (9, 15), the error transition. Scratch: rotations (3, 3, 3), ends (4, 3).
     """
-    r0, rm, r1 = rotations[0], rotations[1], rotations[2]
     h = (to_ns - from_ns) * _NS
     if i <= 0:
-        _coast(x, h, 1e9, np.zeros(3), c, r0, r1, phi)
+        for k in range(3):
+            ends[0, k] = 0.0
+        _coast(x, h, 1e9, ends[0], c, rotations, phi)
         return True
     if i >= count or (t_ns[i] - t_ns[i - 1]) * _NS > c[_C_GAP_S]:
-        _coast(x, h, (from_ns - t_ns[i - 1]) * _NS, u[i - 1, :3], c, r0, r1, phi)
+        _coast(x, h, (from_ns - t_ns[i - 1]) * _NS, u[i - 1], c, rotations, phi)
         return True
     span = (t_ns[i] - t_ns[i - 1]) * _NS
     s0 = (from_ns - t_ns[i - 1]) * _NS / span
@@ -362,11 +354,11 @@ def _step(
         w, f = u[i, k] - u[i - 1, k], u[i, 3 + k] - u[i - 1, 3 + k]
         ends[0, k], ends[1, k] = u[i - 1, k] + s0 * w, u[i - 1, k] + s1 * w
         ends[2, k], ends[3, k] = u[i - 1, 3 + k] + s0 * f, u[i - 1, 3 + k] + s1 * f
-    _strapdown(x, h, ends[0], ends[1], ends[2], ends[3], c, r0, rm, r1, phi)
+    _strapdown(x, h, ends, c, rotations, n, phi)
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _of_state(cov: Array) -> Array:
     """The first 15 rows of P (n, n), and columns of zeros behind them: they fill vector registers, no rest is done one by one."""
     n = cov.shape[0]
@@ -377,7 +369,7 @@ def _of_state(cov: Array) -> Array:
     return p
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _into(cov: Array, p: Array) -> None:
     """The other way: rows and columns of the 15 in P (n, n) from p (15, >= n)."""
     for i in range(_N):
@@ -386,7 +378,6 @@ def _into(cov: Array, p: Array) -> None:
             cov[j, i] = p[i, j]
 
 
-@njit(cache=True)
 def propagate(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int, to_ns: int,
     c: Array, tau: Array, psd: Array,
@@ -399,22 +390,38 @@ def propagate(
     Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
     A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
     """
+    return bool(advance(x, cov, _NOTHING, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
+
+
+def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
+    """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
+    whole: Array = np.eye(_N)
+    advance(x.copy(), _NOTHING, whole, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
+    return whole
+
+
+@njit(cache=True, error_model="numpy")
+def advance(
+    x: Array, cov: Array, whole: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int,
+    to_ns: int, c: Array, tau: Array, psd: Array,
+) -> bool:  # fmt: skip
+    """propagate, and whole (15, 15) <- Phi whole; either of cov and whole may be empty: one kernel for both, and for others."""
     n = cov.shape[0]
     p = _of_state(cov)
-    rows = np.empty((_G, p.shape[1]))
-    rotations, ends, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.zeros((_G, _N))
+    rows = np.empty((_G, max(p.shape[1], _N)))
+    rotations, ends, forces, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.empty((3, 3)), np.zeros((_G, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
         h = (end - from_ns) * _NS
-        coasting = _step(x, t_ns, u, count, i, from_ns, end, c, rotations, ends, phi)
-        _covariance(p, phi, rows)
-        if coasting:
-            _add_noise(p, h, c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD], c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
-        else:
-            span = (t_ns[i] - t_ns[i - 1]) * _NS
-            gyro = c[_C_GYRO_PSD] + sampling.density(known[i], 0, span, c[_C_GYRO_PSD]) + _turning(u[i], x[_XG:_XA], c)
-            accel = c[_C_ACCEL_PSD] + sampling.density(known[i], 1, span, c[_C_ACCEL_PSD])
-            _add_noise(p, h, gyro, accel, c[_C_GYRO_WALK_PSD], c[_C_ACCEL_WALK_PSD])
+        coasting = _step(x, t_ns, u, count, i, from_ns, end, c, rotations, ends, forces, phi)
+        if whole.shape[0] > 0:
+            _transition_rows(phi, whole, rows)
+            for k in range(_G):
+                for j in range(_N):
+                    whole[k, j] = rows[k, j]
+        if n > 0:
+            _covariance(p, phi, rows)
+            _add_noise(p, x, h, i, coasting, t_ns, u, known, c)
         if n > _N:
             _gauss_markov(cov, p, h, tau, psd)
         from_ns = end
@@ -424,24 +431,7 @@ def propagate(
     return sound(x, cov)
 
 
-@njit(cache=True)
-def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
-    """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
-    whole, nominal = np.eye(_N), x.copy()
-    rotations, ends, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.zeros((_G, _N))
-    rows = np.empty((_G, _N))
-    while from_ns < to_ns:
-        end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
-        _step(nominal, t_ns, u, count, i, from_ns, end, c, rotations, ends, phi)
-        _transition_rows(phi, whole, rows)
-        whole[:_G] = rows
-        from_ns = end
-        if i < count and end == t_ns[i]:
-            i += 1
-    return whole
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
     """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
     out = np.empty(6)

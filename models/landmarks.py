@@ -21,6 +21,7 @@ from models.colours import Colour
 from models.frames import Origin
 from models.map_table import WEIGHTS, Alike, Columns, Defaults, MapReport, Weights
 from models.messages import Array, Vec3
+from models.order import ranked
 
 __all__ = ["WEIGHTS", "Columns", "Landmark", "LandmarkMap"]
 
@@ -228,9 +229,9 @@ def _near(
     starts: NDArray[np.int64], order: NDArray[np.int64], large: NDArray[np.int64],
 ) -> NDArray[np.int64]:  # fmt: skip
     """Rows of the circles (north, east, radius) that meet the circle, by distance of the centre."""
-    found, distance = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    found, distance, count = np.empty(16, np.int64), np.empty(16), int(np.int64(0))
     if not (math.isfinite(north) and math.isfinite(east) and radius >= 0.0):
-        return np.array(found)
+        return found[:0]
     reach = radius + cell
     first = max(0.0, math.floor((north - reach - low[0]) / cell))
     last = min(shape[0] - 1.0, math.floor((north + reach - low[0]) / cell))
@@ -239,17 +240,30 @@ def _near(
     if left <= right:
         for row in range(int(first), int(last) + 1):
             for k in range(starts[row * shape[1] + int(left)], starts[row * shape[1] + int(right) + 1]):
-                i = order[k]
-                d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
-                if d <= radius + circles[i, 2]:
-                    found.append(i)
-                    distance.append(d)
-    for i in large:
-        d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
-        if d <= radius + circles[i, 2]:
-            found.append(i)
-            distance.append(d)
-    return np.array(found)[np.argsort(np.array(distance))]
+                found, distance, count = _met(order[k], north, east, radius, circles, found, distance, count)
+    for k in range(len(large)):
+        found, distance, count = _met(large[k], north, east, radius, circles, found, distance, count)
+    by_distance, rows = ranked(distance[:count]), np.empty(count, np.int64)
+    for k in range(count):
+        rows[k] = found[by_distance[k]]
+    return rows
+
+
+@njit(cache=True)
+def _met(
+    i: int, north: float, east: float, radius: float, circles: Array, found: NDArray[np.int64], distance: Array, count: int
+) -> tuple[NDArray[np.int64], Array, int]:
+    """The tables with circle i and the distance of its centre, if it meets the circle; grown if need be."""
+    d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
+    if not d <= radius + circles[i, 2]:
+        return found, distance, count
+    if count == len(found):
+        more, farther = np.empty(2 * count, np.int64), np.empty(2 * count)
+        for k in range(count):
+            more[k], farther[k] = found[k], distance[k]
+        found, distance = more, farther
+    found[count], distance[count] = i, d
+    return found, distance, count + 1
 
 
 @njit(cache=True)

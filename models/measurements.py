@@ -152,7 +152,7 @@ class Height:
         return np.array([self.z_m + x[X.P][2]]), h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Array, directions: Array) -> Array:
     """D_p E[c c^T] D_p^T / 4, c = theta x d, of (d, theta) ~ N(x (+) K nu (-) z, J P J^T - K S K^T).
 
@@ -161,7 +161,9 @@ def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Arra
     n, m = cov.shape[0], nu.shape[0]
     off, by_state = _pose(x, z, q)
     to_pose = np.zeros((6, n))
-    to_pose[:, :_N] = by_state
+    for i in range(6):
+        for k in range(_N):
+            to_pose[i, k] = by_state[i, k]
     left, with_all = innovation_covariance(cov, to_pose, np.zeros((6, 6)))
     low, white = np.empty((m, m)), np.zeros((m, 7))
     for i in range(m):
@@ -171,23 +173,33 @@ def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Arra
                     white[i, j] += h[i, k] * with_all[j, k]
         white[i, 6] = nu[i]
     if not cholesky.factor(s, low):
-        return np.full((m, m), np.nan)
+        s = np.empty((m, m))
+        for i in range(m):
+            for j in range(m):
+                s[i, j] = np.nan
+        return s
     cholesky.forward(low, white)
     for i in range(6):
         for k in range(m):
             off[i] -= white[k, i] * white[k, 6]
             for j in range(6):
                 left[i, j] -= white[k, i] * white[k, j]
-    moment = _cross_moment(off, left)
-    position = np.ascontiguousarray(directions[:, :3])
-    return 0.25 * position @ moment @ position.T
+    moment, bend = _cross_moment(off, left), np.zeros((m, m))
+    for i in range(m):
+        for j in range(m):
+            for a in range(3):
+                for b in range(3):
+                    bend[i, j] += 0.25 * directions[i, a] * moment[a, b] * directions[j, b]
+    return bend
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cross_moment(mean: Array, cov: Array) -> Array:
     """E[c c^T], (3, 3), of c = t x d, (d, t) Gaussian with mean (6,), cov (6, 6): c_k = t_a d_b - t_b d_a, (k, a, b) cyclic."""
-    second = cov + np.outer(mean, mean)
-    moment = np.empty((3, 3))
+    second, moment = np.empty((6, 6)), np.empty((3, 3))
+    for i in range(6):
+        for j in range(6):
+            second[i, j] = cov[i, j] + mean[i] * mean[j]
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         for m in range(3):
@@ -199,7 +211,7 @@ def _cross_moment(mean: Array, cov: Array) -> Array:
     return moment
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _fourth(m: Array, s: Array, a: int, b: int, c: int, e: int) -> float:
     """E[t_a d_b t_c d_e] from the means and second moments of (d, t), by Isserlis' theorem."""
     paired: float = s[3 + a, b] * s[3 + c, e] + s[3 + a, 3 + c] * s[b, e] + s[3 + a, e] * s[3 + c, b]
@@ -207,52 +219,56 @@ def _fourth(m: Array, s: Array, a: int, b: int, c: int, e: int) -> float:
     return paired - 2.0 * four
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _position(x: Array, z: Array, lever: Array) -> tuple[Array, Array]:
     """nu = z - p - R l;  H_p = I, H_theta = -R [l]x."""
     r = so3.matrix(x[_XQ:_XG])
     h = np.zeros((3, _N))
     offset = so3.applied(r, lever)
-    h[:, _T:_G] = -so3.product(r, so3.skew(lever))
-    nu = np.empty(3)
+    by_turn, nu = so3.product(r, so3.skew(lever)), np.empty(3)
     for i in range(3):
+        for k in range(3):
+            h[i, _T + k] = -by_turn[i, k]
         h[i, _P + i] = 1.0
         nu[i] = z[i] - x[_XP + i] - offset[i]
     return nu, h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _velocity(x: Array, z: Array, lever: Array, gyro: Array) -> tuple[Array, Array]:
     """nu = z - v - R (w x l);  H_v = I, H_theta = -R [w x l]x, H_bg = R [l]x  (w = gyro - b_g)."""
     r = so3.matrix(x[_XQ:_XG])
-    rate = gyro - x[_XG:_XA]
-    spin = so3.applied(so3.skew(rate), lever)
-    h = np.zeros((3, _N))
-    h[:, _T:_G] = -so3.product(r, so3.skew(spin))
-    h[:, _G : _G + 3] = so3.product(r, so3.skew(lever))
-    offset = so3.applied(r, spin)
-    nu = np.empty(3)
+    rate, nu, h = np.empty(3), np.empty(3), np.zeros((3, _N))
     for i in range(3):
+        rate[i] = gyro[i] - x[_XG + i]
+    spin = so3.applied(so3.skew(rate), lever)
+    by_turn, by_bias = so3.product(r, so3.skew(spin)), so3.product(r, so3.skew(lever))
+    offset = so3.applied(r, spin)
+    for i in range(3):
+        for k in range(3):
+            h[i, _T + k], h[i, _G + k] = -by_turn[i, k], by_bias[i, k]
         h[i, _V + i] = 1.0
         nu[i] = z[i] - x[_XV + i] - offset[i]
     return nu, h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pose(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """nu_p = z - p;  nu_a = log(R_z R^T), H_theta = J_r^-1(nu_a) R   (R_z R^T = exp(nu_a) stays, R moves to R exp(theta))."""
     r = so3.matrix(x[_XQ:_XG])
     nu, h = np.empty(6), np.zeros((6, _N))
     turn = so3.quat_log(so3.multiply(q, so3.conjugate(x[_XQ:_XG])))
-    h[3:, _T:_G] = so3.product(so3.right_jacobian_inverse(turn), r)
+    by_turn = so3.product(so3.right_jacobian_inverse(turn), r)
     for i in range(3):
+        for k in range(3):
+            h[3 + i, _T + k] = by_turn[i, k]
         h[i, _P + i] = 1.0
         nu[i] = z[i] - x[_XP + i]
         nu[3 + i] = turn[i]
     return nu, h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """Yaw alone: nu = wrap(psi_z - psi), psi = atan2(R10, R00), in the place of rz; H from the first column of R turning."""
     nu, h = _pose(x, z, q)
@@ -260,12 +276,13 @@ def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     difference = np.arctan2(m[1, 0], m[0, 0]) - np.arctan2(r[1, 0], r[0, 0])
     nu[5] = np.arctan2(np.sin(difference), np.cos(difference))
     level = r[0, 0] ** 2 + r[1, 0] ** 2
-    about_n = np.array([-r[2, 0] * r[0, 0] / level, -r[2, 0] * r[1, 0] / level, 1.0])
-    h[5, _T:_G] = about_n @ r
+    north, east = -r[2, 0] * r[0, 0] / level, -r[2, 0] * r[1, 0] / level
+    for k in range(3):
+        h[5, _T + k] = north * r[0, k] + east * r[1, k] + r[2, k]
     return nu, h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """Roll and pitch alone: d = R R_z^T e_z is "down" as the fix saw it, turned by our attitude; nu = (d_y, -d_x).
 
@@ -273,14 +290,15 @@ def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """
     nu, h = _pose(x, z, q)
     r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
-    down = r @ m.T[:, 2]
+    down = so3.applied(r, m[2])
     nu[3], nu[4] = down[1], -down[0]
-    h[3, _T:_G] = np.array([down[2], 0.0, -down[0]]) @ r
-    h[4, _T:_G] = np.array([0.0, down[2], -down[1]]) @ r
+    for k in range(3):
+        h[3, _T + k] = down[2] * r[0, k] - down[0] * r[2, k]
+        h[4, _T + k] = down[2] * r[1, k] - down[1] * r[2, k]
     return nu, h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Array]:
     """S = H P H^T + R (m, m), exactly symmetric, and H P (m, n), of P (n, n) symmetric; most of H (m, n) is zero."""
     m, n = h.shape
@@ -300,14 +318,15 @@ def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Ar
     return s, hp
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mahalanobis(nu: Array, s: Array) -> tuple[float, float]:
     """(nu^T S^-1 nu, ln det S) by Cholesky; (inf, inf) where S is not positive definite."""
     m = nu.shape[0]
     low, y = np.empty((m, m)), np.empty((m, 1))
     if not cholesky.factor(s, low):
         return np.inf, np.inf
-    y[:, 0] = nu
+    for i in range(m):
+        y[i, 0] = nu[i]
     cholesky.forward(low, y)
     d2, logdet = 0.0, 0.0
     for i in range(m):

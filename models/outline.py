@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order as ordering
 from models.messages import Array
 
 SIZE, WIDTH, LENGTH, FILL, ORIENTATION, NORTH, EAST, RADIUS = range(8)  # columns of describe
@@ -48,7 +49,7 @@ def clean(outline: Array, tolerance_m: float) -> Array:
             if dropped_last:
                 dropped_first = dropped_first or k == 0
             else:
-                kept[count] = outline[k]
+                kept[count, 0], kept[count, 1] = outline[k, 0], outline[k, 1]
                 count += 1
         if count == len(outline) or count < 3:
             break
@@ -97,7 +98,7 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> bool:
 @njit(cache=True)
 def _hull(points: Array) -> Array:
     """Convex hull (H, 2), monotone chain (Andrew 1979)."""
-    order = np.argsort(points[:, 0])
+    order = ordering.ranked(points[:, 0])
     for i in range(1, len(order)):  # equal north: by east
         j = i
         while j > 0 and points[order[j], 0] == points[order[j - 1], 0] and points[order[j], 1] < points[order[j - 1], 1]:
@@ -110,7 +111,7 @@ def _hull(points: Array) -> Array:
             p = points[order[i] if sweep == 0 else order[len(order) - 1 - i]]
             while count >= floor and _side(hull[count - 2], hull[count - 1], p) <= 0.0:
                 count -= 1
-            hull[count] = p
+            hull[count, 0], hull[count, 1] = p[0], p[1]
             count += 1
         floor = count + 1
     return hull[: count - 1]
@@ -122,13 +123,15 @@ def _rectangle(outline: Array) -> tuple[float, float, float]:
     hull = _hull(outline)
     best, width, length, orientation = np.inf, 0.0, 0.0, 0.0
     for k in range(len(hull)):
-        dn, de = hull[(k + 1) % len(hull)] - hull[k]
+        after = hull[(k + 1) % len(hull)]
+        dn, de = after[0] - hull[k, 0], after[1] - hull[k, 1]
         side = math.hypot(dn, de)
         if side == 0.0:
             continue
         cos, sin = dn / side, de / side
         low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
-        for n, e in hull:
+        for i in range(len(hull)):
+            n, e = hull[i, 0], hull[i, 1]
             u, v = cos * n + sin * e, cos * e - sin * n
             low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
         along, across = high_u - low_u, high_v - low_v
@@ -146,10 +149,14 @@ def describe(vertices: Array, offsets: NDArray[np.int64]) -> Array:
         outline = vertices[offsets[i] : offsets[i + 1]]
         row = table[i]
         row[SIZE] = area(outline)
-        row[WIDTH], row[LENGTH], row[ORIENTATION] = _rectangle(outline - outline[0])
+        about_first = np.empty(outline.shape)
+        for k in range(len(outline)):
+            about_first[k, 0], about_first[k, 1] = outline[k, 0] - outline[0, 0], outline[k, 1] - outline[0, 1]
+        row[WIDTH], row[LENGTH], row[ORIENTATION] = _rectangle(about_first)
         row[FILL] = row[SIZE] / (row[WIDTH] * row[LENGTH]) if row[WIDTH] > 0.0 else 0.0
         row[NORTH], row[EAST] = _centroid(outline, row[SIZE])
-        for n, e in outline:
+        for k in range(len(outline)):
+            n, e = outline[k, 0], outline[k, 1]
             row[RADIUS] = max(row[RADIUS], math.hypot(n - row[NORTH], e - row[EAST]))
     return table
 
@@ -200,6 +207,9 @@ def repair(
         ends[i + 1] = ends[i]
         if verdict == GOOD:
             ends[i + 1] += len(outline)
-            kept[ends[i] : ends[i + 1]] = outline if area(outline) > 0.0 else outline[::-1]
+            straight, last = area(outline) > 0.0, len(outline) - 1
+            for k in range(len(outline)):
+                for axis in range(2):
+                    kept[ends[i] + k, axis] = outline[k if straight else last - k, axis]
         verdicts[i] = verdict
     return kept[: ends[-1]].copy(), ends, verdicts

@@ -36,7 +36,7 @@ _OFF_MIDDLE = 0.125  # of the distance of its neighbours: a sample further from 
 _GAP = 1.5  # steps
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int) -> None:
     """Fill known[begin:end] (capacity, SIZE): row i is what samples 0..i tell; t_ns (capacity,), u (capacity, 6).
 
@@ -47,7 +47,8 @@ def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int)
             known[i] = 0.0
             continue
         row = known[i]
-        row[:] = known[i - 1]
+        for k in range(SIZE):
+            row[k] = known[i - 1, k]
         step = (t_ns[i] - t_ns[i - 1]) * _NS
         gain = step / (_MEMORY_S + step)
         for j in range(LEVELS):
@@ -71,7 +72,7 @@ def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int)
                 row[at] += gain * (square * 4.0 / 18.0 - row[at])  # (2 off)^2 / 6, mean of three axes
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def put(
     t_ns: NDArray[np.int64], u: Array, known: Array, k: int, end: int, stamp_ns: int,
     p: float, q: float, r: float, x: float, y: float, z: float,
@@ -82,7 +83,7 @@ def put(
     learn(t_ns, u, known, k, end)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def density(known: Array, sensor: int, span_s: float, psd: float) -> float:
     """Density of what a line over span_s leaves out; known: (SIZE,), sensor: 0 gyroscope, 1 accelerometer, psd: its q."""
     h, m = known[0], known[1 + LEVELS * sensor : 1 + LEVELS * (sensor + 1)]

@@ -15,13 +15,17 @@ from models.messages import Array
 _SMALL = 1e-8  # rad; below it the series' first term is exact to float64
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def normalise(q: Array) -> Array:
     """q / |q|."""
-    return q / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    r = np.empty(4)
+    for k in range(4):
+        r[k] = q[k] / norm
+    return r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def multiply(p: Array, q: Array) -> Array:
     """Hamilton product p q."""
     r = np.empty(4)
@@ -32,15 +36,15 @@ def multiply(p: Array, q: Array) -> Array:
     return r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def conjugate(q: Array) -> Array:
     """q*, the inverse of a unit quaternion."""
-    r = -q
-    r[0] = q[0]
+    r = np.empty(4)
+    r[0], r[1], r[2], r[3] = q[0], -q[1], -q[2], -q[3]
     return r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def quat_exp(r: Array) -> Array:
     """Quaternion of the rotation vector r [rad]."""
     angle = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
@@ -51,7 +55,7 @@ def quat_exp(r: Array) -> Array:
     return q
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def quat_log(q: Array) -> Array:
     """Rotation vector of q [rad], the shorter way round: |r| <= pi."""
     sign = -1.0 if q[0] < 0.0 else 1.0
@@ -62,7 +66,7 @@ def quat_log(q: Array) -> Array:
     return r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def matrix(q: Array) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -79,7 +83,7 @@ def matrix(q: Array) -> Array:
     return r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def from_matrix(m: Array) -> Array:
     """Unit quaternion of a rotation matrix (3, 3), w >= 0 (Shepperd 1978: the largest of the four is computed first)."""
     trace = m[0, 0] + m[1, 1] + m[2, 2]
@@ -100,10 +104,13 @@ def from_matrix(m: Array) -> Array:
         q[1 + i] = 0.25 * s
         q[1 + j] = (m[j, i] + m[i, j]) / s
         q[1 + k] = (m[k, i] + m[i, k]) / s
-    return -q if q[0] < 0.0 else q
+    if q[0] < 0.0:
+        for k in range(4):
+            q[k] = -q[k]
+    return q
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def skew(v: Array) -> Array:
     """[v]x with [v]x w = v x w."""
     m = np.zeros((3, 3))
@@ -113,7 +120,7 @@ def skew(v: Array) -> Array:
     return m
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def product(a: Array, b: Array) -> Array:
     """a b of (3, 3) matrices: nine sums cost less than a call of the linear algebra library."""
     c = np.empty((3, 3))
@@ -123,7 +130,7 @@ def product(a: Array, b: Array) -> Array:
     return c
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def applied(a: Array, v: Array) -> Array:
     """a v, a (3, 3), v (3,)."""
     w = np.empty(3)
@@ -132,7 +139,7 @@ def applied(a: Array, v: Array) -> Array:
     return w
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def right_jacobian_inverse(r: Array) -> Array:
     """J_r^-1(r): log(exp(r) exp(d)) = r + J_r^-1(r) d + O(d^2)   (Sola 2017, eq. 184)."""
     angle = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])

@@ -69,30 +69,38 @@ class NavState:
 
 
 # Compiled code reads plain integers: before and behind the attitude, the errors add up.
-_XQ, _XG, _T, _G, _N = X.Q.start, X.BG.start, E.THETA.start, E.BG.start, E.SIZE
+_XQ, _XG, _SIZE, _T, _G, _N = X.Q.start, X.BG.start, X.SIZE, E.THETA.start, E.BG.start, E.SIZE
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def retract(x: Array, dx: Array) -> Array:
     """x (+) dx: packed state (16,) moved by the error (15,)."""
-    y = np.empty_like(x)
-    y[:_XQ] = x[:_XQ] + dx[:_T]
-    y[_XQ:_XG] = so3.normalise(so3.multiply(x[_XQ:_XG], so3.quat_exp(dx[_T:_G])))
-    y[_XG:] = x[_XG:] + dx[_G:]
+    y = np.empty(_SIZE)
+    q = so3.normalise(so3.multiply(x[_XQ:_XG], so3.quat_exp(dx[_T:_G])))
+    for k in range(_XQ):
+        y[k] = x[k] + dx[k]
+    for k in range(4):
+        y[_XQ + k] = q[k]
+    for k in range(_SIZE - _XG):
+        y[_XG + k] = x[_XG + k] + dx[_G + k]
     return y
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def local(x: Array, y: Array) -> Array:
     """dx with x (+) dx = y."""
     dx = np.empty(_N)
-    dx[:_T] = y[:_XQ] - x[:_XQ]
-    dx[_T:_G] = so3.quat_log(so3.multiply(so3.conjugate(x[_XQ:_XG]), y[_XQ:_XG]))
-    dx[_G:] = y[_XG:] - x[_XG:]
+    turn = so3.quat_log(so3.multiply(so3.conjugate(x[_XQ:_XG]), y[_XQ:_XG]))
+    for k in range(_XQ):
+        dx[k] = y[k] - x[k]
+    for k in range(3):
+        dx[_T + k] = turn[k]
+    for k in range(_SIZE - _XG):
+        dx[_G + k] = y[_XG + k] - x[_XG + k]
     return dx
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def has_moved(dx: Array, cov: Array, sigmas: float) -> bool:
     """Whether dx (15,) is a move of more than so many standard deviations of P (n, n); a bias that is corrected moves nothing."""
     moved = False
@@ -109,7 +117,7 @@ def carried(cov: Array, jacobian: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sound(x: Array, cov: Array) -> bool:
     """Whether state and covariance may be published: every number finite, every variance positive (a considered one may be 0).
 

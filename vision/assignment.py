@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order as ordering
 from models.messages import Array
 from vision.crowd import Crowd
 
@@ -158,7 +159,7 @@ def _search(
     count = order.shape[0]
     chosen = np.full((1, count), -1, np.int64)
     weight, x, cov = np.zeros(1), np.zeros((1, STATES)), np.empty((1, STATES, STATES))
-    cov[0] = prior
+    _copy(x[0], prior, x[0], cov[0])
     x_new, cov_new, row = np.empty(STATES), np.empty((STATES, STATES)), np.empty(STATES)
     cut = 0.0
     for i in order:
@@ -173,11 +174,14 @@ def _search(
                 base = weight[h] + log_weight[o]
                 if h and base + _alone(x[h], cov[h], y[o, PLACE], A[o, PLACE], row) < best - drop:
                     continue
-                x_new[:] = x[h]
-                cov_new[:] = cov[h]
+                _copy(x[h], cov[h], x_new, cov_new)
                 children[h * choices + k] = base + _update(x_new, cov_new, y[o], A[o], best - drop - base)
                 best = max(best, children[h * choices + k])
-        ranked = np.argsort(-children)
+        for k in range(len(children)):
+            children[k] = -children[k]
+        ranked = ordering.ranked(children)
+        for k in range(len(children)):
+            children[k] = -children[k]
         kept = 0
         for child in ranked:
             if children[child] < best - drop:
@@ -191,6 +195,15 @@ def _search(
 
 
 @njit(cache=True)
+def _copy(x: Array, cov: Array, to_x: Array, to_cov: Array) -> None:
+    """Mean and covariance, (7,) and (7, 7)."""
+    for a in range(STATES):
+        to_x[a] = x[a]
+        for b in range(STATES):
+            to_cov[a, b] = cov[a, b]
+
+
+@njit(cache=True)
 def _grow(
     chosen: NDArray[np.int64], children: Array, ranked: NDArray[np.int64], choices: int, first: int, region: int, x: Array,
     cov: Array, y: Array, A: Array,
@@ -201,10 +214,10 @@ def _grow(
     next_x, next_cov = np.empty((kept, STATES)), np.empty((kept, STATES, STATES))
     for n in range(kept):
         h, o = ranked[n] // choices, first + ranked[n] % choices
-        next_chosen[n] = chosen[h]
-        next_chosen[n, region] = o
+        for k in range(chosen.shape[1]):
+            next_chosen[n, k] = o if k == region else chosen[h, k]
         next_weight[n] = children[ranked[n]]
-        next_x[n], next_cov[n] = x[h], cov[h]
+        _copy(x[h], cov[h], next_x[n], next_cov[n])
         _update(next_x[n], next_cov[n], y[o], A[o], _NOTHING)
     return next_chosen, next_weight, next_x, next_cov
 
@@ -230,7 +243,7 @@ def _missed(
     Where an object that is not in the map stands on a landmark's own place, the landmark must be gone.
     """
     result = np.zeros(landmark.shape[0])
-    assigned = np.empty(x_c.shape[0], np.bool_)
+    assigned, place = np.empty(x_c.shape[0], np.bool_), np.empty(3)
     for h in range(landmark.shape[0]):
         assigned[:] = False
         for i in landmark[h]:
@@ -239,7 +252,10 @@ def _missed(
         for j in range(x_c.shape[0]):
             if assigned[j]:
                 continue
-            place = x_c[j] + A[j] @ x[h]
+            for a in range(3):
+                place[a] = x_c[j, a]
+                for b in range(STATES):
+                    place[a] += A[j, a, b] * x[h, b]
             u, v = place[0] / place[2], place[1] / place[2]
             if not (place[2] > 1.0 and view[0] < u < view[1] and view[2] < v < view[3]):
                 continue
@@ -267,7 +283,9 @@ def _occupied(clutter: NDArray[np.bool_], place_c: Array, growth: float, place: 
     """Whether a region that is said not to be in the map stands within a radius of a place."""
     for i in range(place_c.shape[0]):
         if clutter[i]:
-            away = place_c[i] * growth - place
-            if away @ away < radius * radius:
+            square = 0.0
+            for a in range(3):
+                square += (place_c[i, a] * growth - place[a]) ** 2
+            if square < radius * radius:
                 return True
     return False

@@ -219,21 +219,37 @@ def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, I
     sizes, marks = votes.shape[:2]
     best = votes[0].copy()
     for k in range(1, sizes):
-        best = np.maximum(best, votes[k])
-    a, b = _common(best, free, steps)
+        for m in range(marks):
+            for i in range(votes.shape[2]):
+                for j in range(votes.shape[3]):
+                    best[m, i, j] = max(best[m, i, j], votes[k, m, i, j])
+    common = _common(best, free, steps)
+    a, b = common
     size, at, shown = np.zeros(marks, np.int64), np.empty(marks), np.empty(marks)
     for m in range(marks):
         radius, most = int(free[m]), -np.inf
         for k in range(sizes):
-            here = np.max(votes[k, m, a - radius : a + radius + 1, b - radius : b + radius + 1])
+            here = _highest(votes[k, m], a, b, radius)
             if here > most:
                 most, size[m] = here, k
-        best[m] = votes[size[m], m]
-    places = own_places(best, np.array([a, b]), free)
+        for i in range(votes.shape[2]):
+            for j in range(votes.shape[3]):
+                best[m, i, j] = votes[size[m], m, i, j]
+    places = own_places(best, common, free)
     for m in range(marks):
         i, j = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
         at[m], shown[m] = best[m, i, j], length[size[m], m, i, j]
     return places, size, at, shown
+
+
+@njit(cache=True)
+def _highest(votes: Array, a: int, b: int, radius: int) -> float:
+    """Of the votes (U, V) at most radius rows and columns from row a, column b."""
+    most = -np.inf
+    for i in range(a - radius, a + radius + 1):
+        for j in range(b - radius, b + radius + 1):
+            most = max(most, votes[i, j])
+    return most
 
 
 @njit(cache=True)
@@ -245,7 +261,7 @@ def _common(votes: Array, free: Array, steps: int) -> Indices:
             total = 0.0
             for m in range(len(votes)):
                 radius = int(free[m])
-                total += np.max(votes[m, a - radius : a + radius + 1, b - radius : b + radius + 1])
+                total += _highest(votes[m], a, b, radius)
             if total > best:
                 best, common[0], common[1] = total, a, b
     return common

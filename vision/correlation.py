@@ -52,7 +52,11 @@ def template(mask: NDArray[np.bool_], u0: int, v0: int, level: int, rim: int) ->
             if mask[v, u]:
                 small[(v0 + v) // size - first_v, (u0 + u) // size - first_u] = True
     grown = padded(small, rim)
-    pixels = np.empty((grown.sum(), 2), np.int32)
+    count = 0
+    for v in range(grown.shape[0]):
+        for u in range(grown.shape[1]):
+            count += grown[v, u]
+    pixels = np.empty((count, 2), np.int32)
     n = 0
     for v in range(grown.shape[0]):
         for u in range(grown.shape[1]):
@@ -147,7 +151,8 @@ def cells(
     inflation = 1.0 + 2.0 * correlation
     if stride == 1:
         inflation *= inflation
-    found[:count, 3] *= np.sqrt(inflation)
+    for i in range(count):
+        found[i, 3] *= np.sqrt(inflation)
     step = sums[2] / sums[3] if sums[3] > 0.0 else 0.0
     return found[:count].copy(), step, sums[3] / inflation
 
@@ -165,9 +170,14 @@ def _gradient(image: Image, u: int, v: int, g: float) -> tuple[float, float]:
 def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found: Array, sums: Array) -> bool:
     """One cell (n, 5) into found (u, v, disparity, sigma) and sums; whether it converged."""
     n, width = cell.shape[0], right.shape[1]
-    j = -(cell[:, 3] - cell[:, 3].mean())
-    remainder = np.empty(n)
-    shift, slope, squares = 0.0, 0.0, (j * j).sum()
+    j, remainder, mean3, mean4 = np.empty(n), np.empty(n), 0.0, 0.0
+    shift, slope, squares = 0.0, 0.0, 0.0
+    for i in range(n):
+        mean3 += cell[i, 3]
+        mean4 += cell[i, 4]
+    for i in range(n):
+        j[i] = -(cell[i, 3] - mean3 / n)
+        squares += j[i] * j[i]
     converged = False
     for _ in range(_STEPS):
         slope, error = 1e-12, 0.0
@@ -192,24 +202,35 @@ def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found:
             break
     if not converged:
         return False
-    remainder -= remainder.mean()
-    noise = (remainder * remainder).sum() / max(n - 2, 1) + floor * floor
+    mean = noise = 0.0
+    for i in range(n):
+        mean += remainder[i]
+    for i in range(n):
+        remainder[i] -= mean / n
+        noise += remainder[i] * remainder[i]
+    noise = noise / max(n - 2, 1) + floor * floor
     sigma = np.sqrt(noise * squares) / slope
     if sigma > 1.0:
         return False
-    weight = j * j
-    total = weight.sum()
-    found[0], found[1] = (weight * cell[:, 0]).sum() / total, (weight * cell[:, 1]).sum() / total
+    u = v = left_over = 0.0
+    for i in range(n):
+        u += j[i] * j[i] * cell[i, 0]
+        v += j[i] * j[i] * cell[i, 1]
+        left_over += (cell[i, 4] - mean4 / n) * j[i]
+    found[0], found[1] = u / squares, v / squares
     found[2] = plane[0] + shift + plane[1] * (found[0] - plane[3]) + plane[2] * (found[1] - plane[4])
     found[3] = sigma
     for i in range(1, n):
         if cell[i, 0] == cell[i - 1, 0] + 1.0:
             sums[0] += remainder[i] * remainder[i - 1]
             sums[1] += remainder[i] * remainder[i]
-    across = cell[:, 4] - cell[:, 4].mean()
-    across = across - j * ((across * j).sum() / squares)  # what a disparity does not explain
-    sums[2] -= (across * remainder).sum() / noise
-    sums[3] += (across * across).sum() / noise
+    with_remainder = with_itself = 0.0
+    for i in range(n):
+        across = (cell[i, 4] - mean4 / n) - j[i] * (left_over / squares)  # what a disparity does not explain
+        with_remainder += across * remainder[i]
+        with_itself += across * across
+    sums[2] -= with_remainder / noise
+    sums[3] += with_itself / noise
     return True
 
 

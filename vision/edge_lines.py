@@ -63,7 +63,7 @@ def lines_of(
     line, unit, found = np.zeros((edges, 2)), np.zeros((edges, 2, 2)), np.zeros(edges, dtype=np.bool_)
     gain, weight, residual = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
     square, points = np.zeros(edges), np.zeros(edges)
-    start = 0
+    start = int(np.int64(0))  # a literal would be another signature of what is called with it, as in other kernels
     while start < n:
         stop = start
         while stop < n and edge[stop] == edge[start]:
@@ -85,8 +85,8 @@ def lines_of(
             if points[e] < least - 0.5:
                 found[e] = False
         if not found[e]:
-            weight[start:stop] = 0.0
-            gain[start:stop] = 0.0
+            for i in range(start, stop):
+                weight[i] = gain[i, 0] = gain[i, 1] = 0.0
             square[e] = points[e] = 0.0
         start = stop
     return line, found, gain, weight, residual, unit, square, points

@@ -65,23 +65,20 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
     ]
     covariance = np.zeros((edges, pictures, 2, pictures, 2))
     for k, one in enumerate(lines):
-        _fill(covariance[:, k, :, k], inflation * scatter[k] ** 2, one.unit, common[k])
+        covariance[:, k, :, k] = _filled(inflation * scatter[k] ** 2, one.unit, common[k])
     if pictures == 2:
         rho, shared = _correlation(lines[0], lines[1], edge, scatter, config), _shared(lines[0].gain, lines[1].gain, edge, edges)
-        between = covariance[:, 0, :, 1]
-        _fill(between, inflation * rho * scatter[0] * scatter[1], shared, c.both * np.sqrt(common[0] * common[1]))
-        covariance[:, 1, :, 0] = between.transpose(0, 2, 1)
+        both = c.both * np.sqrt(common[0] * common[1])
+        between = _filled(inflation * rho * scatter[0] * scatter[1], shared, both)
+        covariance[:, 0, :, 1], covariance[:, 1, :, 0] = between, between.transpose(0, 2, 1)
     return covariance
 
 
-@njit(cache=True)
-def _fill(covariance: Array, white: Array, unit: Array, common: Array) -> None:
+def _filled(white: Array, unit: Array, common: Array) -> Array:
     """covariance_e = white_e unit_e + diag(common_e): (E, 2, 2) of white (E,), unit (E, 2, 2) and common (E, 2)."""
-    for e in range(len(white)):
-        for i in range(2):
-            for j in range(2):
-                covariance[e, i, j] = white[e] * unit[e, i, j]
-            covariance[e, i, i] += common[e, i]
+    covariance: Array = white[:, None, None] * unit
+    covariance[:, [0, 1], [0, 1]] += common
+    return covariance
 
 
 @njit(cache=True)
@@ -106,7 +103,6 @@ def _common(
     return common
 
 
-@njit(cache=True)
 def _scatter(square: Array, points: Array, edge_points: float, least_px: float) -> Array:
     """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
     freedom = np.maximum(points - 2.0, 0.0)

@@ -17,7 +17,7 @@ from numba import njit
 from models import cholesky
 from models.measurements import DIRECTION_SCALE
 from models.messages import Array
-from vision.joint import POSE, System
+from vision.joint import POSE, System, nonzero
 
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations of a whole fix are limited to these: still "given", and worth nothing
 _LEAST_SHARE = 1e-3  # of the prior's information: below it a direction is not measured
@@ -62,12 +62,18 @@ class Measured:
         G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
         Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
         """
-        image, moved = _covariances(system.A, system.W, system.R, omega, self._floor(), factor)
+        floor, limited = self._floor(), omega / factor
+        limited[:POSE, :POSE] += floor
+        rest = np.arange(POSE, len(omega))
+        limited[rest, rest] += 1.0 - 1.0 / factor
+        inverse = _of_pose(limited)
+        image = inverse[:POSE] @ floor @ inverse[:POSE]  # what the floor adds
+        moved = _add_covariances(system.A, system.W, system.R, inverse, factor, image)
         if self.rank == POSE:
             return image, moved
         through = self.through
-        rest = np.linalg.solve(self.low.T, self.basis[:, self.rank :])
-        return through @ image @ through.T + rest @ rest.T / _LEAST_SHARE, through @ moved
+        open_ways = np.linalg.solve(self.low.T, self.basis[:, self.rank :])
+        return through @ image @ through.T + open_ways @ open_ways.T / _LEAST_SHARE, through @ moved
 
     @property
     def through(self) -> Array:
@@ -126,19 +132,17 @@ def _white(omega: Array, low: Array) -> Array:
 
 
 @njit(cache=True)
-def _covariances(A: Array, W: Array, R: Array, omega: Array, floor: Array, factor: float) -> tuple[Array, Array]:
-    """image (6, 6) and moved (6, P) of Measured.covariances, where all directions are measured; floor (6, 6): what is added."""
+def _add_covariances(A: Array, W: Array, R: Array, inverse: Array, factor: float, image: Array) -> Array:
+    """moved (6, P) of Measured.covariances where all directions are measured, and G R G^T added to image (6, 6), in place.
+
+    inverse (6 + P, 6): the pose's columns of Omega^-1.
+    """
     edges, numbers, size = A.shape
-    limited = omega / factor
-    limited[:POSE, :POSE] += floor
-    for k in range(POSE, size):
-        limited[k, k] += 1.0 - 1.0 / factor
-    inverse = _of_pose(limited)
-    image, moved = inverse[:POSE] @ floor @ inverse[:POSE], np.zeros((POSE, size - POSE))
+    seen, gain, moved = np.empty((numbers, POSE)), np.empty((numbers, POSE)), np.zeros((POSE, size - POSE))  # A Omega^-1, G^T
     for e in range(edges):
-        if not W[e].any():
+        if not nonzero(W[e]):
             continue
-        seen, gain = np.zeros((numbers, POSE)), np.zeros((numbers, POSE))  # A Omega^-1, and G^T
+        seen[:], gain[:] = 0.0, 0.0
         for i in range(numbers):
             for k in range(size):
                 if A[e, i, k] != 0.0:
@@ -155,13 +159,15 @@ def _covariances(A: Array, W: Array, R: Array, omega: Array, floor: Array, facto
                         image[p, q] += factor * gain[i, p] * R[e, i, j] * gain[j, q]
                 for k in range(size - POSE):
                     moved[p, k] += gain[i, p] * A[e, i, POSE + k]
-    return image, moved
+    return moved
 
 
 @njit(cache=True)
 def _of_pose(omega: Array) -> Array:
     """The pose's columns (n, 6) of Omega^-1."""
-    low, columns = np.empty_like(omega), np.eye(len(omega), POSE)
+    low, columns = np.empty_like(omega), np.zeros((len(omega), POSE))
+    for k in range(POSE):
+        columns[k, k] = 1.0
     if not cholesky.factor(omega, low):
         raise np.linalg.LinAlgError("the information is not positive definite")
     cholesky.forward(low, columns)

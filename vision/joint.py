@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models import cholesky
+from models import cholesky, order
 from models.messages import Array
 
 Indices = NDArray[np.int64]
@@ -74,8 +74,10 @@ def solve_robustly(system: System, present: Array, information: Array, delta: Ar
 @njit(cache=True)
 def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
     found = _found(W)
-    weight, ratio = np.ones(len(found)), np.empty(len(found))
-    numbers = np.array([np.count_nonzero(np.diag(W[e])) for e in found])
+    weight, ratio, numbers = np.ones(len(found)), np.empty(len(found)), np.zeros(len(found))
+    for f in range(len(found)):
+        for i in range(W.shape[1]):
+            numbers[f] += W[found[f], i, i] != 0.0
     told, right, column, count = _told(A, W, z, present, found)
     solution, omega = _solved(told, right, column, count, present, information, delta, weight)
     for k in range(_REWEIGHTED):
@@ -83,7 +85,7 @@ def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Arra
         for f in range(len(found)):
             e = found[f]
             ratio[f] = np.sqrt(2.0 * max(_distance(W[e], residual[e]), 0.0) / numbers[f])
-        scale = max(1.4826 * np.median(ratio), _LEAST_SCALE)
+        scale = max(1.4826 * order.median(ratio), _LEAST_SCALE)
         for f in range(len(found)):
             r = ratio[f] / scale
             if k < _HUBER_ROUNDS:
@@ -105,7 +107,22 @@ def _step(A: Array, W: Array, z: Array, present: Array, information: Array, delt
 @njit(cache=True)
 def _found(W: Array) -> Indices:
     """The edges (F,) that carry information."""
-    return np.array([e for e in range(len(W)) if W[e].any()], dtype=np.int64)
+    found, count = np.empty(len(W), np.int64), 0
+    for e in range(len(W)):
+        if nonzero(W[e]):
+            found[count] = e
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True)
+def nonzero(matrix: Array) -> bool:
+    """Whether anything in a matrix is not 0."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            if matrix[i, j] != 0.0:
+                return True
+    return False
 
 
 @njit(cache=True)
@@ -127,8 +144,9 @@ def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple
     own, WA, target = np.empty((rows, most)), np.empty((rows, most)), np.empty(rows)
     for f in range(len(found)):
         e = found[f]
-        target[:], WA[:] = z[e], 0.0
+        WA[:] = 0.0
         for i in range(rows):
+            target[i] = z[e, i]
             for c in range(count[f]):
                 own[i, c] = A[e, i, column[f, c]]
                 if column[f, c] >= POSE:
@@ -179,7 +197,8 @@ def _solved(
 def _residual(A: Array, z: Array, present: Array, solution: Array, found: Indices, column: Indices, count: Indices) -> Array:
     """Residuals (E, M) after the step; of edges that carry no information z."""
     change, residual = solution.copy(), z.copy()
-    change[POSE:] -= present
+    for k in range(len(present)):
+        change[POSE + k] -= present[k]
     for f in range(len(found)):
         for i in range(A.shape[1]):
             for c in range(count[f]):
@@ -190,12 +209,20 @@ def _residual(A: Array, z: Array, present: Array, solution: Array, found: Indice
 @njit(cache=True)
 def _inverse(R: Array, found: NDArray[np.bool_]) -> Array:
     """R^-1 (E, M, M) of the numbers that were found (E, M), 0 elsewhere."""
-    inverse = np.zeros(R.shape)
+    inverse, numbers = np.zeros(R.shape), R.shape[1]
+    some, part = np.empty(numbers, np.int64), np.empty((numbers, numbers))
     for e in range(len(R)):
-        some = np.flatnonzero(found[e])
-        of_some = cholesky.inverse(R[e][some][:, some])
-        for i in range(len(some)):
-            for j in range(len(some)):
+        count = 0
+        for i in range(numbers):
+            if found[e, i]:
+                some[count] = i
+                count += 1
+        for i in range(count):
+            for j in range(count):
+                part[i, j] = R[e, some[i], some[j]]
+        of_some = cholesky.inverse(part[:count, :count].copy())
+        for i in range(count):
+            for j in range(count):
                 inverse[e, some[i], some[j]] = of_some[i, j]
     return inverse
 

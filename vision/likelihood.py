@@ -16,10 +16,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from models import so3
 from models.messages import Array
 from vision import clutter
 from vision.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE, STATES, Options
@@ -156,45 +154,34 @@ def _colour(region: Array, landmark: Array, b: Beliefs, sigma: float = 0.06, any
     return np.log(np.where(known, density, none[:, None])), np.log(none)
 
 
-@njit(cache=True)
 def _whitened(
     p_n: Array, moved: Array, depth: Array, own: Array, noise: Array, wide: Array, outline_sigma: Array, prior: Array,
     region: NDArray[np.int64], landmark: NDArray[np.int64], arm: Array, target: Array, variance: Array, features: Array,
     described: Array, known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
     """Whitened rows and log density constant of every possible pair, well and badly measured."""
-    most = 2 * region.shape[0]
-    regions, landmarks, bad = np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_)
-    y, A, log_density = np.empty((most, ROWS)), np.empty((most, ROWS, COLUMNS)), np.empty(most)
+    y, A = _rows(p_n + moved[region], arm, features, target, described)
+    N, unit = np.zeros((len(region), ROWS, ROWS)), np.eye(3)
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
-    n = 0
-    for pair in range(region.shape[0]):
-        i, j, r = region[pair], landmark[pair], arm[pair]
-        y[n], A[n] = _rows(p_n + moved[i], r, features[pair], target[pair], described[pair])
-        N = np.zeros((ROWS, ROWS))
-        N[PLACE:, PLACE:] = own[i] + np.diag(variance[pair])
-        # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
-        N[PLACE:, PLACE:] += turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (r @ r) * np.eye(3)
-        N[:PLACE, :PLACE] = noise[i]
-        grown = 2.0 * outline_sigma[j] * np.exp(-described[pair, :2])
-        N[:2, :2] += np.outer(grown, grown)
-        by_scale = A[n, :, SCALE] + A[n, :, GROWTH]
-        N += depth[i] ** 2 * np.outer(by_scale, by_scale)
-        if _excluded(y[n, PLACE:], A[n, PLACE:], N[PLACE:, PLACE:] + np.diag(wide[i, PLACE:]), prior, r):
-            continue
-        blurred = wide[i].copy()
-        for row in range(PLACE):
-            if not known[pair, row]:
-                _say_nothing(row, y[n], A[n], N, blurred)
-        y[n + 1], A[n + 1] = y[n], A[n]
-        for k in range(2):
-            regions[n], landmarks[n], bad[n] = i, j, k == 1
-            log_density[n] = _whiten(N + k * np.diag(blurred), y[n], A[n])
-            n += 1
-    return regions[:n], landmarks[:n], bad[:n], y[:n], A[:n], log_density[:n]
+    # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
+    left_out = turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (arm * arm).sum(axis=1)
+    N[:, PLACE:, PLACE:] = own[region] + (variance + left_out[:, None])[:, :, None] * unit
+    N[:, :PLACE, :PLACE] = noise[region]
+    grown = 2.0 * outline_sigma[landmark, None] * np.exp(-described[:, :2])
+    N[:, :2, :2] += _outer(grown)
+    N += depth[region, None, None] ** 2 * _outer(A[:, :, SCALE] + A[:, :, GROWTH])
+    bad_noise = wide[region]
+    spread = N[:, PLACE:, PLACE:] + bad_noise[:, PLACE:, None] * unit
+    possible = ~_excluded(y[:, PLACE:], A[:, PLACE:], spread, prior, arm)
+    for pair, row in np.argwhere(~known & possible[:, None]):
+        _say_nothing(row, y[pair], A[pair], N[pair], bad_noise[pair])
+    pair, diagonal = np.repeat(np.flatnonzero(possible), 2), np.arange(ROWS)
+    y, A, N = y[pair], A[pair], N[pair]
+    N[1::2, diagonal, diagonal] += bad_noise[possible]
+    log_density = _whiten(N, y, A)
+    return region[pair], landmark[pair], np.arange(len(pair)) % 2 == 1, y, A, log_density
 
 
-@njit(cache=True)
 def _say_nothing(row: int, y: Array, A: Array, N: Array, wide: Array) -> None:
     """A row that was not measured, in place: zeros, of density one."""
     y[row], A[row], wide[row] = 0.0, 0.0, 0.0
@@ -202,40 +189,44 @@ def _say_nothing(row: int, y: Array, A: Array, N: Array, wide: Array) -> None:
     N[row, row] = 0.5 / math.pi
 
 
-@njit(cache=True)
-def _excluded(y: Array, A: Array, N: Array, prior: Array, r: Array) -> bool:
-    """Whether a place is impossible under the prior, whatever else is seen; 1/2 s^2 r is what the linear equation leaves out."""
-    linear = A[:, :STATES].copy()
-    linear[:, SCALE] += A[:, GROWTH]
-    spread = linear @ prior @ linear.T + N + 0.75 * prior[SCALE, SCALE] ** 2 * np.outer(r, r)
-    return bool(y @ np.linalg.solve(spread, y) > _GATE)
+def _whiten(N: Array, y: Array, A: Array) -> Array:
+    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N). Of one pair or of as many as there are."""
+    low = np.linalg.cholesky(N)
+    white = np.linalg.solve(low, np.concatenate((y[..., None], A), axis=-1))
+    y[...], A[...] = white[..., 0], white[..., 1:]
+    log_root = np.log(np.diagonal(low, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-log_root - 0.5 * y.shape[-1] * math.log(2.0 * math.pi))
 
 
-@njit(cache=True)
+def _outer(a: Array) -> Array:
+    """a a^T (N, K, K) of a (N, K)."""
+    return a[:, :, None] * a[:, None, :]
+
+
+def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
+    """Which places (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the place as measured.
+
+    1/2 s^2 r is what the linear equation leaves out.
+    """
+    linear = A[:, :, :STATES].copy()
+    linear[:, :, SCALE] += A[:, :, GROWTH]
+    whole = linear @ prior @ linear.transpose(0, 2, 1) + spread + 0.75 * prior[SCALE, SCALE] ** 2 * _outer(r)
+    chi2 = (y * np.linalg.solve(whole, y[:, :, None])[:, :, 0]).sum(axis=1)
+    return np.asarray(chi2 > _GATE)
+
+
 def _rows(p_n: Array, r: Array, features: Array, place: Array, described: Array) -> tuple[Array, Array]:
-    y, A = np.empty(ROWS), np.zeros((ROWS, COLUMNS))
-    y[:PLACE] = described - features
-    y[PLACE:] = place - p_n - r
-    half_turn = math.pi if described[1] - described[0] > math.log(OBLONG) else 0.5 * math.pi
-    y[3] = (y[3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
-    A[0, SCALE] = A[1, SCALE] = 1.0
-    A[3, 5] = 1.0
-    A[PLACE:, :3] = np.eye(3)
-    A[PLACE:, 3:6] = -so3.skew(r)
-    A[PLACE:, GROWTH] = r
+    """y (N, 7) and A (N, 7, 8)."""
+    y, A = np.empty((len(r), ROWS)), np.zeros((len(r), ROWS, COLUMNS))
+    y[:, :PLACE] = described - features
+    y[:, PLACE:] = place - p_n - r
+    half_turn = np.where(described[:, 1] - described[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
+    y[:, 3] = (y[:, 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+    A[:, 0, SCALE] = A[:, 1, SCALE] = 1.0
+    A[:, 3, 5] = 1.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        A[:, PLACE + i, i] = 1.0
+        A[:, PLACE + j, 3 + k], A[:, PLACE + k, 3 + j] = r[:, i], -r[:, i]  # -[r]x
+    A[:, PLACE:, GROWTH] = r
     return y, A
-
-
-@njit(cache=True)
-def _whiten(N: Array, y: Array, A: Array) -> float:
-    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N)."""
-    L = np.linalg.cholesky(N)
-    total = 0.0
-    for a in range(N.shape[0]):
-        for b in range(a):
-            y[a] -= L[a, b] * y[b]
-            A[a] -= L[a, b] * A[b]
-        y[a] /= L[a, a]
-        A[a] /= L[a, a]
-        total -= math.log(L[a, a])
-    return float(total - 0.5 * N.shape[0] * math.log(2.0 * math.pi))

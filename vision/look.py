@@ -187,7 +187,6 @@ class Scene:
         return bc, rc, own_right if right else left, left.shape[1] if right else 0
 
 
-@njit(cache=True)
 def _looked(
     image: Image, drawn: Drawn, on_edges: OnEdges, bodies: Bodies, stand: Stand, camera: Array, search: int, fit_half: int,
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
@@ -220,7 +219,7 @@ def _looked(
     map_sigma, map_column = on_map
     bc, rc, own_root, own_skipped = roots
     rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
-    _dependence(A[:, k], line[2], rows, of_camera, block, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
+    _dependence(A, k, line[2], rows, of_camera, block, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
     return line, int(np.count_nonzero(usable))
 
 
@@ -236,10 +235,10 @@ def _regressors(tau: Array, normal: Array, of_spot: Mask) -> Array:
 
 @njit(cache=True)
 def _dependence(
-    A: Array, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array, map_column: Indices,
-    bc: Array, rc: Array, own_root: Array, own_skipped: int,
+    A: Array, picture: int, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array,
+    map_column: Indices, bc: Array, rc: Array, own_root: Array, own_skipped: int,
 ) -> None:  # fmt: skip
-    """Fill A (E, 2, 6 + P) of one picture: by the pose, by errors of map and rig in units of their standard deviations.
+    """Fill A (E, K, 2, 6 + P) of one picture: by the pose, by errors of map and rig in units of their standard deviations.
 
     rows (N, 18 + M), own (N, 4 + n): Derivatives of the points, gain (N, 2): from points to lines; map_column (L M,): where in P
     errors of the map stand, -1: exact; then follow those of camera on body, right against left camera, left and right camera.
@@ -248,25 +247,30 @@ def _dependence(
     errors = map_sigma.shape[1]
     for e in range(len(A)):
         for i in range(2):
-            A[e, i, :POSE] = by_line[e, i, :POSE]
+            for m in range(POSE):
+                A[e, picture, i, m] = by_line[e, i, m]
             for m in range(errors):
                 column = map_column[landmark[e] * errors + m]
                 if column >= 0:
-                    A[e, i, POSE + column] = by_line[e, i, MAPPED_FROM + m] * map_sigma[landmark[e], m]
-    at = POSE + int(np.count_nonzero(map_column >= 0))
-    _through(by_line, 6, bc, A, at)
-    _through(by_line, 12, rc, A, at + bc.shape[1])
-    _through(by_own, 0, own_root, A, at + bc.shape[1] + rc.shape[1] + own_skipped)
+                    A[e, picture, i, POSE + column] = by_line[e, i, MAPPED_FROM + m] * map_sigma[landmark[e], m]
+    at = POSE
+    for m in range(len(map_column)):
+        at += map_column[m] >= 0
+    for part in range(3):  # camera on body, right against left camera, this camera's own
+        root, first = (bc, 6) if part == 0 else ((rc, 12) if part == 1 else (own_root, 0))
+        at += own_skipped if part == 2 else 0
+        _through(by_own if part == 2 else by_line, first, root, A, picture, at)
+        at += root.shape[1]
 
 
 @njit(cache=True)
-def _through(rows: Array, first: int, root: Array, A: Array, at: int) -> None:
-    """A (E, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
+def _through(rows: Array, first: int, root: Array, A: Array, picture: int, at: int) -> None:
+    """A (E, picture, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
     for e in range(len(A)):
         for i in range(2):
             for j in range(root.shape[1]):
                 for k in range(root.shape[0]):
-                    A[e, i, at + j] += rows[e, i, first + k] * root[k, j]
+                    A[e, picture, i, at + j] += rows[e, i, first + k] * root[k, j]
 
 
 def _sigmas(mark: Landmark) -> tuple[float, ...]:
@@ -276,8 +280,8 @@ def _sigmas(mark: Landmark) -> tuple[float, ...]:
 
 
 def channels(image: Image) -> Image:
-    """(H, W, C)."""
-    return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
+    """(H, W, C), writable, for which the kernels are compiled."""
+    return np.require(image if image.ndim == 3 else image[:, :, None], np.uint8, ["C", "W"])
 
 
 @lru_cache(maxsize=8)
@@ -296,7 +300,6 @@ def _root(covariance: Array | None) -> Array:
     return root
 
 
-@njit(cache=True)
 def distance_from_roof(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, half: int,
@@ -313,7 +316,6 @@ def distance_from_roof(
     return distance, usable, hidden
 
 
-@njit(cache=True)
 def _roof_beside(
     image: Image, values: Array, px: Array, normal: Array, edge: Indices, landmark: Indices, roof: Mask, raised: Mask, half: int,
     usable: Mask,
@@ -327,7 +329,6 @@ def _roof_beside(
     return outline.roof_beside(values, interior, inside, edge, landmark, roof, usable)
 
 
-@njit(cache=True)
 def _fit_steps(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, gap: Array, half: int, farthest: float,

@@ -239,7 +239,8 @@ def _side_moves(corners: Array) -> Array:
     count = corners.shape[0]
     normals, moves = np.empty((count, 2)), np.zeros((2 * count, count, 2))
     for i in range(count):
-        du, dv = corners[(i + 1) % count] - corners[i]
+        after = corners[(i + 1) % count]
+        du, dv = after[0] - corners[i, 0], after[1] - corners[i, 1]
         normals[i, 0], normals[i, 1] = -dv / np.hypot(du, dv), du / np.hypot(du, dv)
     for i in range(count):  # the corner where side i begins: n_before . m = 0 or 1, n_i . m = 1 or 0
         before = (i - 1) % count
@@ -247,7 +248,8 @@ def _side_moves(corners: Array) -> Array:
         det = a[0] * b[1] - a[1] * b[0]
         moves[i, i, 0], moves[i, i, 1] = -a[1] / det, a[0] / det
         moves[before, i, 0], moves[before, i, 1] = b[1] / det, -b[0] / det
-        moves[count + i, i], moves[count + before, i] = -moves[i, i], moves[before, i]
+        for k in range(2):
+            moves[count + i, i, k], moves[count + before, i, k] = -moves[i, i, k], moves[before, i, k]
     return moves
 
 
@@ -257,7 +259,8 @@ def _arc_moves(contour: Array) -> Array:
     count = contour.shape[0]
     moves = np.zeros((_ARCS, count, 2))
     for i in range(count):
-        du, dv = contour[(i + 2) % count] - contour[(i - 2) % count]
+        after, before = contour[(i + 2) % count], contour[(i - 2) % count]
+        du, dv = after[0] - before[0], after[1] - before[1]
         length = max(np.hypot(du, dv), 1e-9)
         arc = i * _ARCS // count
         moves[arc, i, 0], moves[arc, i, 1] = -dv / length, du / length
@@ -269,32 +272,46 @@ def _quantities(outlines: Array, planes: Array, origin: Array, camera: Array) ->
     """(M, 9) of M outlines (M, K, 2) on M planes (M, 3); camera: fx fy cx cy baseline offset. NaN where one is behind."""
     fx, fy, cx, cy, baseline, offset = camera
     count, corners = outlines.shape[0], outlines.shape[1]
-    table = np.full((count, 9), np.nan)
+    table, flat, bounds = np.full((count, 9), np.nan), np.empty((corners, 2)), np.empty(2, np.int64)
+    n, normal, foot, e1, e2, ray = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.ones(3)
+    bounds[0], bounds[1] = 0, corners
     for m in range(count):
-        c, p, q = planes[m]
-        n = np.array([p * fx, q * fy, c - offset + p * (cx - origin[0]) + q * (cy - origin[1])]) / (fx * baseline)
-        normal = -n / np.sqrt((n * n).sum())
-        e1 = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-        e1 /= np.sqrt((e1 * e1).sum())
-        e2 = np.array([e1[1] * normal[2] - e1[2] * normal[1], e1[2] * normal[0] - e1[0] * normal[2],
-                       e1[0] * normal[1] - e1[1] * normal[0]])  # fmt: skip
-        flat = np.empty((corners, 2))
-        foot = n / (n * n).sum()  # the plane's nearest point to the camera
+        c, p, q = planes[m, 0], planes[m, 1], planes[m, 2]
+        n[0], n[1], n[2] = p * fx, q * fy, c - offset + p * (cx - origin[0]) + q * (cy - origin[1])
+        square, length = 0.0, 0.0
+        for a in range(3):
+            n[a] /= fx * baseline
+            square += n[a] * n[a]
+        for a in range(3):
+            normal[a], foot[a] = -n[a] / np.sqrt(square), n[a] / square  # foot: the plane's nearest point to the camera
+        for a in range(3):
+            e1[a] = (1.0 if a == 0 else 0.0) - normal[0] * normal[a]
+            length += e1[a] * e1[a]
+        for a in range(3):
+            e1[a] /= np.sqrt(length)
+        for a in range(3):
+            b, d = (a + 1) % 3, (a + 2) % 3
+            e2[a] = e1[b] * normal[d] - e1[d] * normal[b]
         behind = False
         for k in range(corners):
-            ray = np.array([(outlines[m, k, 0] - cx) / fx, (outlines[m, k, 1] - cy) / fy, 1.0])
-            inverse = (ray * n).sum()
+            ray[0], ray[1], inverse = (outlines[m, k, 0] - cx) / fx, (outlines[m, k, 1] - cy) / fy, 0.0
+            for a in range(3):
+                inverse += ray[a] * n[a]
             if inverse <= 0.0:
                 behind = True
                 break
-            x = ray / inverse - foot
-            flat[k, 0], flat[k, 1] = (x * e1).sum(), (x * e2).sum()
+            flat[k, 0] = flat[k, 1] = 0.0
+            for a in range(3):
+                x = ray[a] / inverse - foot[a]
+                flat[k, 0] += x * e1[a]
+                flat[k, 1] += x * e2[a]
         if behind:
             continue
-        row = polygon.describe(flat, np.array([0, corners]))[0]
-        centre = foot + row[polygon.NORTH] * e1 + row[polygon.EAST] * e2
-        table[m, 0], table[m, 1], table[m, 2] = centre
-        table[m, 3] = np.sqrt((centre * centre).sum())
+        row, square = polygon.describe(flat, bounds)[0], 0.0
+        for a in range(3):
+            table[m, a] = foot[a] + row[polygon.NORTH] * e1[a] + row[polygon.EAST] * e2[a]
+            square += table[m, a] * table[m, a]
+        table[m, 3] = np.sqrt(square)
         table[m, 4], table[m, 5] = row[polygon.WIDTH], row[polygon.LENGTH]
         table[m, 6], table[m, 7], table[m, 8] = row[polygon.SIZE], row[polygon.FILL], row[polygon.ORIENTATION]
     return table

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order
 from models.messages import Array
 
 Picture = NDArray[np.uint8]
@@ -97,19 +98,10 @@ def along_contrast(values: Array, edge: Indices, shaded: Mask, usable: Mask) -> 
                     bright[e, c] += 1.0 if values[i, j, c] >= _CLIPPED else 0.0
     direction, clipped = np.empty((edges, channels)), np.zeros(edges, dtype=np.bool_)
     for e in range(edges):
-        profile = mean[e] / max(count[e], 1.0)
-        inside, between, outside = _average(profile[:third]), _average(profile[third : 2 * third]), _average(profile[-third:])
-        across, middle = outside - inside, between - 0.5 * (inside + outside)
-        d = across if np.sum(across**2) >= np.sum(middle**2) else middle
-        if shaded[e]:
-            shadow = _shadow_between(profile, inside, outside)
-            d = shadow - inside if np.sum(shadow) > 0.0 else d
-        free = np.where(bright[e] > 0.1 * third * count[e], 0.0, d)
-        clipped[e] = np.sum(free**2) < _UNCLIPPED * np.sum(d**2)
-        if not clipped[e]:
-            d = free
-        norm = math.sqrt(np.sum(d**2))
-        direction[e] = d / norm if norm > 0.0 else np.full(channels, 1.0 / math.sqrt(channels))
+        for j in range(size):
+            for c in range(channels):
+                mean[e, j, c] /= max(count[e], 1.0)
+        clipped[e] = _contrast(mean[e], bright[e], 0.1 * third * count[e], shaded[e], direction[e])
     result = np.zeros((n, size))
     for i in range(n):
         if usable[i]:
@@ -122,40 +114,87 @@ def along_contrast(values: Array, edge: Indices, shaded: Mask, usable: Mask) -> 
 
 
 @njit(cache=True)
-def _average(colours: Array) -> Array:
-    """Of colours (S, C)."""
-    mean: Array = np.sum(colours, axis=0) / len(colours)
-    return mean
+def _contrast(profile: Array, bright: Array, most_bright: float, may_be_shaded: bool, direction: Array) -> bool:
+    """The unit vector (C,) of a mean profile's (S, C) contrast, into direction; whether a channel of it is clipped too much."""
+    size, channels = profile.shape
+    third = size // 3
+    inside, d, shadow = np.empty(channels), np.empty(channels), np.empty(channels)
+    outside, middle, free = np.empty(channels), np.empty(channels), np.empty(channels)
+    across2 = middle2 = 0.0
+    for c in range(channels):
+        inside[c], outside[c] = _average(profile, 0, third, c), _average(profile, size - third, size, c)
+        d[c] = outside[c] - inside[c]
+        middle[c] = _average(profile, third, 2 * third, c) - 0.5 * (inside[c] + outside[c])
+        across2 += d[c] ** 2
+        middle2 += middle[c] ** 2
+    is_shaded = may_be_shaded and _shadow_between(profile, inside, outside, shadow)
+    square = free2 = 0.0
+    for c in range(channels):
+        if is_shaded:
+            d[c] = shadow[c] - inside[c]
+        elif not across2 >= middle2:
+            d[c] = middle[c]
+        free[c] = 0.0 if bright[c] > most_bright else d[c]
+        square += d[c] ** 2
+        free2 += free[c] ** 2
+    clipped = free2 < _UNCLIPPED * square
+    norm = math.sqrt(square if clipped else free2)
+    for c in range(channels):
+        part = d[c] if clipped else free[c]
+        direction[c] = part / norm if norm > 0.0 else 1.0 / math.sqrt(channels)
+    return bool(clipped)
 
 
 @njit(cache=True)
-def _shadow_between(profile: Array, inside: Array, outside: Array) -> Array:
-    """Colour (C,) of a profile (S, C), beyond its inner third, where it is farthest from what one blurred step shows, if that is
-    the outer side's in a shadow; else 0.
+def _average(colours: Array, begin: int, end: int, c: int) -> float:
+    """Of channel c of colours (S, C), begin to end."""
+    total = 0.0
+    for j in range(begin, end):
+        total += colours[j, c]
+    return total / (end - begin)
+
+
+@njit(cache=True)
+def _shadow_between(profile: Array, inside: Array, outside: Array, shadow: Array) -> bool:
+    """Colour (C,) of a profile (S, C), beyond its inner third, where it is farthest from what one blurred step shows, into
+    shadow; False if that is not the outer side's in a shadow, or black.
 
         r = |c - a - t (b - a)|,  0 <= t <= 1:    r > 0.3 |b - a|,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
 
     a: inside, b: outside.
     """
-    across = outside - inside
-    square, farthest, at = np.sum(across**2), 0.0, -1
-    for j in range(len(profile) // 3, len(profile)):
-        off = profile[j] - inside
-        t = min(max(np.sum(off * across) / max(square, 1e-9), 0.0), 1.0)
-        r = np.sum((off - t * across) ** 2)
+    size, channels = profile.shape
+    square, farthest, at = 0.0, 0.0, -1
+    for c in range(channels):
+        square += (outside[c] - inside[c]) ** 2
+    for j in range(size // 3, size):
+        along = r = 0.0
+        for c in range(channels):
+            along += (profile[j, c] - inside[c]) * (outside[c] - inside[c])
+        t = min(max(along / max(square, 1e-9), 0.0), 1.0)
+        for c in range(channels):
+            r += ((profile[j, c] - inside[c]) - t * (outside[c] - inside[c])) ** 2
         if r > farthest:
             farthest, at = r, j
-    none = np.zeros(len(inside))
     if farthest < max(_STRIP**2 * square, _LEAST_STRIP**2):
-        return none
-    return profile[at].copy() if shaded(profile[at], outside) else none
+        return False
+    total = 0.0
+    for c in range(channels):
+        shadow[c] = profile[at, c]
+        total += shadow[c]
+    return shaded(shadow, outside) and total > 0.0
 
 
 @njit(cache=True)
 def shaded(colour: Array, ground: Array) -> bool:
     """Whether a colour (C,) c is that of the ground, b, in a shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
-    dark, light = math.sqrt(np.sum(colour**2)), math.sqrt(np.sum(ground**2))
-    return bool(np.sum(colour * ground) > _ALIKE * dark * light and dark < _DARKER * light)
+    dark = light = both = 0.0
+    for c in range(len(colour)):
+        dark += colour[c] ** 2
+        light += ground[c] ** 2
+        both += colour[c] * ground[c]
+    dark, light = math.sqrt(dark), math.sqrt(light)
+    return both > _ALIKE * dark * light and dark < _DARKER * light
 
 
 @njit(cache=True)
@@ -173,10 +212,23 @@ def _ends(values: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _rims(edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> list[Indices]:
-    """The usable points of roof edges, landmark by landmark; landmark, roof: (E,) of the edges."""
-    whose = np.where(usable & roof[edge], landmark[edge], -1)
-    return [np.flatnonzero(whose == m) for m in range(1 + (landmark.max() if len(landmark) else 0))]
+def _rim(m: int, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Indices:
+    """The usable points of landmark m's roof edges; landmark, roof: (E,) of the edges."""
+    rim, count = np.empty(len(edge), np.int64), 0
+    for i in range(len(edge)):
+        if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
+            rim[count] = i
+            count += 1
+    return rim[:count]
+
+
+@njit(cache=True)
+def _marks(landmark: Indices) -> int:
+    """How many landmarks there are, one at least; landmark (E,) of the edges."""
+    most = 0
+    for e in range(len(landmark)):
+        most = max(most, landmark[e])
+    return most + 1
 
 
 @njit(cache=True)
@@ -186,14 +238,26 @@ def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, us
     What hides a part of a roof goes on beyond its rim. values (N, S, C): profiles that run outwards; roof: (E,).
     """
     inside, outside = _ends(values)
-    contrast = np.sqrt(np.sum((outside - inside) ** 2, axis=1))
-    rims = _rims(edge, landmark, roof, usable)
-    colour = np.full((len(rims), values.shape[2]), np.nan)
-    for m in range(len(rims)):
-        if len(rims[m]) > 0:
-            ending = rims[m][contrast[rims[m]] >= _ENDING * np.quantile(contrast[rims[m]], _MOST_CONTRAST)]
-            for c in range(values.shape[2]):
-                colour[m, c] = np.median(inside[ending, c])
+    n, channels = inside.shape
+    contrast, of_rim, marks = np.empty(n), np.empty(n), _marks(landmark)
+    for i in range(n):
+        square = 0.0
+        for c in range(channels):
+            square += (outside[i, c] - inside[i, c]) ** 2
+        contrast[i] = math.sqrt(square)
+    colour = np.empty((marks, channels))
+    for m in range(marks):
+        rim = _rim(m, edge, landmark, roof, usable)
+        for k in range(len(rim)):
+            of_rim[k] = contrast[rim[k]]
+        least = _ENDING * order.quantile(of_rim[: len(rim)], _MOST_CONTRAST)
+        for c in range(channels):
+            count = 0
+            for k in range(len(rim)):
+                if contrast[rim[k]] >= least:
+                    of_rim[count] = inside[rim[k], c]
+                    count += 1
+            colour[m, c] = order.median(of_rim[:count])
     return colour
 
 
@@ -208,11 +272,17 @@ def roof_beside(
     """
     n, size, channels = interior.shape
     colour = roof_colours(values, edge, landmark, roof, usable)
-    single, beside = np.full(n, np.nan), np.empty((n, channels))
+    single, beside = np.empty(n), np.empty((n, channels))
     for i in range(n):
-        whole = np.sum(colour[landmark[edge[i]]])
+        single[i] = np.nan
+        whole = total = 0.0
+        for c in range(channels):
+            whole += colour[landmark[edge[i]], c]
         if inside[i] and whole > 0.0:  # not where it is NaN
-            single[i] = np.sum(interior[i]) / size / whole
+            for j in range(size):
+                for c in range(channels):
+                    total += interior[i, j, c]
+            single[i] = total / size / whole
     for i in range(n):
         total = count = 0.0
         for k in range(max(i - _BESIDE, 0), min(i + _BESIDE + 1, n)):
@@ -249,13 +319,24 @@ def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask)
     of the means along the edge.
     """
     inside, outside = _ends(values)
-    found = np.zeros(len(roof), dtype=np.bool_)
+    n, channels = inside.shape
+    ours, ends, beyond = np.zeros((len(roof), channels)), np.zeros((len(roof), channels)), np.zeros((len(roof), channels))
+    found, count = np.zeros(len(roof), dtype=np.bool_), np.zeros(len(roof))
+    for i in range(n):
+        if usable[i]:
+            e = edge[i]
+            count[e] += 1.0
+            for c in range(channels):
+                ours[e, c] += beside[i, c]
+                ends[e, c] += inside[i, c]
+                beyond[e, c] += outside[i, c]
     for e in range(len(roof)):
-        along = np.flatnonzero(usable & (edge == e))
-        if roof[e] and len(along) > 0:
-            ours, ends, beyond = _average(beside[along]), _average(inside[along]), _average(outside[along])
-            off, across = math.sqrt(np.sum((ends - ours) ** 2)), math.sqrt(np.sum((beyond - ends) ** 2))
-            found[e] = off > _OTHER * across + _LEAST_OTHER
+        if roof[e] and count[e] > 0.0:
+            off = across = 0.0
+            for c in range(channels):
+                off += (ends[e, c] / count[e] - ours[e, c] / count[e]) ** 2
+                across += (beyond[e, c] / count[e] - ends[e, c] / count[e]) ** 2
+            found[e] = math.sqrt(off) > _OTHER * math.sqrt(across) + _LEAST_OTHER
     return found
 
 
@@ -268,14 +349,29 @@ def covered(values: Array, beside: Array, edge: Indices, landmark: Indices, roof
     of the points along a landmark's rim: what lies in a shadow is the roof still. The arguments are those of roof_colours.
     """
     inside, outside = _ends(values)
-    lit = np.sum(inside * beside, axis=1) / np.maximum(np.sum(beside**2, axis=1), 1.0)
-    shaded = np.expand_dims(np.minimum(np.maximum(lit, _SHADOW), 1.0), 1) * beside
-    off, across = np.sqrt(np.sum((inside - shaded) ** 2, axis=1)), np.sqrt(np.sum((outside - beside) ** 2, axis=1))
-    found = np.zeros(len(values), dtype=np.bool_)
-    for rim in _rims(edge, landmark, roof, usable):
-        if len(rim) > 0:
-            usual = max(_OTHER * np.median(across[rim]), _SCATTER * np.quantile(off[rim], 0.25))
-            found[rim] = off[rim] > usual + _LEAST_OTHER
+    n, channels = inside.shape
+    off, across, of_rim = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        both = square = off2 = across2 = 0.0
+        for c in range(channels):
+            both += inside[i, c] * beside[i, c]
+            square += beside[i, c] ** 2
+        shade = min(max(both / max(square, 1.0), _SHADOW), 1.0)
+        for c in range(channels):
+            off2 += (inside[i, c] - shade * beside[i, c]) ** 2
+            across2 += (outside[i, c] - beside[i, c]) ** 2
+        off[i], across[i] = math.sqrt(off2), math.sqrt(across2)
+    found = np.zeros(n, dtype=np.bool_)
+    for m in range(_marks(landmark)):
+        rim = _rim(m, edge, landmark, roof, usable)
+        for k in range(len(rim)):
+            of_rim[k] = across[rim[k]]
+        usual = _OTHER * order.median(of_rim[: len(rim)])
+        for k in range(len(rim)):
+            of_rim[k] = off[rim[k]]
+        usual = max(usual, _SCATTER * order.quantile(of_rim[: len(rim)], 0.25))
+        for k in range(len(rim)):
+            found[rim[k]] = off[rim[k]] > usual + _LEAST_OTHER
     return found
 
 

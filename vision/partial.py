@@ -98,7 +98,7 @@ def partial_of(
     """
     seen, middle = arms[1:-1], arms[1:-1].mean(axis=0)
     landmark, first = _runs(
-        np.ascontiguousarray(arms[:, :2]), middle, vertices, offsets, R_cn, p_c, view, _SHORT * pixel_m
+        np.ascontiguousarray(arms[:, :2]), middle, vertices, offsets, np.ascontiguousarray(R_cn), p_c, view, _SHORT * pixel_m
     )  # fmt: skip
     if not len(landmark):
         return None
@@ -148,8 +148,9 @@ def _alike(arms: Array, outline: Array, a: int, short_m: float) -> bool:
     if n < last:
         return False
     for k in range(last + 1):
-        dn, de = arms[k + 1] - arms[k]
-        ln, le = outline[(a + k) % n] - outline[(a + k - 1) % n]
+        here, before = outline[(a + k) % n], outline[(a + k - 1) % n]
+        dn, de = arms[k + 1, 0] - arms[k, 0], arms[k + 1, 1] - arms[k, 1]
+        ln, le = here[0] - before[0], here[1] - before[1]
         length, whole = math.hypot(dn, de), 0 < k < last
         if not whole and length < short_m:
             continue
@@ -171,10 +172,12 @@ def _hidden(arms: Array, middle: Array, outline: Array, a: int, R_cn: Array, p_c
         east += outline[(a + k) % n, 1] / seen
     for k in range(seen, n):
         corner = outline[(a + k) % n]
-        x_c = R_cn @ np.array([middle[0] + corner[0] - north, middle[1] + corner[1] - east, middle[2]]) - p_c
-        if x_c[2] <= 0.0:
+        to_n, to_e, to_d = middle[0] + corner[0] - north, middle[1] + corner[1] - east, middle[2]
+        z = R_cn[2, 0] * to_n + R_cn[2, 1] * to_e + R_cn[2, 2] * to_d - p_c[2]
+        if z <= 0.0:
             continue
-        x, y = x_c[0] / x_c[2], x_c[1] / x_c[2]
+        x = (R_cn[0, 0] * to_n + R_cn[0, 1] * to_e + R_cn[0, 2] * to_d - p_c[0]) / z
+        y = (R_cn[1, 0] * to_n + R_cn[1, 1] * to_e + R_cn[1, 2] * to_d - p_c[1]) / z
         if view[0] + _HIDDEN < x < view[1] - _HIDDEN and view[2] + _HIDDEN < y < view[3] - _HIDDEN:
             return False
     return True

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from models.camera import StereoRig
 from vision.check import pair_flaw, picture_flaw
 from vision.rectify import Image
@@ -37,5 +39,8 @@ def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures 
     if not any(flaws) and left is not None and right is not None and (flaw := pair_flaw(left, right)):
         flaws[1] = flaw
     remark = "".join(f"{name} camera not used: {flaw}; " for name, flaw in zip(("left", "right"), flaws, strict=True) if flaw)
-    first, second = (None if image is None or flaw else to_8_bit(image) for image, flaw in zip((left, right), flaws, strict=True))
+    first, second = (
+        None if image is None or flaw else np.require(to_8_bit(image), np.uint8, ["C", "W"])  # as the kernels are compiled
+        for image, flaw in zip((left, right), flaws, strict=True)
+    )
     return Pictures(first, second, remark)

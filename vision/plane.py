@@ -5,10 +5,10 @@
 Errors of disparities are alike near and far, errors of depths are not, so the fit is done here and turned into metres afterwards.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from models.messages import Array
 
@@ -49,33 +49,25 @@ def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, sl
     return DisparityPlane(origin, x, covariance, scatter, used)
 
 
-@njit(cache=True)
 def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) -> tuple[Array, Array, float, int]:
-    n = d.shape[0]
-    order = np.argsort(d)
+    """Coefficients (3,), covariance (3, 3), scatter, and how many points count."""
+    order = np.argsort(d, kind="stable")
     cumulated = np.cumsum((1.0 / sigma**2)[order])
-    median = d[order[min(np.searchsorted(cumulated, 0.5 * cumulated[-1]), n - 1)]]
-    x = np.array([median, slope[0], slope[1]])
-    tilt = 1.0 / slope_sigma**2
-    scale = 1.0
-    normal = np.eye(3)
-    robust = np.ones(n)
+    x = np.array([d[order[min(np.searchsorted(cumulated, 0.5 * cumulated[-1]), len(d) - 1)]], *slope])
+    belief = np.array([1e-12, slope_sigma**-2, slope_sigma**-2])
+    scale, rows = 1.0, np.column_stack((np.ones(len(d)), uv))
     for _ in range(_ROUNDS):
-        residual = (d - x[0] - uv[:, 0] * x[1] - uv[:, 1] * x[2]) / sigma
-        spread = max(1.4826 * np.median(np.abs(residual)), 1.0)
-        ratio = residual / (_TUKEY * spread)
+        residual = (d - rows @ x) / sigma
+        ratio = residual / (_TUKEY * max(1.4826 * float(np.median(np.abs(residual))), 1.0))
         robust = np.where(np.abs(ratio) < 1.0, (1.0 - ratio * ratio) ** 2, 0.0)
-        normal = np.diag(np.array([1e-12, tilt, tilt]))
-        right = np.array([1e-12 * x[0], tilt * slope[0], tilt * slope[1]])
-        for i in range(n):
-            w = robust[i] / (sigma[i] * sigma[i] * scale)
-            row = np.array([1.0, uv[i, 0], uv[i, 1]])
-            for a in range(3):
-                right[a] += w * row[a] * d[i]
-                for b in range(3):
-                    normal[a, b] += w * row[a] * row[b]
-        x = np.linalg.solve(normal, right).astype(np.float64)
-        residual = (d - x[0] - uv[:, 0] * x[1] - uv[:, 1] * x[2]) / sigma
-        scale = (_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0))
-    covariance = np.linalg.inv(normal).astype(np.float64)
-    return x, covariance, float(np.sqrt(scale)), int((robust > 0.25).sum())
+        weighted = rows.T * (robust / (sigma * sigma * scale))
+        normal = np.diag(belief) + weighted @ rows
+        x = np.linalg.solve(normal, belief * (x[0], *slope) + weighted @ d)
+        residual = (d - rows @ x) / sigma
+        scale = float((_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0)))
+    return (
+        np.asarray(x, dtype=np.float64),
+        np.asarray(np.linalg.inv(normal), dtype=np.float64),
+        math.sqrt(scale),
+        int((robust > 0.25).sum()),
+    )

@@ -5,6 +5,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order
 from models.messages import Array
 from models.outline import crosses_itself
 
@@ -24,7 +25,7 @@ def fit_polygon(contour: Array) -> Array | None:
     for tolerance in _TOLERANCES:
         guess = cv2.approxPolyDP(closed, max(tolerance * perimeter, 1.2), True).reshape(-1, 2).astype(np.float64)
         if 3 <= len(guess) <= _MOST_SIDES:
-            corners = _fit(contour, _indices(contour, guess))
+            corners = _fit(contour, np.unique(_indices(contour, guess)))
             if corners is not None and not crosses_itself(corners):
                 return corners
     return None
@@ -32,7 +33,7 @@ def fit_polygon(contour: Array) -> Array | None:
 
 @njit(cache=True)
 def _indices(contour: Array, guess: Array) -> NDArray[np.int64]:
-    """Where the guessed corners stand in the contour, ascending."""
+    """Where the guessed corners stand in the contour."""
     found = np.empty(guess.shape[0], np.int64)
     for i in range(guess.shape[0]):
         least = np.inf
@@ -40,7 +41,7 @@ def _indices(contour: Array, guess: Array) -> NDArray[np.int64]:
             square = (contour[k, 0] - guess[i, 0]) ** 2 + (contour[k, 1] - guess[i, 1]) ** 2
             if square < least:
                 least, found[i] = square, k
-    return np.unique(found)
+    return found
 
 
 @njit(cache=True)
@@ -51,21 +52,30 @@ def _apart(p: Array, q: Array) -> float:
 @njit(cache=True)
 def _line(points: Array) -> Array:
     """(n_u, n_v, d) with n . p = d, |n| = 1: total least squares, twice reweighted by Tukey's biweight."""
-    weights = np.ones(points.shape[0])
-    line = np.zeros(3)
+    n = points.shape[0]
+    weights, residual, line = np.ones(n), np.empty(n), np.zeros(3)
     for _ in range(3):
-        total = weights.sum()
+        total = mu = mv = uu = uv = vv = 0.0
+        for i in range(n):
+            total += weights[i]
+            mu += weights[i] * points[i, 0]
+            mv += weights[i] * points[i, 1]
         if total < 2.0:
             break
-        mu, mv = (weights * points[:, 0]).sum() / total, (weights * points[:, 1]).sum() / total
-        du, dv = points[:, 0] - mu, points[:, 1] - mv
-        uu, uv, vv = (weights * du * du).sum(), (weights * du * dv).sum(), (weights * dv * dv).sum()
+        mu, mv = mu / total, mv / total
+        for i in range(n):
+            du, dv = points[i, 0] - mu, points[i, 1] - mv
+            uu += weights[i] * du * du
+            uv += weights[i] * du * dv
+            vv += weights[i] * dv * dv
         angle = 0.5 * np.arctan2(2.0 * uv, uu - vv) + 0.5 * np.pi  # of the normal
         line[0], line[1] = np.cos(angle), np.sin(angle)
         line[2] = line[0] * mu + line[1] * mv
-        residual = np.abs(line[0] * points[:, 0] + line[1] * points[:, 1] - line[2])
-        scale = max(4.685 * 1.4826 * np.median(residual), 0.3)
-        weights = np.where(residual < scale, (1.0 - (residual / scale) ** 2) ** 2, 0.0)
+        for i in range(n):
+            residual[i] = abs(line[0] * points[i, 0] + line[1] * points[i, 1] - line[2])
+        scale = max(4.685 * 1.4826 * order.median(residual), 0.3)
+        for i in range(n):
+            weights[i] = (1.0 - (residual[i] / scale) ** 2) ** 2 if residual[i] < scale else 0.0
     return line
 
 
@@ -85,19 +95,20 @@ def _fit(contour: Array, corner_at: NDArray[np.int64]) -> Array | None:
         for j in range(length + 1):
             p = contour[(a + j) % n]
             if _apart(p, contour[a]) > _CLEAR_PX and _apart(p, contour[b]) > _CLEAR_PX:
-                side[used] = p
+                side[used, 0], side[used, 1] = p[0], p[1]
                 used += 1
         if used < _LEAST_POINTS:
             return None
-        lines[i] = _line(side[:used])
-        residual = side[:used] @ lines[i, :2] - lines[i, 2]
-        square += np.minimum(residual**2, 9.0).sum()
+        u, v, d = _line(side[:used])
+        lines[i, 0], lines[i, 1], lines[i, 2] = u, v, d
+        for j in range(used):
+            square += min((side[j, 0] * u + side[j, 1] * v - d) ** 2, 9.0)
         counted += used
     if np.sqrt(square / counted) > _RMS_PX:
         return None
     corners = np.empty((k, 2))
     for i in range(k):  # corner i: where side i - 1 meets side i
-        a, b = lines[i - 1], lines[i]
+        a, b = lines[i - 1 if i else k - 1], lines[i]
         det = a[0] * b[1] - a[1] * b[0]
         if abs(det) < np.sin(_LEAST_TURN):
             return None

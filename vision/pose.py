@@ -271,18 +271,8 @@ def _rms(values: Array) -> float:
 
 def _bend_px(seen: Look, dx: Array) -> float:
     """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
-    return float(_bent(seen.A, seen.found, dx))
-
-
-@njit(cache=True)
-def _bent(A: Array, found: Mask, dx: Array) -> float:
-    """_bend_px, A (E, K, 2, 6 + P) and found (E, K) as in Look."""
-    square, bend = 0.0, np.cross(dx[3:], dx[:3])
-    for e in range(found.shape[0]):
-        for k in range(found.shape[1]):
-            if found[e, k]:
-                square = max(square, np.sum(A[e, k, 0, :3] ** 2))
-    return float(0.5 * np.sqrt(square * np.sum(bend**2)))
+    square = np.sum(seen.A[:, :, 0, :3] ** 2, axis=2)[seen.found].max(initial=0.0)
+    return float(0.5 * np.sqrt(square * np.sum(np.cross(dx[3:], dx[:3]) ** 2)))
 
 
 def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
@@ -304,19 +294,11 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     edges, pictures = seen.found.shape
     R = np.zeros((edges, pictures, 2, pictures, 2))
     for k, line in enumerate(seen.lines):
-        _rough(line.unit, seen.opened[k], common_px**2, R[:, k, :, k])
+        variance = common_px**2
+        R[:, k, :, k] = 0.5 * variance * line.unit  # variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)
+        R[:, k, 0, k, 0] += variance + seen.opened[k]
+        R[:, k, 1, k, 1] += 0.5 * variance
     return fit.solve(_system(seen, R), robust=True)
-
-
-@njit(cache=True)
-def _rough(unit: Array, opened: Array, variance: float, R: Array) -> None:
-    """R (E, 2, 2) = variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)."""
-    for e in range(len(unit)):
-        for i in range(2):
-            for j in range(2):
-                R[e, i, j] = 0.5 * variance * unit[e, i, j]
-        R[e, 0, 0] += variance + opened[e]
-        R[e, 1, 1] += 0.5 * variance
 
 
 def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
@@ -396,9 +378,9 @@ def difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
 
 @njit(cache=True)
 def _difference(p_n: Array, R_nb: Array, p0_n: Array, q0_nb: Array) -> Array:
-    off = np.empty(6)
-    off[:3] = p_n - p0_n
-    off[3:] = so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    off, turn = np.empty(6), so3.quat_log(so3.multiply(so3.from_matrix(R_nb), so3.conjugate(q0_nb)))
+    for k in range(3):
+        off[k], off[3 + k] = p_n[k] - p0_n[k], turn[k]
     return off
 
 

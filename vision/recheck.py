@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order
 from models.camera import StereoRig
 from models.landmarks import Landmark
 from models.messages import Array
@@ -109,7 +110,6 @@ def recheck(
     return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
-@njit(cache=True)
 def _looked_at(
     image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array
 ) -> _Looked:
@@ -160,7 +160,12 @@ def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | Non
 @njit(cache=True)
 def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float]:
     """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if untold."""
-    good = np.flatnonzero(np.isfinite(difference))
+    good, count = np.empty(len(difference), np.int64), 0
+    for i in range(len(difference)):
+        if math.isfinite(difference[i]):
+            good[count] = i
+            count += 1
+    good = good[:count]
     if len(good) < _LEAST:
         return 0.0, 0.0, np.nan
     weight, z = np.ones(len(good)), np.empty(len(good))
@@ -177,7 +182,7 @@ def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float
         du, dv = (c * bu - uv * bv) / (a * c - uv * uv), (a * bv - uv * bu) / (a * c - uv * uv)
         for i in range(len(good)):
             z[i] = abs(difference[good[i]] - normal[good[i], 0] * du - normal[good[i], 1] * dv)
-        scale = max(1.4826 * np.median(z), _FLOOR_PX)
+        scale = max(1.4826 * order.median(z), _FLOOR_PX)
         for i in range(len(good)):
             r = z[i] / scale
             weight[i] = 1.0 / max(r, 1.0) if k < _ROUNDS // 2 else max(1.0 - (r / _TUKEY) ** 2, 0.0) ** 2

@@ -42,7 +42,7 @@ class Level:
     def typical(self) -> float:
         """Median length of the gradient, of some thousand pixels."""
         step = max(2, math.isqrt(self._made.size * _TILE**2 // _SAMPLE))
-        return float(_median_length(self._picture, self._unseen, step))
+        return float(np.median(_lengths(self._picture, self._unseen, step)))
 
     def whole(self) -> Field:
         """All of the field."""
@@ -143,8 +143,8 @@ def gradient(
 
 
 @njit(cache=True)
-def _median_length(picture: Image, unseen: Mask, step: int) -> float:
-    """Median length of the gradient at every step-th pixel of every step-th row."""
+def _lengths(picture: Image, unseen: Mask, step: int) -> Plane:
+    """Length of the gradient at every step-th pixel of every step-th row."""
     rows, columns, channels = picture.shape
     lengths = np.empty(((rows + step - 1) // step, (columns + step - 1) // step), dtype=np.float32)
     for y in range(0, rows, step):
@@ -156,7 +156,7 @@ def _median_length(picture: Image, unseen: Mask, step: int) -> float:
                 du, dv = gradient(picture, above, y, below, before, x, after, c)
                 square += du * du + dv * dv
             lengths[y // step, x // step] = _UNSEEN if unseen[y, x] else np.sqrt(square)
-    return float(np.median(lengths))
+    return lengths
 
 
 @lru_cache(maxsize=16)

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order
 from models.messages import Array
 from vision.rectify import Image
 
@@ -41,7 +42,11 @@ def tighten(image: Image, mask: Binary, bbox: Bbox) -> tuple[Binary, Bbox]:
     if cv2.countNonZero(inside) < 30:
         inside = window
     near = cv2.dilate(window, np.ones((2 * _GROW + 1, 2 * _GROW + 1), np.uint8))
-    alike = _alike(patch if patch.ndim == 3 else patch[..., None], np.asarray(inside, np.uint8), np.asarray(near, np.uint8))
+    alike = _alike(
+        np.ascontiguousarray(patch if patch.ndim == 3 else patch[..., None]),
+        np.asarray(inside, np.uint8),
+        np.asarray(near, np.uint8),
+    )
     chosen = cv2.morphologyEx(alike, cv2.MORPH_OPEN, _OPEN)
     count, numbers, stats, _ = cv2.connectedComponentsWithStats(chosen)
     if count < 2:
@@ -74,12 +79,15 @@ def _alike(patch: NDArray[np.uint8], inside: Binary, near: Binary) -> Binary:
                 seen += 1
     median = np.empty(channels)
     for c in range(channels):
-        median[c] = np.median(sample[:n, c])
-    norm = max((median * median).sum(), 1.0)
+        median[c] = order.median(sample[:n, c])
+    square = 0.0
+    for c in range(channels):
+        square += median[c] * median[c]
+    norm = max(square, 1.0)
     scatter = np.empty(n)
     for i in range(n):
         scatter[i] = _squared(sample[i], median, norm)
-    limit = (_SCATTER * np.sqrt(np.percentile(scatter, 75)) + _LEVELS) ** 2
+    limit = (_SCATTER * np.sqrt(order.quantile(scatter, 0.75)) + _LEVELS) ** 2
     chosen = np.zeros((height, width), np.uint8)
     colour = np.empty(channels)
     for v in range(height):

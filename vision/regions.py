@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order
 from models.messages import Array
 from vision.components import components
 from vision.polygon import fit_polygon
@@ -154,7 +155,7 @@ def _scatter(outline: Array) -> float:
         after, before = outline[(i + 2) % n], outline[(i - 2) % n]
         du, dv = outline[i, 0] - 0.5 * (after[0] + before[0]), outline[i, 1] - 0.5 * (after[1] + before[1])
         across[i] = abs(du * normals[i, 0] + dv * normals[i, 1])
-    return float(min(max(1.4826 * np.median(across) / np.sqrt(1.5), 0.02), 1.0))
+    return float(min(max(1.4826 * order.median(across) / np.sqrt(1.5), 0.02), 1.0))
 
 
 @njit(cache=True)
@@ -173,11 +174,10 @@ def _fill(
 ) -> NDArray[np.uint8]:
     """Mask (height, width) of one component, from its runs (row, first, one past the last)."""
     mask = np.zeros((height, width), np.uint8)
-    first = np.searchsorted(runs[:, 0], v0)
-    last = np.searchsorted(runs[:, 0], v0 + height)
-    for k in range(first, last):
-        if component[k] == number:
-            mask[runs[k, 0] - v0, runs[k, 1] - u0 : runs[k, 2] - u0] = 1
+    for k in range(len(runs)):
+        if component[k] == number and v0 <= runs[k, 0] < v0 + height:
+            for u in range(runs[k, 1], runs[k, 2]):
+                mask[runs[k, 0] - v0, u - u0] = 1
     return mask
 
 

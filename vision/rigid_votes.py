@@ -50,10 +50,20 @@ def rigid_votes(
 
 
 @njit(cache=True)
+def _around(pixel: Indices) -> Window:
+    """The box of points at pixel (N, 2)."""
+    left = right = pixel[0, 0]
+    top = bottom = pixel[0, 1]
+    for i in range(1, len(pixel)):
+        u, v = pixel[i, 0], pixel[i, 1]
+        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    return left, right, top, bottom
+
+
+@njit(cache=True)
 def _into_view(rows: int, columns: int, pixel: Indices, window: Window) -> Window:
     """The part of the window that brings something of points at pixel (N, 2) into a picture; nothing: from is larger than to."""
-    left, right = int(np.min(pixel[:, 0])), int(np.max(pixel[:, 0]))
-    top, bottom = int(np.min(pixel[:, 1])), int(np.max(pixel[:, 1]))
+    left, right, top, bottom = _around(pixel)
     first, last = max(window[0], 1 - right), min(window[1], columns - 2 - left)
     return first, last, max(window[2], 1 - bottom), min(window[3], rows - 2 - top)
 
@@ -65,7 +75,8 @@ def _summed(field: Field, pixel: Indices, normal: Array, window: Window, floor: 
     one (7, B): room for f around points of one normal that are no farther apart than the window is large.
     """
     wide, high = window[1] - window[0] + 1, window[3] - window[2] + 1
-    columns = wide + min(int(np.max(pixel[:, 0]) - np.min(pixel[:, 0])), wide - 1)
+    left, right, top, bottom = _around(pixel)
+    columns = wide + min(right - left, wide - 1)
     size, i = (high - 1) * columns + wide, 0
     for plane in range(_PLANES):
         total[plane, :size] = 0.0

@@ -79,7 +79,10 @@ def _placed(p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array) -> tuple[Array, A
     for i in range(3):
         for k in range(3):
             R_nk[i, k] = R_nb[i, 0] * R_kb[k, 0] + R_nb[i, 1] * R_kb[k, 1] + R_nb[i, 2] * R_kb[k, 2]
-    return p_n + so3.applied(R_nb, p_bk), R_nk
+    p_nk = so3.applied(R_nb, p_bk)
+    for i in range(3):
+        p_nk[i] = p_n[i] + p_nk[i]
+    return p_nk, R_nk
 
 
 @lru_cache(maxsize=8)
@@ -127,7 +130,11 @@ def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
 def ends_of(start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array) -> Array:
     """ends_px of edges start-end (E, 3)."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
-    return project(_in_camera(np.concatenate((start, end)), p_nk, R_nk), camera)
+    x_c, count = np.empty((2 * len(start), 3)), len(start)
+    for e in range(count):
+        _into(start[e], p_nk, R_nk, x_c[e])
+        _into(end[e], p_nk, R_nk, x_c[count + e])
+    return project(x_c, camera)
 
 
 @lru_cache(maxsize=8)
@@ -289,7 +296,12 @@ def _on_partners(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_nk: Array, R_nk: Array
 ) -> tuple[Indices, Array]:
     """The samples (R,) whose edge has a partner, and the same places on that one in the camera (R, 3)."""
-    rows = np.flatnonzero(partner[edge] >= 0)
+    rows, count = np.empty(len(edge), np.int64), 0
+    for i in range(len(edge)):
+        if partner[edge[i]] >= 0:
+            rows[count] = i
+            count += 1
+    rows = rows[:count]
     x_c, point = np.empty((len(rows), 3)), np.empty(3)
     for k in range(len(rows)):
         e = partner[edge[rows[k]]]
@@ -313,7 +325,9 @@ def _gaps(
         if np.isfinite(off):
             gaps[edge[i]] += off
             count[edge[i]] += 1.0
-    return gaps / np.maximum(count, 1.0)
+    for e in range(len(gaps)):
+        gaps[e] /= max(count[e], 1.0)
+    return gaps
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,7 +377,12 @@ def derived(
 ) -> tuple[Array, Array]:  # fmt: skip
     """The fields of Derivatives, by `own` of the camera's parameters."""
     _, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
-    rows = _rows(row_c, x_c, points, t, edge, map_start, map_end, p_n, R_nk, R_kb.T, p_bk - p_bc, t_rc, right)
+    lever_b, R_bk = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        lever_b[i] = p_bk[i] - p_bc[i]
+        for k in range(3):
+            R_bk[i, k] = R_kb[k, i]
+    rows = _rows(row_c, x_c, points, t, edge, map_start, map_end, p_n, R_nk, R_bk, lever_b, t_rc, right)
     return rows, _along(normal, parameter_jacobian(x_c, camera), own) if own else np.empty((len(normal), 0))
 
 

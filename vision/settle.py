@@ -31,7 +31,9 @@ def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px
 
     trusted (L,): those that count; map_sigma (L,) m; place_px: how well a place is found.
     """
-    return Settled(*_settled(D, found_px, trusted, map_sigma, place_px, error, P))
+    y, W, information, told = _told(D, found_px, trusted, map_sigma, place_px, error)
+    total = np.linalg.solve(np.eye(6) + P @ information, P @ told).astype(np.float64)
+    return Settled(total, _shifts(D, trusted, map_sigma, y, W, total))
 
 
 @njit(cache=True)
@@ -59,14 +61,17 @@ def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, 
             D[m, k, 4] += row[2] * lever[0] - row[0] * lever[2]
             D[m, k, 5] += row[0] * lever[1] - row[1] * lever[0]
     for m in range(marks):
-        D[m] /= max(count[m], 1.0)
+        for i in range(2):
+            for k in range(6):
+                D[m, i, k] /= max(count[m], 1.0)
     return D
 
 
 @njit(cache=True)
-def _settled(
-    D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array
-) -> tuple[Array, Array]:
+def _told(
+    D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array
+) -> tuple[Array, Array, Array, Array]:
+    """y_l (L, 2), N_l^-1 (L, 2, 2), and the sums over landmarks of D_l^T N_l^-1 D_l (6, 6) and D_l^T N_l^-1 y_l (6,)."""
     information, told = np.zeros((6, 6)), np.zeros(6)
     y, W, WD = np.empty((len(D), 2)), np.empty((len(D), 2, 2)), np.empty((2, 6))
     for m in range(len(D)):
@@ -79,28 +84,36 @@ def _settled(
         det = n00 * n11 - n01 * n01
         W[m, 0, 0], W[m, 0, 1], W[m, 1, 0], W[m, 1, 1] = n11 / det, -n01 / det, -n01 / det, n00 / det
         for i in range(2):
-            y[m, i] = found_px[m, i] + np.sum(D[m, i] * error)
+            y[m, i] = found_px[m, i] + _dot(D[m, i], error)
             for k in range(6):
                 WD[i, k] = W[m, i, 0] * D[m, 0, k] + W[m, i, 1] * D[m, 1, k]
         for k in range(6):
             told[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
             for j in range(6):
                 information[k, j] += D[m, 0, k] * WD[0, j] + D[m, 1, k] * WD[1, j]
-    whole, right = np.eye(6), np.zeros(6)
-    for k in range(6):
-        for i in range(6):
-            right[k] += P[k, i] * told[i]
-            for j in range(6):
-                whole[k, j] += P[k, i] * information[i, j]
-    total = np.linalg.solve(whole, right).astype(np.float64)
+    return y, W, information, told
+
+
+@njit(cache=True)
+def _shifts(D: Array, trusted: Mask, map_sigma: Array, y: Array, W: Array, total: Array) -> Array:
+    """m_l (L, 2)."""
     shift_m = np.zeros((len(D), 2))
     for m in range(len(D)):
         if trusted[m]:
-            r0, r1 = y[m, 0] - np.sum(D[m, 0] * total), y[m, 1] - np.sum(D[m, 1] * total)
+            r0, r1 = y[m, 0] - _dot(D[m, 0], total), y[m, 1] - _dot(D[m, 1], total)
             w0, w1 = W[m, 0, 0] * r0 + W[m, 0, 1] * r1, W[m, 1, 0] * r0 + W[m, 1, 1] * r1
             for k in range(2):
                 shift_m[m, k] = -(map_sigma[m] ** 2) * (D[m, 0, k] * w0 + D[m, 1, k] * w1)
-    return total, shift_m
+    return shift_m
+
+
+@njit(cache=True)
+def _dot(a: Array, b: Array) -> float:
+    """a . b, (6,) each."""
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
 
 
 @njit(cache=True)

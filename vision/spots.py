@@ -59,7 +59,8 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
         while stop < count and landmark[stop] == landmark[e]:
             stop += 1
         if small:
-            block[e:stop], spot[e:stop] = e, True
+            for i in range(e, stop):
+                block[i], spot[i] = e, True
         e = stop
     return block, spot
 
@@ -86,7 +87,6 @@ def sampled(
     )  # fmt: skip
 
 
-@njit(cache=True)
 def measure(
     image: Image, px: Array, normal: Array, of_spot: Mask, block: Indices, half: int, seen: Mask, offsets: Array, usable: Mask
 ) -> None:
@@ -94,33 +94,31 @@ def measure(
 
     px, normal (N, 2) of all points, of_spot (N,), block (N,): those of one spot in a row.
     """
-    rows, columns = image.shape[:2]
-    n, first = len(px), 0
-    while first < n:
-        stop = first
-        while stop < n and block[stop] == block[first]:
-            stop += 1
-        if of_spot[first]:
-            inside = seen[first:stop].copy()
-            for i in range(first, stop):
-                u, v = px[i]
-                inside[i - first] &= u >= 1.0 and v >= 1.0 and u < columns - 2 and v < rows - 2
-            offsets[first:stop], usable[first:stop] = np.nan, False
-            some = first + np.flatnonzero(inside)
-            if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * (stop - first)) and _span(normal[some]) >= _SPAN:
-                usable[some] = True
-                offsets[some] = _shifted(image, px[some], normal[some], half)
-        first = stop
+    points = np.flatnonzero(of_spot)
+    if not len(points):
+        return
+    (rows, columns), (u, v) = image.shape[:2], px.T
+    inside = seen & (u >= 1.0) & (v >= 1.0) & (u < columns - 2) & (v < rows - 2)
+    for spot in np.split(points, np.flatnonzero(np.diff(block[points])) + 1):
+        offsets[spot], usable[spot] = np.nan, False
+        some = spot[inside[spot]]
+        if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * len(spot)) and _span(normal[some]) >= _SPAN:
+            usable[some] = True
+            offsets[some] = _shifted(image, px[some], normal[some], half)
 
 
 @njit(cache=True)
 def _span(normal: Array) -> float:
     """The smaller eigenvalue of the mean of n n^T, 0 ... 1/2, of normals (N, 2)."""
-    uu, vv, uv = np.mean(normal[:, 0] ** 2), np.mean(normal[:, 1] ** 2), np.mean(normal[:, 0] * normal[:, 1])
+    uu = vv = uv = 0.0
+    for i in range(len(normal)):
+        uu += normal[i, 0] ** 2
+        vv += normal[i, 1] ** 2
+        uv += normal[i, 0] * normal[i, 1]
+    uu, vv, uv = uu / len(normal), vv / len(normal), uv / len(normal)
     return float(0.5 * (uu + vv) - math.hypot(0.5 * (uu - vv), uv))
 
 
-@njit(cache=True)
 def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
     """Offsets (N,) of one spot's points."""
     du, dv, contrast = _whole_shift(image, px, normal, half)
@@ -129,18 +127,28 @@ def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
         return offsets
     at, usable = px + np.array([du, dv]), np.ones(len(px), np.bool_)
     values = outline.profiles(image, at, normal, _HALF, _STEP_PX, 1, usable)
+    _steepest(values, contrast, normal, du, dv, usable, offsets)
+    return offsets
+
+
+@njit(cache=True)
+def _steepest(values: Array, contrast: Array, normal: Array, du: int, dv: int, usable: Mask, offsets: Array) -> None:
+    """Where on profiles (N, S, C) the change along the contrast (C,) is steepest: fills offsets (N,) px of the usable ones."""
     steep = np.zeros(2 * _HALF + 1)
-    for i in range(len(px)):
+    for i in range(len(values)):
         if not usable[i]:
             continue
         for j in range(1, 2 * _HALF):
-            steep[j] = np.sum((values[i, j + 1] - values[i, j - 1]) * contrast)
-        j = 2 + int(np.argmax(steep[2 : 2 * _HALF - 1]))
+            steep[j] = 0.0
+            for c in range(len(contrast)):
+                steep[j] += (values[i, j + 1, c] - values[i, j - 1, c]) * contrast[c]
+        j = 2
+        for k in range(3, 2 * _HALF - 1):
+            j = k if steep[k] > steep[j] else j
         before, here, after = steep[j - 1], steep[j], steep[j + 1]
         if here > 0.0 and here >= before and here >= after and here > 0.5 * (before + after):
             s = (j - _HALF + 0.5 * (before - after) / (before - 2.0 * here + after)) * _STEP_PX
             offsets[i] = du * normal[i, 0] + dv * normal[i, 1] + s
-    return offsets
 
 
 @njit(cache=True)
@@ -150,31 +158,47 @@ def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int
     for i in range(len(px)):
         pixel[i, 0], pixel[i, 1] = int(px[i, 0] + 0.5), int(px[i, 1] + 0.5)
     size, none = 2 * half + 1, np.zeros(image.shape[2])
-    left, top = pixel[:, 0].min() - half, pixel[:, 1].min() - half
-    g = _gradients(image, left, top, pixel[:, 0].max() + half - left + 1, pixel[:, 1].max() + half - top + 1)
+    left = right = pixel[0, 0]
+    top = bottom = pixel[0, 1]
+    for i in range(1, len(pixel)):
+        left, right = min(left, pixel[i, 0]), max(right, pixel[i, 0])
+        top, bottom = min(top, pixel[i, 1]), max(bottom, pixel[i, 1])
+    left, top = left - half, top - half
+    g = _gradients(image, left, top, right + half - left + 1, bottom + half - top + 1)
     score, best, at = np.zeros((size, size)), 0.0, (0, 0)
     for b in range(size):
         for a in range(size):
             across, total = _across(g, pixel, normal, a - half - left, b - half - top)
-            square = np.sum(across**2)
+            square = 0.0
+            for c in range(len(across)):
+                square += across[c] ** 2
             if square > (_LEAST * total) ** 2:
                 score[b, a] = square / total
     for _ in range(size * size):
-        k = int(np.argmax(score))
-        b, a = k // size, k % size
+        a = b = 0
+        for k in range(size * size):
+            if score[k // size, k % size] > score[b, a]:
+                b, a = k // size, k % size
         if score[b, a] <= _RIVAL * best:
             break
         if _in_shadow(image, pixel, normal, a - half, b - half):
             score[b, a] = 0.0
         elif best == 0.0:
             best, at = score[b, a], (b, a)
-            score[max(b - _APART_PX, 0) : b + _APART_PX + 1, max(a - _APART_PX, 0) : a + _APART_PX + 1] = 0.0
+            for i in range(max(b - _APART_PX, 0), min(b + _APART_PX + 1, size)):
+                for j in range(max(a - _APART_PX, 0), min(a + _APART_PX + 1, size)):
+                    score[i, j] = 0.0
         else:
             return 0, 0, none
     if best == 0.0:
         return 0, 0, none
     across, _ = _across(g, pixel, normal, at[1] - half - left, at[0] - half - top)
-    return at[1] - half, at[0] - half, across / math.sqrt(np.sum(across**2))
+    square = 0.0
+    for c in range(len(across)):
+        square += across[c] ** 2
+    for c in range(len(across)):
+        across[c] /= math.sqrt(square)
+    return at[1] - half, at[0] - half, across
 
 
 @njit(cache=True)

@@ -76,16 +76,24 @@ def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, k
 @njit(cache=True)
 def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) -> Array:
     """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all pictures."""
-    told, total = np.zeros(landmarks), np.sum(sums, axis=0)
+    told, channels = np.zeros(landmarks), sums.shape[2] - 1
     for e in range(len(landmark)):
         if kind[e] == _SPOT:
             h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
         else:
             h, q = (_HIDDEN, _ELSEWHERE) if kind[e] == _ROOF else (_WALL_HIDDEN, _WALL_ELSEWHERE)
-        points = total[e, -1]
-        n = points / max(np.count_nonzero(sums[:, e, -1]), 1)
+        points, pictures, square = 0.0, 0, 0.0
+        for k in range(len(sums)):
+            points += sums[k, e, channels]
+            pictures += sums[k, e, channels] != 0.0
+        n = points / max(pictures, 1)
         if n >= _LEAST_POINTS:
-            a = math.sqrt(np.sum(total[e, :-1] ** 2)) / points
+            for c in range(channels):
+                total = 0.0
+                for k in range(len(sums)):
+                    total += sums[k, e, c]
+                square += total**2
+            a = math.sqrt(square) / points
             edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
             chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
             told[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))

@@ -40,7 +40,11 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
     """
     n, size = grey.shape
     edges, half = len(gap), size // 2
-    offsets, blur, opened = np.full(n, np.nan), np.full(edges, np.nan), np.zeros(edges)
+    offsets, blur, opened, centre = np.empty(n), np.empty(edges), np.zeros(edges), np.empty(edges)
+    for i in range(n):
+        offsets[i] = np.nan
+    for e in range(edges):
+        blur[e] = centre[e] = np.nan
     mean, square, count = np.zeros((edges, size)), np.zeros(edges), np.zeros(edges)
     for i in range(n):
         if usable[i]:
@@ -51,15 +55,21 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             for j in range(size):
                 square[e] += (grey[i, j] - own) ** 2
             count[e] += 1.0
-    place = (np.arange(size) - half) * step
+    place = np.empty(size)
+    for j in range(size):
+        place[j] = (j - half) * step
     starts, strips = _steps(place, _starts(farthest), _START_BLUR), np.empty((0, 0, 0))
     rows = np.zeros((edges, 2, size))
-    centre = np.full(edges, np.nan)
     for e in range(edges):
         if count[e] < 2:
             continue
-        second, g = gap[e], mean[e] / count[e]
-        g -= np.mean(g)
+        second, g, level, power = gap[e], mean[e], 0.0, 0.0
+        for j in range(size):
+            g[j] /= count[e]
+            level += g[j]
+        for j in range(size):
+            g[j] -= level / size
+            power += g[j] * g[j]
         x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
         if second == 0.0 and misfit > _STRIP_MISFIT:
             if not len(strips):
@@ -68,7 +78,7 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             if second > 0.0:
                 x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
         contrast = max(abs(x[1]), abs(x[2]))
-        scatter = max(square[e] / count[e] - np.sum(g * g), 0.0) / (size - 1.0)  # of single profiles about their mean
+        scatter = max(square[e] / count[e] - power, 0.0) / (size - 1.0)  # of single profiles about their mean
         if (
             contrast < max(_LEAST_CONTRAST, _STANDS_OUT * math.sqrt(scatter / count[e]))
             or abs(x[3]) > farthest
@@ -169,7 +179,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
     size = place.shape[0]
     reach = place[size - 1]
     across = (g[size - 1] + g[size - 2] + g[size - 3] - g[0] - g[1] - g[2]) / 3.0
-    weight = _unevenness(max(abs(across), 0.5 * (g.max() - g.min())))
+    weight = _unevenness(max(abs(across), 0.5 * _range(g)))
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
     normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     cost, places = np.inf, _starts(farthest)
@@ -180,7 +190,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
             value = _split(place, g, gap, weight, places[k], _START_BLUR, trial, basis)
             if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
                 cost = value
-                x[:] = trial
+                _put(trial, x)
     if cost == np.inf or x[1] == 0.0:
         return x, 0.0, 0.0
     if gap > 0.0:
@@ -189,12 +199,13 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
     for _ in range(10):
         if fresh:
             _normal_equations(place, g, gap, weight, x, basis, normal, right)
-        room[:] = normal
         for k in range(5):
+            for m in range(5):
+                room[k, m] = normal[k, m]
             room[k, k] += damping * normal[k, k] + 1e-9
         if not cholesky.factor(room, room):
             break
-        step[:] = right
+        _put(right, step)
         cholesky.substitute(room, step)
         s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
         value = _split(place, g, gap, weight, s0, sigma, trial, basis)
@@ -202,7 +213,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
         if fresh:
             done = cost - value < 1e-3 * cost
             cost = value
-            x[:] = trial
+            _put(trial, x)
             damping *= 0.2
             if done:
                 break
@@ -223,6 +234,22 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
 
 
 @njit(cache=True)
+def _put(values: Array, into: Array) -> None:
+    """into <- values."""
+    for k in range(len(values)):
+        into[k] = values[k]
+
+
+@njit(cache=True)
+def _range(g: Array) -> float:
+    """Largest less least of a profile."""
+    least = most = g[0]
+    for j in range(1, len(g)):
+        least, most = min(least, g[j]), max(most, g[j])
+    return float(most - least)
+
+
+@njit(cache=True)
 def _unevenness(contrast: float) -> float:
     """Weight of (c1 - c2)^2: the noise of a mean profile over how uneven two steps of a contrast may be, squared."""
     return (2.0 / (1.5 * max(contrast, 1.0))) ** 2
@@ -231,7 +258,10 @@ def _unevenness(contrast: float) -> float:
 @njit(cache=True)
 def _starts(farthest: float) -> Array:
     """Places (9,) from which a step is sought."""
-    return 0.25 * farthest * np.arange(-4.0, 5.0)
+    places = np.empty(9)
+    for k in range(9):
+        places[k] = 0.25 * farthest * (k - 4.0)
+    return places
 
 
 @njit(cache=True)
@@ -239,9 +269,12 @@ def _steps(place: Array, s0: Array, sigma: float) -> Array:
     """Steps Phi((s - s0) / sigma) (P, S) at places s0 (P,), without their means."""
     steps = np.empty((len(s0), len(place)))
     for p in range(len(s0)):
+        total = 0.0
         for j in range(len(place)):
             steps[p, j], _ = _normal((place[j] - s0[p]) / sigma)
-        steps[p] -= np.mean(steps[p])
+            total += steps[p, j]
+        for j in range(len(place)):
+            steps[p, j] -= total / len(place)
     return steps
 
 
@@ -263,21 +296,29 @@ def _best_start(starts: Array, g: Array) -> int:
 def _strip_columns(place: Array, farthest: float) -> Array:
     """_steps (1 + W, P, S): the first one at P places, then the second one for each of W widths."""
     columns = np.empty((1 + len(_WIDTHS), _STRIP_PLACES, place.shape[0]))
-    first = farthest * (2.0 * np.arange(_STRIP_PLACES) / (_STRIP_PLACES - 1) - 1.0)
+    s0 = np.empty(_STRIP_PLACES)
     for w in range(columns.shape[0]):
-        columns[w] = _steps(place, first + (_WIDTHS[w - 1] if w > 0 else 0.0), _STRIP_BLUR)
+        for p in range(_STRIP_PLACES):
+            s0[p] = farthest * (2.0 * p / (_STRIP_PLACES - 1) - 1.0) + (_WIDTHS[w - 1] if w > 0 else 0.0)
+        steps = _steps(place, s0, _STRIP_BLUR)
+        for p in range(_STRIP_PLACES):
+            _put(steps[p], columns[w, p])
     return columns
 
 
 @njit(cache=True)
 def _strip(columns: Array, g: Array, misfit: float) -> float:
     """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
-    weight = _unevenness(g.max() - g.min())
-    gg = np.sum(g * g)
+    weight, gg = _unevenness(_range(g)), 0.0
+    for j in range(len(g)):
+        gg += g[j] * g[j]
     best, found = 0.3 * misfit * len(g), 0.0
     for p in range(columns.shape[1]):
         first = columns[0, p]
-        g1, a11 = np.sum(first * g), np.sum(first * first)
+        g1 = a11 = 0.0
+        for j in range(len(g)):
+            g1 += first[j] * g[j]
+            a11 += first[j] * first[j]
         for w in range(len(_WIDTHS)):
             second = columns[1 + w, p]
             g2 = a12 = a22 = 0.0
@@ -331,15 +372,16 @@ def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
         jacobian[j, 2] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
         for k in range(3):
             scale[k] += jacobian[j, k] ** 2
-    scale = np.sqrt(scale) + 1e-12
-    normal = np.zeros((3, 3))
+    for k in range(3):
+        scale[k] = math.sqrt(scale[k]) + 1e-12
+    normal, gain, shift = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for j in range(size):
         for k in range(3):
             for m in range(3):
                 normal[k, m] += jacobian[j, k] * jacobian[j, m] / (scale[k] * scale[m])
     if not cholesky.factor(normal, normal) or normal[2, 2] < 3e-3 or normal[1, 1] < 3e-3:
         return False
-    gain, shift = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    gain[1] = shift[2] = 1.0
     cholesky.substitute(normal, gain)
     cholesky.substitute(normal, shift)
     for j in range(size):

@@ -117,7 +117,7 @@ def _visible_edges(
     most = 3 * len(vertices)
     ends, by_map = np.empty((2, most, 3)), np.zeros((2, most, 3, _ERRORS))
     landmark, kind, partner = np.empty(most, np.int64), np.empty(most, np.int64), np.full(most, -1)
-    foot, n = np.zeros(3), 0
+    foot, n = np.zeros(3), int(np.int64(0))  # not a literal: _put would be compiled for both
     for m in range(len(base_d)):
         roof_d = base_d[m] - height[m] - shift[m, _RISE]
         if p_c[2] >= roof_d:
@@ -131,24 +131,27 @@ def _visible_edges(
             towards = (p_c[0] - corners[j, 0]) * outward[j, 0] + (p_c[1] - corners[j, 1]) * outward[j, 1]
             seen[j] = towards > 0.0 and height[m] > 0.0
             after = (j + 1) % count
-            _put(n, 0, corners[j], mitre[j], roof_d, lever[j], shift[m], ends, by_map)
-            _put(n, 1, corners[after], mitre[after], roof_d, lever[after], shift[m], ends, by_map)
+            for end in range(2):
+                k = after if end else j
+                _put(n, end, corners[k], mitre[k], roof_d, lever[k], shift[m], ends, by_map)
             landmark[n], kind[n] = m, _ROOF
             n += 1
         first = n - count
         for j in range(count):
             if seen[j]:
                 after = (j + 1) % count
-                _put(n, 0, corners[j], mitre[j], base_d[m], foot, shift[m], ends, by_map)
-                _put(n, 1, corners[after], mitre[after], base_d[m], foot, shift[m], ends, by_map)
+                for end in range(2):
+                    k = after if end else j
+                    _put(n, end, corners[k], mitre[k], base_d[m], foot, shift[m], ends, by_map)
                 landmark[n], kind[n], partner[n], partner[first + j] = m, _BASE, first + j, n
                 n += 1
         for j in range(count):
             b = j - 1 if j > 0 else count - 1
             turn = abs(outward[b, 0] * outward[j, 1] - outward[b, 1] * outward[j, 0])
             if (seen[j] or seen[b]) and not (seen[j] and seen[b] and turn < _FLAT):
-                _put(n, 0, corners[j], mitre[j], roof_d, lever[j], shift[m], ends, by_map)
-                _put(n, 1, corners[j], mitre[j], base_d[m], foot, shift[m], ends, by_map)
+                for end in range(2):
+                    down, rise = (base_d[m], foot) if end else (roof_d, lever[j])
+                    _put(n, end, corners[j], mitre[j], down, rise, shift[m], ends, by_map)
                 landmark[n], kind[n] = m, _UPRIGHT
                 n += 1
     return ends[0, :n].copy(), ends[1, :n].copy(), landmark[:n], kind[:n], partner[:n], by_map[0, :n].copy(), by_map[1, :n].copy()
@@ -159,7 +162,9 @@ def _moved(vertices: Array, offsets: Indices, shift: Array) -> Array:
     """Corners (V, 2) where they truly are."""
     corners = np.empty_like(vertices)
     for m in range(len(offsets) - 1):
-        corners[offsets[m] : offsets[m + 1]] = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])[0]
+        moved = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])[0]
+        for j in range(len(moved)):
+            corners[offsets[m] + j, 0], corners[offsets[m] + j, 1] = moved[j, 0], moved[j, 1]
     return corners
 
 
@@ -186,11 +191,18 @@ def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
 @njit(cache=True)
 def _levers(outline: Array) -> Array:
     """By how much (K, 3) each corner rises per metre of RISE, TILT_NORTH and TILT_EAST."""
-    count = len(outline)
-    north, east = np.mean(outline[:, 0]), np.mean(outline[:, 1])
-    lever = np.ones((count, 3))
-    lever[:, 1], lever[:, 2] = outline[:, 0] - north, outline[:, 1] - east
-    lever[:, 1:] /= np.sqrt(np.sum(lever[:, 1:] ** 2) / count)
+    count, north, east, square = len(outline), 0.0, 0.0, 0.0
+    for j in range(count):
+        north += outline[j, 0]
+        east += outline[j, 1]
+    lever = np.empty((count, 3))
+    for j in range(count):
+        lever[j, 0], lever[j, 1], lever[j, 2] = 1.0, outline[j, 0] - north / count, outline[j, 1] - east / count
+        square += lever[j, 1] ** 2
+        square += lever[j, 2] ** 2
+    for j in range(count):
+        lever[j, 1] /= np.sqrt(square / count)
+        lever[j, 2] /= np.sqrt(square / count)
     return lever
 
 
@@ -228,7 +240,10 @@ def hide(
 @njit(cache=True)
 def _hidden_by(points: Array, p_c: Array, outline: Array, roof_d: float, result: NDArray[np.bool_]) -> None:
     count = outline.shape[0]
-    south, north, west, east = outline[:, 0].min(), outline[:, 0].max(), outline[:, 1].min(), outline[:, 1].max()
+    south, north, west, east = np.inf, -np.inf, np.inf, -np.inf
+    for j in range(count):
+        south, north = min(south, outline[j, 0]), max(north, outline[j, 0])
+        west, east = min(west, outline[j, 1]), max(east, outline[j, 1])
     for i in range(points.shape[0]):
         depth = points[i, 2] - roof_d
         if result[i] or depth <= 1e-9 or p_c[2] >= roof_d:

@@ -35,11 +35,13 @@ def vote(
     rows, columns = field.shape[0], field.shape[1]
     pixels = field.reshape(rows * columns, field.shape[2])
     shifts = len(su) * len(sv)
-    u, v = np.repeat(su, len(sv)), np.empty(shifts)
+    u, v, most = np.empty(shifts), np.empty(shifts), 0
     for k in range(shifts):
-        v[k] = sv[k % len(sv)]
+        u[k], v[k] = su[k // len(sv)], sv[k % len(sv)]
+    for e in range(len(mark)):
+        most = max(most, first[e + 1] - first[e])
     support, seen = np.zeros((marks, shifts)), np.zeros((marks, shifts))
-    at = np.empty((int(np.max(np.diff(first))), shifts), np.int32)  # the pixels that an edge's points meet at each shift
+    at = np.empty((most, shifts), np.int32)  # the pixels that an edge's points meet at each shift
     for e in range(len(mark)):  # edge by edge: what it meets of the field stays in the cache
         points, m, begin = first[e + 1] - first[e], mark[e], first[e]
         for i in range(points):

@@ -181,7 +181,11 @@ def _peaks(score: Array) -> tuple[Array, Indices, Indices]:
             here = score[b, a]
             if here <= _NEVER or (count == _SUMMITS and here <= best[count - 1]):
                 continue
-            if here < np.max(score[max(b - 1, 0) : b + 2, max(a - 1, 0) : a + 2]):
+            top = here
+            for i in range(max(b - 1, 0), min(b + 2, rows)):
+                for j in range(max(a - 1, 0), min(a + 2, columns)):
+                    top = max(top, score[i, j])
+            if here < top:
                 continue
             k = count
             while k > 0 and best[k - 1] < here:

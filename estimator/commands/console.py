@@ -1,10 +1,10 @@
 """How commands speak: results on stdout, progress and remarks on stderr, JSON on request."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -18,9 +18,16 @@ ConfigFile = Annotated[
 ]
 
 
+class Reported(Protocol):
+    """What a bar is called with."""
+
+    def __call__(self, fraction: float, now: str = "") -> None:
+        """Share that is done, and what is done now."""
+
+
 @contextmanager
-def progress(title: str) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr; call the yielded function with the fraction done. Silent where stderr is no terminal."""
+def progress(title: str) -> Iterator[Reported]:
+    """A bar on stderr; call the yielded function with the fraction done, and what is done now. Silent where it is no terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -28,7 +35,7 @@ def progress(title: str) -> Iterator[Callable[[float], None]]:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=1.0)
-        yield lambda fraction: bar.update(task, completed=fraction)
+        yield lambda fraction, now="": bar.update(task, completed=fraction, description=f"{title} {now}".rstrip())
 
 
 def print_json(value: Any) -> None:

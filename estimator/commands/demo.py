@@ -30,7 +30,10 @@ def command(
       landfix demo -o out/another --seed 7 --json
     """
     from estimator.demo import demo
+    from estimator.kernels import prepare
 
+    with progress("compiling, once") as report:
+        prepare(report)
     with progress("demo") as report:
         result = demo(out, seed, report)
     if json:

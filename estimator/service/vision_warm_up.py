@@ -19,11 +19,13 @@ _LEVEL: Final = (1.0, 0.0, 0.0, 0.0)
 _ORIGIN: Final = (47.0, 8.0, 400.0)
 _PRIORS_M: Final = (0.3, 5.0, 60.0)  # seen at once, by a search, by segmentation
 _PERIOD_NS: Final = 100_000_000
-_ROOFS: Final = (  # north, east of the corners [m]: large, small, L-shaped, cut by the picture's border; colour
+_ROOFS: Final = (  # north, east of the corners [m]: large, small, L-shaped, cut by the border, too small for edges; colour
     (((0.0, -22.0), (2.0, -4.0), (-17.0, -2.0), (-19.0, -20.0)), (40, 40, 205)),
     (((15.0, -9.0), (18.0, -4.0), (14.0, -1.5), (11.0, -6.5)), (205, 110, 25)),
     (((2.0, 8.0), (0.0, 22.0), (-10.0, 20.6), (-9.0, 13.6), (-4.0, 14.3), (-3.0, 7.3)), (30, 190, 225)),
     (((11.0, 10.0), (27.0, 12.3), (25.5, 22.3), (9.5, 20.0)), (70, 165, 35)),
+    (((6.0, -16.0), (6.0, -15.2), (5.3, -15.2), (5.3, -16.0)), (215, 200, 205)),
+    (((-14.0, 10.0), (-14.0, 10.8), (-14.7, 10.8), (-14.7, 10.0)), (215, 200, 205)),
 )
 _GROUND, _GRAIN = 110.0, 8.0
 

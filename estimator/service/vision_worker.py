@@ -1,18 +1,20 @@
 """Vision in a process of its own: what it does to itself, by crash or hang, never reaches the estimator.
 
 The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
-counted. A process that dies, or does not answer in time, is started anew, each time a little later.
+counted. A process that dies, or does not answer in time, is started anew, each time a little later. While it compiles a kernel it
+says so, and is given the time for that: a compilation that is cut off begins again in the next process, and would never end.
 """
 
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from estimator.publish import Pace
 from estimator.service.clock import SECOND_NS, Clock, Stamps
@@ -26,19 +28,31 @@ from logs.stamps import stamp_of
 from models.messages import Vec3
 
 _GIVES_WAY: Final = 5  # to the loop, which has little to do but at once
-_START_S: Final = 300.0  # kernels that nobody has compiled yet take minutes on a small computer
+_START_S: Final = 300.0  # to load everything, without what has to be compiled
+_COMPILE_S: Final = 120.0  # for one kernel, on a small computer with other work to do,
+_ALL_COMPILED_S: Final = 1800.0  # and for all that come before one answer
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
+_GOOD_ANSWERS: Final = 50  # in a row, until the back-off begins anew: seconds of sight, not one answer between two failures
 _IDLE_S: Final = 0.05
 _WAITING: Final = 8  # pictures
+
+
+class Compiling(NamedTuple):
+    """From the process: it compiles this kernel now, and everything waits; "": it is done, seconds later."""
+
+    kernel: str
+    seconds: float = 0.0
 
 
 def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None) -> None:
     """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
     why it cannot see.
 
-    A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn.
+    A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn. Before its answer there may
+    be any number of Compiling.
     """
     _give_way()
+    from estimator.compilation import listen  # noqa: PLC0415  (numba is slow to import)
     from estimator.service.vision_warm_up import warm_up  # noqa: PLC0415  (OpenCV is loaded in this process only)
     from estimator.sight_files import load_sight  # noqa: PLC0415
 
@@ -47,8 +61,10 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     except ConfigError as error:
         pipe.send(str(error))
         return
-    warm_up()
-    pipe.send((sight.time_offset_ns,))
+    with suppress(BrokenPipeError):
+        listen(lambda kernel, seconds: pipe.send(Compiling(kernel, seconds)))
+        warm_up()
+        pipe.send((sight.time_offset_ns,))
     with suppress(EOFError, BrokenPipeError):
         while True:
             asked = pipe.recv()
@@ -93,10 +109,13 @@ class VisionWorker:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._offset_ns = self._run = 0
+        self._warm = False  # the process has warmed up
         self._backoff_s = _FIRST_BACKOFF_S
         self._state = "starting"
         self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = self._drawn = 0
-        self._latency_s = 0.0
+        self._good = self._compiled = 0
+        self._latency_s = self._compiled_s = 0.0
+        self._compiling = ""
         self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
         self._thread.start()
 
@@ -132,6 +151,9 @@ class VisionWorker:
             "pictures_of_unknown_time": self._unplaced,
             "overlays": self._drawn,
             "restarts": self._run,
+            "compiling": self._compiling,
+            "compiled_in_flight": self._compiled,
+            "compiled_in_flight_s": round(self._compiled_s, 1),
             "latency_ms": round(1e3 * self._latency_s, 1),
         }
 
@@ -177,8 +199,11 @@ class VisionWorker:
             return
         for answer in answers:
             self._tell(answer)
-        self._state, self._backoff_s = "seeing", _FIRST_BACKOFF_S
+        self._state = "seeing"
         self._answers += 1
+        self._good += 1
+        if self._good >= _GOOD_ANSWERS:
+            self._backoff_s = _FIRST_BACKOFF_S
         self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
         if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
@@ -196,23 +221,44 @@ class VisionWorker:
             screen.show(picture)
 
     def _patience_s(self) -> float:
-        """timeout_s; twice as long after each restart in vain: what takes long once, like a compiler, comes to its end."""
+        """timeout_s; twice as long after each restart: what takes long once comes to its end."""
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
     def _exchange(self, question: Any, patience_s: float) -> Any:
-        """What the process says to that; None where it is dead, or was killed because it took too long, even to listen."""
+        """What the process says to that; None where it is dead, or was killed because it took too long, even to listen.
+
+        The patience begins anew with each kernel that it begins to compile, or is done with, up to a limit for all.
+        """
         assert self._process is not None
         assert self._pipe is not None
-        late = threading.Timer(patience_s, self._process.kill)
-        late.start()
+        late, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
         try:
             if question is not None:
                 self._pipe.send(question)
-            return self._pipe.recv()
+            while isinstance(said := self._pipe.recv(), Compiling):
+                late.cancel()
+                allowed_s = _COMPILE_S if said.kernel else patience_s
+                late = self._killed_in(min(allowed_s, max(end_s - time.monotonic(), 0.0)))
+                self._note(said)
+            return said
         except (EOFError, OSError):
             return None
         finally:
             late.cancel()
+
+    def _killed_in(self, seconds: float) -> threading.Timer:
+        """Kills the process then, unless it is cancelled."""
+        assert self._process is not None
+        late = threading.Timer(seconds, self._process.kill)
+        late.start()
+        return late
+
+    def _note(self, compiling: Compiling) -> None:
+        """A kernel that is compiled when pictures have come is missing in the warm-up: it is counted, and seen in the status."""
+        self._compiling = compiling.kernel
+        if self._warm:
+            self._compiled += not compiling.kernel
+            self._compiled_s += compiling.seconds
 
     def _start(self) -> bool:
         """Start the process and wait until it can see."""
@@ -227,7 +273,7 @@ class VisionWorker:
         if isinstance(ready, str):
             self._restart(ready)
             return False
-        (self._offset_ns,), self._state = ready, "ready"
+        (self._offset_ns,), self._state, self._warm = ready, "ready", True
         self._shots.clear()
         return True
 
@@ -238,6 +284,7 @@ class VisionWorker:
             return
         self._state = why
         self._run += 1
+        self._good = 0
         self._stopping.wait(self._backoff_s)
         self._backoff_s = min(2.0 * self._backoff_s, _LONGEST_BACKOFF_S)
 
@@ -248,3 +295,4 @@ class VisionWorker:
             self._process.kill()
             self._process.join(timeout=1.0)
         self._process = self._pipe = None
+        self._warm, self._compiling = False, ""

@@ -98,7 +98,7 @@ def given_components(cov: Array) -> Given:
     return _given(_bits(cov, 0.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bits(cov: Array, least: float) -> int:
     """Bit i: the variance of component i is not below the least and not so large that it says "not given"."""
     bits = 0
@@ -167,16 +167,21 @@ def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | R
     return p_n, q
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unit_pose(p_n: Array, q: Array, given: NDArray[np.bool_]) -> float:
     """In place: p_n (3,), zero where it is not given, and q / |q|; |q|, or nan where any of them is not finite."""
     for i in range(_XYZ):
         if not given[i]:
             p_n[i] = 0.0
-    if not (np.isfinite(p_n).all() and np.isfinite(q).all()):
-        return math.nan
+    for i in range(_XYZ):
+        if not math.isfinite(p_n[i]):
+            return math.nan
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    q /= norm
+    for i in range(4):
+        if not math.isfinite(q[i]):
+            return math.nan
+    for i in range(4):
+        q[i] /= norm
     return norm
 
 
@@ -212,7 +217,7 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     return tuple(blocks)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _largest(errors: Array) -> Array:
     """The largest magnitude in each errors[j] of (m, 6, k), inf where one is not finite; (m,)."""
     largest = np.zeros(errors.shape[0])
@@ -250,14 +255,14 @@ def _on_the_body(block: str, moved: Array) -> SlowError:
     return SlowError(block, _unit(moved.shape[1]), math.inf, lambda x: _turned(x[X.Q], moved))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turned_back(q: Array, root: Array) -> Array:
     """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was told at the attitude R."""
     back = so3.conjugate(q)
     return _turned(back, _turned(back, root).T.copy())
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turned(q: Array, m: Array) -> Array:
     """Position and rotation turned: diag(R, R) m, (6, k)."""
     r, out = so3.matrix(q), np.empty_like(m)
@@ -268,22 +273,14 @@ def _turned(q: Array, m: Array) -> Array:
     return out
 
 
-@njit(cache=True)
 def symmetric_root(covariance: Array) -> tuple[Array, float]:
     """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), and the largest variance, nan where C is no covariance (NaN, negative).
 
     Unlike Cholesky's it changes little when C does, and C may be singular.
     """
-    k = covariance.shape[0]
-    root = np.zeros((k, k))
     if not np.isfinite(covariance).all():
-        return root, math.nan
+        return np.zeros_like(covariance), math.nan
     values, vectors = np.linalg.eigh(covariance)
-    if values.min() < -_ROUNDING * max(np.trace(covariance), 0.0):
-        return root, math.nan
-    for line in range(k):
-        scale = math.sqrt(max(values[line], 0.0))
-        for i in range(k):
-            for j in range(k):
-                root[i, j] += vectors[i, line] * scale * vectors[j, line]
-    return root, values.max()
+    if values[0] < -_ROUNDING * max(float(np.trace(covariance)), 0.0):
+        return np.zeros_like(covariance), math.nan
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, dtype=np.float64), float(values[-1])

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator.service import vision_worker
 from estimator.service.clock import Clock, ClockConfig, Stamps
 from estimator.service.ports import Arrival
 from estimator.service.vision_worker import VisionWorker
@@ -24,6 +25,7 @@ from logs.stamps import restamped
 from models.messages import Estimate, Mode
 from models.state import E, X
 from tests.estimator.sights import PLACE, village, write_flight
+from tests.service import slow_vision
 from tests.service.flying import environment
 
 SIDES = {"/left/image": "left", "/right/image": "right"}
@@ -130,6 +132,44 @@ def test_when_it_hangs_it_is_started_anew(files: Path) -> None:
         _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
         take()
         heard.wait("/landfix/vision", 2)
+
+
+def test_a_kernel_that_is_compiled_in_flight_comes_to_its_end_and_is_reported(
+    files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vision_worker, "serve", slow_vision.compiles_once)
+    with _worker(files, VisionConfig(timeout_s=3.0)) as (worker, heard, take):
+        take()
+        _until(lambda: "slow_vision" in worker.report()["compiling"])
+        heard.wait("/landfix/vision", 1)
+        said = worker.report()
+        assert said["restarts"] == 0
+        assert said["compiled_in_flight"] == 1
+        assert said["compiled_in_flight_s"] > slow_vision.SECONDS - 1.0
+        _until(lambda: worker.report()["state"] == "seeing" and not worker.report()["compiling"])
+
+
+def test_a_compiler_that_hangs_is_ended_as_well(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vision_worker, "serve", slow_vision.hangs_in_the_compiler)
+    monkeypatch.setattr(vision_worker, "_COMPILE_S", 5.0)
+    with _worker(files, VisionConfig(timeout_s=3.0)) as (worker, heard, take):
+        take()
+        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
+        assert heard.of("/landfix/vision") == []
+
+
+def test_an_answer_between_two_failures_does_not_shorten_the_patience_again(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vision_worker, "serve", slow_vision.every_other_look_is_slow)
+    with _worker(files, VisionConfig(timeout_s=4.0)) as (worker, heard, take):
+        for answers in range(1, 6):  # one more is cut off: then the patience is twice as long
+            before = worker.report()["restarts"]
+            take()
+            _until(lambda n=answers, r=before: len(heard.of("/landfix/vision")) >= n or worker.report()["restarts"] > r)  # type: ignore[misc]
+            if worker.report()["restarts"] > before:
+                _until(lambda: worker.report()["state"] == "ready")
+                take()
+                heard.wait("/landfix/vision", answers)
+        assert worker.report()["restarts"] == 1
 
 
 def test_a_map_that_is_not_there_is_said_and_tried_again_ever_more_rarely(files: Path, tmp_path: Path) -> None:

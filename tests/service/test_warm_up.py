@@ -89,9 +89,11 @@ outages_s = [[35.0, 45.0]]
 
 
 def _told(code: str, *words: str) -> dict[str, Any]:
-    told = subprocess.run(
-        [sys.executable, "-c", _KERNELS + code, *words], env=environment(), capture_output=True, text=True, check=True
-    )
+    return _run("-c", _KERNELS + code, *words)
+
+
+def _run(*words: str) -> dict[str, Any]:
+    told = subprocess.run([sys.executable, *words], env=environment(), capture_output=True, text=True, check=True)
     answer: dict[str, Any] = json.loads(told.stdout)
     return answer
 
@@ -123,3 +125,20 @@ def test_no_kernel_is_compiled_when_pictures_come() -> None:
     assert said["warm"] > 20
     assert said["new"] == []
     assert said["outcomes"] > 1  # some gave a fix, some did not
+
+
+def test_no_kernel_is_compiled_whatever_pictures_come() -> None:
+    """Rigs, worlds, heights, one camera; colour, grey, thermal and dark, raw and JPEG; landmarks small, round, cut and alone."""
+    said = _run("-m", "tests.service.many_looks")
+    assert said["compiled"] == []
+    assert said["looks"] > 300
+    assert said["outcomes"]["fixed"] > 100
+    assert len(said["outcomes"]) > 4
+
+
+def test_no_kernel_is_compiled_whatever_is_flown() -> None:
+    """Coasting, late, false and partial fixes, hypotheses, relinearisation, a barometer, no place on Earth, and the smoother."""
+    said = _run("-m", "tests.service.many_flights")
+    assert said["compiled"] == []
+    assert said["estimates"] > 10_000
+    assert {"gnss_position fused", "gnss_velocity fused", "baro fused", "pose fused", "pose gated"} <= set(said["reasons"])

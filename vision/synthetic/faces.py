@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from models import order as ordering
 from models.messages import Array
 from vision.synthetic.texture import Scalar
 from vision.synthetic.world import Columns
@@ -63,10 +64,15 @@ def visible_faces(columns: Columns, view: View, sun_n: Array, ambient: float) ->
 @njit(cache=True)
 def in_frustum(centre: Array, radius: float, p_nc: Array, R_nc: Array, limits: Array) -> bool:
     """Whether a sphere (centre in n) may touch what the camera shows."""
-    x, y, z = R_nc.T @ (centre - p_nc)
+    x = np.zeros(3)
+    for k in range(3):
+        for i in range(3):
+            x[k] += R_nc[i, k] * (centre[i] - p_nc[i])
+    z = x[2]
     if z + radius < _NEAR:
         return False
-    for c, low, high in ((x, limits[0], limits[1]), (y, limits[2], limits[3])):
+    for axis in range(2):
+        c, low, high = x[axis], limits[2 * axis], limits[2 * axis + 1]
         if (c - low * z) / math.sqrt(1.0 + low * low) < -radius or (high * z - c) / math.sqrt(1.0 + high * high) < -radius:
             return False
     return True
@@ -86,6 +92,7 @@ def _collect(
         most += offsets[i + 1] - offsets[i]
     H, colour = np.empty((most, 3, 3)), np.empty((most, 3))
     texture, parameters = np.empty(most, dtype=np.int64), np.zeros((most, 6))
+    axes = np.empty((4, 3))
     face_offsets, solid_offsets = np.zeros(most + 1, dtype=np.int64), np.zeros(len(solids) + 1, dtype=np.int64)
     points, face = np.empty((4096, 3)), 0
     for place, i in enumerate(solids):
@@ -93,18 +100,22 @@ def _collect(
         for wall in _order_of_walls(outline, p_nc, height_m[i] > 0.0):
             if wall < 0:
                 which, light, paint = 0, 1.0, roof_bgr[i]
-                polygon, axes = _roof(outline, roof_d, centre_n[i], orientation[i])
+                polygon = _roof(outline, roof_d, centre_n[i], orientation[i], axes)
             else:
-                polygon, axes = _wall(outline[wall], outline[(wall + 1) % len(outline)], roof_d, base_d[i])
+                polygon = _wall(outline[wall], outline[(wall + 1) % len(outline)], roof_d, base_d[i], axes)
                 which, light, paint = 1, _light(axes[3], sun_n, ambient), wall_bgr[i]
-            reach = np.dot(axes[3], axes[0] - p_nc)
+            reach = 0.0
+            for k in range(3):
+                reach += axes[3, k] * (axes[0, k] - p_nc[k])
             if reach <= 0.0:  # a roof above the camera
                 continue
-            points, end = append(points, face_offsets[face], clip((polygon - p_nc) @ R_nc, limits), piece)
+            points, end = append(points, face_offsets[face], clip(in_camera(polygon, p_nc, R_nc), limits), piece)
             if end == face_offsets[face]:
                 continue
-            H[face] = _to_plane(axes, p_nc) @ R_nc
-            colour[face], texture[face] = paint * light, textures[i, which]
+            _to_plane(axes, p_nc, R_nc, reach, H[face])
+            texture[face] = textures[i, which]
+            for k in range(3):
+                colour[face, k] = paint[k] * light
             parameters[face, CONTRAST], parameters[face, RANGE] = contrasts[i, which], reach
             if which == 0:
                 parameters[face, RIDGE], parameters[face, SHIFT_T] = ridge[i], 0.02 * ((i * 104729) % 503)
@@ -124,9 +135,9 @@ def _in_view(
     base_d: Array, height_m: Array, centre_n: Array, radius_m: Array, p_nc: Array, R_nc: Array, limits: Array
 ) -> Indices:
     """The solids whose spheres touch what the camera shows."""
-    seen, count = np.empty(len(base_d), dtype=np.int64), 0
+    seen, count, middle = np.empty(len(base_d), dtype=np.int64), 0, np.empty(3)
     for i in range(len(base_d)):
-        middle = np.array([centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]])
+        middle[0], middle[1], middle[2] = centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]
         if in_frustum(middle, math.hypot(radius_m[i], 0.5 * height_m[i]), p_nc, R_nc, limits):
             seen[count] = i
             count += 1
@@ -134,29 +145,43 @@ def _in_view(
 
 
 @njit(cache=True)
-def _roof(outline: Array, roof_d: float, centre_n: Array, orientation: float) -> tuple[Array, Array]:
-    """Corners (K, 3), and rows (4, 3): origin, direction of s (along the roof), of t (across), normal away from the camera."""
-    polygon, axes = np.full((len(outline), 3), roof_d), np.zeros((4, 3))
-    polygon[:, :2] = outline
+def in_camera(polygon: Array, p_nc: Array, R_nc: Array) -> Array:
+    """R_nc^T (x - p_nc) of corners (K, 3)."""
+    turned = np.zeros((len(polygon), 3))
+    for i in range(len(polygon)):
+        for k in range(3):
+            for j in range(3):
+                turned[i, k] += (polygon[i, j] - p_nc[j]) * R_nc[j, k]
+    return turned
+
+
+@njit(cache=True)
+def _roof(outline: Array, roof_d: float, centre_n: Array, orientation: float, axes: Array) -> Array:
+    """Corners (K, 3); into axes (4, 3): origin, direction of s (along the roof), of t (across), normal away from the camera."""
+    polygon = np.empty((len(outline), 3))
+    for k in range(len(outline)):
+        polygon[k, 0], polygon[k, 1], polygon[k, 2] = outline[k, 0], outline[k, 1], roof_d
+    axes[:] = 0.0
     axes[0, 0], axes[0, 1], axes[0, 2] = centre_n[0], centre_n[1], roof_d
     axes[1, 0], axes[1, 1] = math.cos(orientation), math.sin(orientation)
     axes[2, 0], axes[2, 1] = -axes[1, 1], axes[1, 0]
     axes[3, 2] = 1.0
-    return polygon, axes
+    return polygon
 
 
 @njit(cache=True)
-def _wall(a: Array, b: Array, roof_d: float, base_d: float) -> tuple[Array, Array]:
+def _wall(a: Array, b: Array, roof_d: float, base_d: float, axes: Array) -> Array:
     """The same for the wall below the edge from a to b: s runs along the wall, t down."""
-    polygon, axes = np.empty((4, 3)), np.zeros((4, 3))
-    polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b, a
-    polygon[:2, 2], polygon[2:, 2] = roof_d, base_d
-    length = math.hypot(b[0] - a[0], b[1] - a[1])
-    axes[0, :2], axes[0, 2] = a, base_d
-    axes[1, :2] = (b - a) / length
-    axes[2, 2] = 1.0
+    polygon, length = np.empty((4, 3)), math.hypot(b[0] - a[0], b[1] - a[1])
+    axes[:] = 0.0
+    for k in range(2):
+        polygon[0, k], polygon[1, k], polygon[2, k], polygon[3, k] = a[k], b[k], b[k], a[k]
+        axes[0, k], axes[1, k] = a[k], (b[k] - a[k]) / length
+    for k in range(4):
+        polygon[k, 2] = roof_d if k < 2 else base_d
+    axes[0, 2], axes[2, 2] = base_d, 1.0
     axes[3, 0], axes[3, 1] = axes[1, 1], -axes[1, 0]  # inwards
-    return polygon, axes
+    return polygon
 
 
 @njit(cache=True)
@@ -180,7 +205,13 @@ def _order_of_walls(outline: Array, p_nc: Array, stands: bool) -> Indices:
                 order[count] = i
                 far[count] = math.hypot(0.5 * (a[0] + b[0]) - p_nc[0], 0.5 * (a[1] + b[1]) - p_nc[1])
                 count += 1
-    return order[:count][np.argsort(far[:count])]
+    for i in range(2, count):
+        wall, away, j = order[i], far[i], i
+        while j > 1 and far[j - 1] > away:
+            order[j], far[j] = order[j - 1], far[j - 1]
+            j -= 1
+        order[j], far[j] = wall, away
+    return order[:count]
 
 
 @njit(cache=True, inline="always")
@@ -190,14 +221,17 @@ def _outside(a: Array, b: Array, x: Array) -> Scalar:
 
 
 @njit(cache=True)
-def _to_plane(axes: Array, p: Array) -> Array:
-    """Rows of the map from a ray in n to (s w, t w, w)."""
-    origin, along, across, normal = axes[0], axes[1], axes[2], axes[3]
-    H, reach = np.empty((3, 3)), np.dot(normal, origin - p)
-    H[0] = np.dot(along, p - origin) * normal + reach * along
-    H[1] = np.dot(across, p - origin) * normal + reach * across
-    H[2] = normal
-    return H
+def _to_plane(axes: Array, p: Array, R: Array, reach: float, H: Array) -> None:
+    """Fill H (3, 3), the map from a ray in the camera, whose axes are R, to (s w, t w, w); reach: m . (q - p)."""
+    for row in range(3):
+        off = 0.0
+        for i in range(3):
+            off += axes[1 + row, i] * (p[i] - axes[0, i])
+        for k in range(3):
+            H[row, k] = 0.0
+            for i in range(3):
+                part = axes[3, i] if row == 2 else off * axes[3, i] + reach * axes[1 + row, i]
+                H[row, k] += part * R[i, k]
 
 
 @njit(cache=True)
@@ -210,7 +244,7 @@ def clip(polygon_c: Array, limits: Array) -> Array:
             break
         side = np.empty(n)
         for i in range(n):
-            x, y, z = kept[i]
+            x, y, z = kept[i, 0], kept[i, 1], kept[i, 2]
             if plane == 0:
                 side[i] = z - _NEAR
             elif plane < 3:
@@ -221,10 +255,13 @@ def clip(polygon_c: Array, limits: Array) -> Array:
         for i in range(n):
             j = i + 1 if i + 1 < n else 0
             if side[i] >= 0.0:
-                cut[count] = kept[i]
+                for k in range(3):
+                    cut[count, k] = kept[i, k]
                 count += 1
             if (side[i] >= 0.0) != (side[j] >= 0.0):
-                cut[count] = kept[i] + side[i] / (side[i] - side[j]) * (kept[j] - kept[i])
+                part = side[i] / (side[i] - side[j])
+                for k in range(3):
+                    cut[count, k] = kept[i, k] + part * (kept[j, k] - kept[i, k])
                 count += 1
         kept = cut[:count]
     return kept
@@ -241,7 +278,8 @@ def append(points: Array, start: int, polygon_c: Array, piece: float) -> tuple[A
         pieces = max(1, math.ceil(max(abs(x1 - x0), abs(y1 - y0)) / piece))
         if end + pieces > len(points):
             grown = np.empty((2 * (end + pieces), 3))
-            grown[:end] = points[:end]
+            for k in range(end):
+                grown[k, 0], grown[k, 1], grown[k, 2] = points[k, 0], points[k, 1], points[k, 2]
             points = grown
         for k in range(pieces):
             points[end, 0], points[end, 1], points[end, 2] = x0 + (x1 - x0) * k / pieces, y0 + (y1 - y0) * k / pieces, 1.0
@@ -262,7 +300,9 @@ def nearest_first(
     for k in range(n):
         i = seen[k]
         distance[k] = math.hypot(centre_n[i, 0] - p_nc[0], centre_n[i, 1] - p_nc[1]) if height_m[i] > 0.0 else 1e9 - i
-    ranked = seen[np.argsort(distance)]
+    ranked, near = np.empty(n, dtype=np.int64), ordering.ranked(distance)
+    for k in range(n):
+        ranked[k] = seen[near[k]]
     standing = 0
     while standing < n and height_m[ranked[standing]] > 0.0:
         standing += 1
@@ -286,7 +326,8 @@ def nearest_first(
         order[place], done[best] = ranked[best], True
         for b in range(standing):
             waits[b] -= hides[best, b]
-    order[standing:] = ranked[standing:]
+    for k in range(standing, n):
+        order[k] = ranked[k]
     return order
 
 

@@ -12,7 +12,7 @@ from numba import njit
 
 from models.messages import Array
 from vision.synthetic.coverage import Grid, add_polygon, bounds, integrate
-from vision.synthetic.faces import Indices, View, append, clip, in_frustum
+from vision.synthetic.faces import Indices, View, append, clip, in_camera, in_frustum
 from vision.synthetic.world import Columns, Sun
 
 
@@ -28,28 +28,36 @@ def _collect(
     vertices: Array, offsets: Indices, height_m: Array, centre_n: Array, radius_m: Array, away: Array, ground_d: float,
     p_nc: Array, R_nc: Array, limits: Array, piece: float,
 ) -> tuple[Array, Indices, Indices]:  # fmt: skip
-    points, end = np.empty((4096, 3)), 0
+    points, end, fall, middle = np.empty((4096, 3)), int(np.int64(0)), np.empty(2), np.empty(3)
     polygons, n_polygons = np.zeros(len(vertices) + 2 * len(height_m) + 1, dtype=np.int64), 0
     groups, n_groups = np.zeros(len(height_m) + 1, dtype=np.int64), 0
     for i in range(len(height_m)):
-        fall = away * height_m[i]
-        middle = np.array([centre_n[i, 0] + 0.5 * fall[0], centre_n[i, 1] + 0.5 * fall[1], ground_d])
+        for k in range(2):
+            fall[k] = away[k] * height_m[i]
+            middle[k] = centre_n[i, k] + 0.5 * fall[k]
+        middle[2] = ground_d
         reach = radius_m[i] + 0.5 * math.hypot(fall[0], fall[1])
         if height_m[i] <= 0.0 or p_nc[2] >= ground_d or not in_frustum(middle, reach, p_nc, R_nc, limits):
             continue
         outline = vertices[offsets[i] : offsets[i + 1]]
         k = len(outline)
         for part in range(k + 2):
-            polygon = np.full((k if part < 2 else 4, 3), ground_d)
+            polygon = np.empty((k if part < 2 else 4, 3))
+            for j in range(len(polygon)):
+                polygon[j, 2] = ground_d
             if part < 2:
-                polygon[:, :2] = outline + part * fall
+                for j in range(k):
+                    for axis in range(2):
+                        polygon[j, axis] = outline[j, axis] + part * fall[axis]
             else:
                 a, b = outline[part - 2], outline[(part - 1) % k]
                 # Which way round a, b, b + fall, a + fall runs depends on whether the edge faces the sun.
                 if (b[1] - a[1]) * fall[0] - (b[0] - a[0]) * fall[1] < 0.0:
                     a, b = b, a
-                polygon[0, :2], polygon[1, :2], polygon[2, :2], polygon[3, :2] = a, b, b + fall, a + fall
-            points, end = append(points, end, clip((polygon - p_nc) @ R_nc, limits), piece)
+                for axis in range(2):
+                    polygon[0, axis], polygon[1, axis] = a[axis], b[axis]
+                    polygon[2, axis], polygon[3, axis] = b[axis] + fall[axis], a[axis] + fall[axis]
+            points, end = append(points, end, clip(in_camera(polygon, p_nc, R_nc), limits), piece)
             n_polygons += 1
             polygons[n_polygons] = end
         n_groups += 1
