@@ -107,12 +107,6 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str | None, Meta(description="calibration file of the cameras, relative to the configuration")] = None
 
 
-class Service(ServiceConfig, frozen=True, forbid_unknown_fields=True):
-    """[service]: the watchdog wants a tick every two seconds, and a wait of years is none that the system grants."""
-
-    tick_hz: Annotated[float, Meta(ge=1, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
-
-
 class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All sections."""
 
@@ -130,7 +124,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     bounds: BoundsConfig = BoundsConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     coast: Coast = Coast()
-    service: Service = Service()
+    service: ServiceConfig = ServiceConfig()
     clock: ClockConfig = ClockConfig()
     log: LogConfig = LogConfig()
     zenoh: ZenohConfig = ZenohConfig()

@@ -326,7 +326,10 @@ class Tracker:
     def _relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
         """The leading filter, linearised about what is known now, goes on; the stretch with the run noted, where it succeeded."""
         assert self.hypotheses is not None
-        result = relinearise(stretch, self.hypotheses.lead, samples)
+        try:
+            result = relinearise(stretch, self.hypotheses.lead, samples)
+        except np.linalg.LinAlgError:  # a covariance is singular to rounding: no better than not to converge
+            result = None
         if result is not None:
             self.hypotheses.members[0].filter, stretch = result
         self.stretch = stretch

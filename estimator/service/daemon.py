@@ -30,7 +30,7 @@ _GRACE_S: Final = 0.1  # to read what has piled up meanwhile
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[service]: the daemon's life."""
 
-    tick_hz: Annotated[float, Meta(gt=0, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
+    tick_hz: Annotated[float, Meta(ge=1, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
     state_file: Annotated[
         str, Meta(description="where the last state is kept for a restart; relative to [log] folder; '': not")
     ] = "landfix.state"
