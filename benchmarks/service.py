@@ -54,21 +54,21 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, aw
     text = configuration(folder, port, mavlink_port)
     (folder / "vehicle.toml").write_text(text)
     began_s = time.monotonic()
-    daemon = _python("estimator", "run", "-c", str(folder / "vehicle.toml"))
-    while not _listening(port):
+    daemon = python("estimator", "run", "-c", str(folder / "vehicle.toml"))
+    while not listening(port):
         time.sleep(0.05)
     start_s = time.monotonic() - began_s
     endpoint = f"tcp/127.0.0.1:{port}"
-    subscriber = _python("benchmarks.service_subscriber", "--connect", endpoint)
+    subscriber = python("benchmarks.service_subscriber", "--connect", endpoint)
     assert subscriber.stdout is not None
     assert subscriber.stdout.readline() == b"ready\n"
     words = ["--connect", endpoint, "--seconds", str(60.0 * minutes), "--pictures", str(folder / "turn.mcap"), *_ALIGNMENT]
     if mavlink_port:
-        vehicle = _python("benchmarks.service_autopilot", "--to", f"127.0.0.1:{mavlink_port}", *words)
+        vehicle = python("benchmarks.service_autopilot", "--to", f"127.0.0.1:{mavlink_port}", *words)
     else:
-        vehicle = _python("benchmarks.service_vehicle", *words)
-    machine = _python("benchmarks.service_machine")
-    keepers = [_python("benchmarks.service_awake", str(core)) for core in os.sched_getaffinity(0)] if awake else []
+        vehicle = python("benchmarks.service_vehicle", *words)
+    machine = python("benchmarks.service_machine")
+    keepers = [python("benchmarks.service_awake", str(core)) for core in os.sched_getaffinity(0)] if awake else []
     vision = child(daemon.pid, "spawn_main")
     processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
     used = watch(processes, lambda: vehicle.poll() is not None)
@@ -100,11 +100,13 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, aw
     return result
 
 
-def _python(module: str, *words: str) -> "subprocess.Popen[bytes]":
+def python(module: str, *words: str) -> "subprocess.Popen[bytes]":
+    """A module of ours as a process of its own."""
     return subprocess.Popen([sys.executable, "-m", module, *words], stdout=subprocess.PIPE)
 
 
-def _listening(port: int) -> bool:
+def listening(port: int) -> bool:
+    """Whether somebody listens on a port of this machine."""
     with socket.socket() as s:
         return s.connect_ex(("127.0.0.1", port)) == 0
 
