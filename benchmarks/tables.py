@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
-from benchmarks.peers import PEERS, Row
-from benchmarks.runs import NAIVE, OURS
+from benchmarks.flights.peers import PEERS, Row
+from benchmarks.flights.runs import NAIVE, OURS
 
 Run = dict[str, Any]
 COLUMNS = {

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import msgspec
 
-from logs.encoding import Encoded, encode_input, encode_truth
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
-from logs.reader import LogError
-from logs.recorder import Recorder
+from logs.store.reader import LogError
+from logs.store.recorder import Recorder
+from logs.wire.encoding import Encoded, encode_input, encode_truth
 
 __all__ = ["KINDS", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
 
