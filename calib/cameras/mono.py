@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from calib.board.chessboard import Board, View
+from calib.cameras import fisheye
 from calib.cameras.bundle import IDENTITY, Pose, Problem, Seen, Solution, adjust
 from calib.cameras.selection import FEWEST, check_sizes, choose
 from calib.errors import CalibrationError
-from calib.files import fisheye
 from models.camera import CameraModel
 from models.messages import Array
 

@@ -1,4 +1,4 @@
-"""Fisheye lenses: the equidistant model is estimated, then replaced by the rational one that equals it in the picture.
+"""Fisheye lenses: the equidistant model of a file or an estimate is replaced by the rational one that equals it in the picture.
 
     r_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),  theta = atan r    (Kannala & Brandt 2006)
     ~ r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
@@ -6,11 +6,9 @@
 so that the rest of the program has one camera model. Lenses that see 90 degrees aside or more have no place in it.
 """
 
-import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.cameras.bundle import Pose
 from calib.errors import CalibrationError
 from models.camera import CameraModel
 from models.messages import Array
@@ -46,18 +44,3 @@ def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[i
     if not worst < _WORST_PX:
         raise CalibrationError(f"the lens cannot be written as a rational model ({worst:.1f} px off); crop the pictures")
     return CameraModel(*size, fx, fy, cx, cy, (float(c[0]), float(c[1]), 0.0, 0.0, *(float(x) for x in c[2:])))
-
-
-def first_camera(x_o: list[Array], px: list[Array], size: tuple[int, int]) -> tuple[CameraModel, list[Pose]]:
-    """Equidistant calibration by OpenCV, as a rational camera, and the board's poses. Raises CalibrationError."""
-    objects, images = [x.reshape(1, -1, 3) for x in x_o], [p.reshape(1, -1, 2) for p in px]
-    # Two coefficients to begin with: four bend back beyond the outermost corner.
-    flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4
-    try:
-        _, K, k, rvecs, tvecs = cv2.fisheye.calibrate(objects, images, size, np.eye(3), np.zeros(4), flags=flags)
-    except cv2.error:
-        raise CalibrationError("the views do not determine a fisheye camera: more views, the board near the border too") from None
-    camera = rational(
-        float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), np.asarray(k, dtype=np.float64).ravel(), size
-    )
-    return camera, [Pose.of_vectors(r, t) for r, t in zip(rvecs, tvecs, strict=True)]
