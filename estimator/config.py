@@ -12,8 +12,9 @@ from msgspec import Meta
 from estimator import strict_toml
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.initialise import InitialiseConfig
-from estimator.frontend.requests import PictureFile, VisionConfig
+from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
+from estimator.map_files.picture_file import PictureFile
 from estimator.publish import OutputConfig
 from estimator.service.autopilot.output_policy import AutopilotConfig, Px4Config
 from estimator.service.base.clock import ClockConfig

@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.aerial import brighton, nust
 from benchmarks.aerial.trials import Spread, generator, nadir_rig
-from estimator.frontend.requests import PictureFile
 from estimator.map_files import picture as picture_store
+from estimator.map_files.picture_file import PictureFile
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array

@@ -5,9 +5,9 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.files.formats import load_rig
 from estimator.frontend.processor import Sight
-from estimator.frontend.requests import PictureFile
 from estimator.map_files import picture as picture_store
 from estimator.map_files import store as map_store
+from estimator.map_files.picture_file import PictureFile
 from estimator.strict_toml import ConfigError
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError

@@ -8,7 +8,6 @@ get the same answers, because the request is in the log.
 
 from collections import deque
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Annotated, Final, NamedTuple
 
 import msgspec
@@ -39,17 +38,6 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: Annotated[
         float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
     ] = 2.0
-
-
-class PictureFile(NamedTuple):
-    """A map's picture on disk: georeferenced image, and how well it is; height of its ground above the ellipsoid or a raster."""
-
-    path: Path
-    sigma_m: float
-    height_m: float | None
-    height_sigma_m: float
-    heights: Path | None = None
-    epsg: int = 0
 
 
 class Shot(NamedTuple):

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pymap3d
 
-from estimator.frontend.requests import PictureFile
 from estimator.map_files import orthophoto
+from estimator.map_files.picture_file import PictureFile
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3

@@ -11,8 +11,9 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from estimator.frontend.requests import PictureFile, Track, VisionConfig
+from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
+from estimator.map_files.picture_file import PictureFile
 from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
 from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, Px4Config
 from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps

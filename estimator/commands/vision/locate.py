@@ -10,7 +10,7 @@ import typer
 from estimator.commands.common.console import Json, note, print_json, print_table
 
 if TYPE_CHECKING:
-    from estimator.frontend.requests import PictureFile
+    from estimator.map_files.picture_file import PictureFile
     from models.camera import StereoRig
     from models.maps.landmarks import LandmarkMap
     from models.messages import Array, LandmarkFix
@@ -75,7 +75,7 @@ def command(
     """
     from calib.files.formats import load_rig
     from estimator.commands.common.picture_source import picture as read_picture
-    from estimator.frontend.requests import PictureFile
+    from estimator.map_files.picture_file import PictureFile
     from vision.recognisers import Recognisers
 
     believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")

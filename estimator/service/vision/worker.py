@@ -16,8 +16,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from estimator.frontend.requests import Pair, Pairing, PictureFile, Shot, Track, VisionConfig
+from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
 from estimator.frontend.workers import SPAWNED
+from estimator.map_files.picture_file import PictureFile
 from estimator.publish import Pace
 from estimator.service.base.clock import SECOND_NS, Clock, Stamps
 from estimator.service.base.ports import Arrival, Screen

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.frontend.requests import PictureFile
 from estimator.map_files import picture as picture_store
+from estimator.map_files.picture_file import PictureFile
 from models.maps.table import MapError
 from models.messages import Array
 from tests.estimator.map_files.picture_files import ORIGIN, UTM, utm_affine, write
