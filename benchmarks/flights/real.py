@@ -17,10 +17,10 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmarks import tables
-from benchmarks.flights import gnss
+from benchmarks.flights import gnss, tables
 from benchmarks.flights.runs import NAIVE, OURS, Job, run
 from benchmarks.flights.tasks import ROOT, SETS, VISION, data_folder, tasks
+from benchmarks.tables import Table
 
 FLIGHT_SCENARIOS = "NABDLFXCG"
 
@@ -96,7 +96,7 @@ def run_all(jobs: list[Job], out: Path, processes: int) -> list[dict[str, Any]]:
     return [result for job in jobs for result in results[job]]
 
 
-def report_tables(runs: list[dict[str, Any]]) -> list[tables.Table]:
+def report_tables(runs: list[dict[str, Any]]) -> list[Table]:
     """Medians by scenario, consistency, outage ends by flight, worst runs."""
     if not runs:
         return []
