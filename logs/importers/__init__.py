@@ -4,6 +4,7 @@
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
 
 Each importer is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is needed.
+May import logs.store, logs.wire and models.
 """
 
 from collections.abc import Callable
