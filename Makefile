@@ -28,7 +28,7 @@ bench: install  ## speed, as ratios to a baseline run beside it
 	$(PYTEST) -p benchmark benchmarks --benchmark-sort=name
 
 bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside the peers' figures
-	$(BIN)/python -m benchmarks.real
+	$(BIN)/python -m benchmarks.flights.real
 
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign
@@ -43,7 +43,7 @@ install: kernels
 
 # Compiles the kernels where any file has changed that goes into one: numba looks at a kernel's own file only.
 kernels: $(VENV)/.installed
-	@$(BIN)/python -m estimator.kernels
+	@$(BIN)/python -m estimator.tools.kernels
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .

@@ -13,13 +13,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from estimator.overlay_files import scenery
-from estimator.overlay_log import pictures, read, views
-from estimator.overlay_measure import Overlay, View
-from logs.evaluate import compare, find_outages
-from logs.evidence import read as read_evidence
-from logs.plots import BLACK, BLUE, ORANGE
-from models.landmarks import LandmarkMap
+from estimator.frontend.residuals import Overlay, View
+from estimator.tools.overlay.files import scenery
+from estimator.tools.overlay.log import pictures, read, views
+from logs.evaluation.evaluate import compare, find_outages
+from logs.evaluation.evidence import read as read_evidence
+from logs.evaluation.plots import BLACK, BLUE, ORANGE
+from models.maps.landmarks import LandmarkMap
 
 OUT: Final = Path(__file__).parent / "images" / "demo.webp"
 _EVERY, _PLAYED_MS, _HEIGHT = 4, 140, 372  # of the pictures; each is shown so long; px

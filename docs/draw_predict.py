@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from models.messages import Array
-from tests.vision.test_predict import MARKS, RIG, SIGMA, look_at, prior_off
-from vision.coarse import CoarseConfig, Search
-from vision.motion import motion
-from vision.pose import Pose, PoseEstimate, estimate_pose
-from vision.rectify import Image
-from vision.reduced import levels
-from vision.sensitivity import eyes
+from tests.vision.predict.test_predict import MARKS, RIG, SIGMA, look_at, prior_off
+from vision.image.rectify import Image
+from vision.image.reduced import levels
+from vision.pose.pose import Pose, PoseEstimate, estimate_pose
+from vision.pose.sensitivity import eyes
+from vision.predict.coarse_search import CoarseConfig, Search
+from vision.predict.motion import motion
 
 OUT = Path(__file__).parent / "images" / "vision_predict.jpg"
 RED, BLUE, GREEN, WHITE = (40, 40, 220), (230, 140, 20), (60, 200, 60), (255, 255, 255)

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.bench.recognition import TITLES
 from estimator.bench.views import EXPERIMENTS, ROOFS, Sample, draw
-from vision.rectify import Image
+from vision.image.rectify import Image
 
 OUT = Path(__file__).parent / "images" / "recognition_samples.jpg"
 SIZE = 400, 300

@@ -2,7 +2,8 @@
 
     fusion.Fusion.handle(message) -> outputs        the sans-I/O heart; daemon, replay, simulation and tests drive the same call
 
-Below `fusion` there is no I/O, no clock and no thread. `replay`, `service`, `config` and `cli` are the shell around it.
+Below `fusion` there is no I/O, no clock and no thread. Around it are `frontend`, `service`, `config`, `replay`,
+`tools` and `commands`.
 May import logs, calib, vision and models.
 """
 

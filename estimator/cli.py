@@ -8,26 +8,11 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import (
-    bench,
-    calibrate,
-    demo,
-    doctor,
-    evaluate,
-    live,
-    locate,
-    measure,
-    monitor,
-    overlay,
-    recover,
-    replay,
-    report,
-    run,
-    simulate,
-    tune,
-)
+from estimator.commands import demo, doctor, evaluate, live, monitor, recover, replay, report, run, simulate, tune
 from estimator.commands import import_ as import_command
-from estimator.commands import map_ as map_command
+from estimator.commands.calibrate import app as calibrate
+from estimator.commands.map import app as map_command
+from estimator.commands.vision import bench, locate, measure, overlay
 from estimator.version import version
 
 _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})

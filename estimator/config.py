@@ -10,22 +10,23 @@ import msgspec
 from msgspec import Meta
 
 from estimator import strict_toml
-from estimator.bounds import BoundsConfig
+from estimator.filter.bounds import BoundsConfig
+from estimator.filter.initialise import InitialiseConfig
+from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
-from estimator.initialise import InitialiseConfig
+from estimator.map_files.picture_file import PictureFile
 from estimator.publish import OutputConfig
-from estimator.service.clock import ClockConfig
+from estimator.service.autopilot.output_policy import AutopilotConfig, Px4Config
+from estimator.service.base.clock import ClockConfig
 from estimator.service.daemon import ServiceConfig
-from estimator.service.handover import AutopilotConfig, Px4Config
-from estimator.service.log_writer import LogConfig
-from estimator.service.mavlink_config import MavlinkConfig
-from estimator.service.zenoh_config import ZenohConfig
+from estimator.service.log.writer import LogConfig
+from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.zenoh.config import ZenohConfig
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.strict_toml import ConfigError
-from estimator.vision_requests import PictureFile, VisionConfig
-from logs.codec import Decoder, ImuMounting, Topics
+from logs.wire.codec import Decoder, ImuMounting, Topics
 from models import toml_text
 from models.imu import Coast, ImuNoise
 
@@ -208,7 +209,7 @@ def with_origin(config: Config, folder: Path) -> Config:
     landmarks, picture = config.map.landmarks, config.map_picture(folder)
     if config.map.origin is not None or not (landmarks or picture):
         return config
-    from estimator.sight_files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
+    from estimator.frontend.files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)
 
     origin = map_origin(folder / landmarks if landmarks else None, picture)
     return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))

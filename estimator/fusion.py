@@ -7,17 +7,17 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from estimator.bounds import BoundsConfig
-from estimator.eskf import Eskf
-from estimator.history import Entry, History
-from estimator.initialise import InitialiseConfig
+from estimator.filter.bounds import BoundsConfig
+from estimator.filter.eskf import Eskf
+from estimator.filter.history import Entry, History
+from estimator.filter.initialise import InitialiseConfig
+from estimator.filter.tracker import Tracker, TrackerConfig
 from estimator.sources.aids import aid_of
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.imu import sample_refusal
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.sources.source import Aid, Refusal
-from estimator.tracker import Tracker, TrackerConfig
 from models import so3, state
 from models.frames import Origin
 from models.imu import Coast, ImuNoise

@@ -8,8 +8,8 @@ import msgspec
 from msgspec import Meta
 
 from estimator.strict_toml import ConfigError
-from logs.codec import Encoded, encode, encode_slow
-from logs.reader import Attachment
+from logs.store.reader import Attachment
+from logs.wire.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
 
 OVERLAY_TOPIC = "/landfix/overlay"

@@ -16,8 +16,8 @@ import zenoh
 from pymavlink import mavutil
 
 from estimator.config import Config, load
-from estimator.service import zenoh_keys
-from logs.codec import encode_input, type_hash
+from estimator.service.zenoh import keys as zenoh_keys
+from logs.wire.codec import encode_input, type_hash
 from models import so3
 from models.frames import Origin
 from models.messages import PoseFix, vec3

@@ -1,7 +1,7 @@
 """What enters and leaves the estimator: immutable records in the estimator's own conventions (NED, FRD, SI, radians).
 
 `t_ns` is the time of validity, `arrived_ns` the time of arrival, both integer nanoseconds. `topic` names the source; two
-sources of one kind differ by topic only. Conversion from and to the wire (ENU, FLU, CDR) is logs/codec.py's work.
+sources of one kind differ by topic only. Conversion from and to the wire (ENU, FLU, CDR) is logs/wire/codec.py's work.
 """
 
 import math

@@ -2,7 +2,7 @@
 
     check -> predict and verify (predict.py)      where the prior is good enough
           -> all outlines as one pattern (pattern.py) from far above, where only their shift is open
-          -> segment and identify (segmented.py)  at boot, where the prior is lost, or where that does not settle
+          -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
 Nothing in here raises in flight. A picture that is missing or useless leaves the work to the other camera: known landmarks give
 the scale, the fix says so, and its covariance shows it.
@@ -15,20 +15,20 @@ import msgspec
 import numpy as np
 
 from models.camera import StereoRig
-from models.landmarks import Landmark, LandmarkMap
+from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision.ambiguity import steps_off
-from vision.constellation import MemoryConfig
-from vision.identify import IdentifyConfig, Prior
-from vision.map_error import with_map_error
-from vision.pattern import judged, refused
-from vision.pictures import Pictures, usable
-from vision.pose import PoseConfig
-from vision.predict import PredictConfig, PredictPath
-from vision.rectify import Image, rectification
-from vision.reports import RegionReport, Result, nothing, with_regions
-from vision.segment import Space
-from vision.segmented import Identified, SegmentConfig, SegmentPath
+from vision.describe.segment import Space
+from vision.identify.ambiguity import steps_off
+from vision.identify.constellation import MemoryConfig
+from vision.identify.identify import IdentifyConfig, Prior
+from vision.image.rectify import Image, rectification
+from vision.pose.map_error import with_map_error
+from vision.pose.pose import PoseConfig
+from vision.predict.pattern import judged, refused
+from vision.predict.predict import PredictConfig, PredictPath
+from vision.recognise import Identified, SegmentConfig, SegmentPath
+from vision.records.pictures import Pictures, usable
+from vision.records.reports import RegionReport, Result, nothing, with_regions
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
 

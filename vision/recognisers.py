@@ -16,18 +16,18 @@ import numpy as np
 from msgspec import Meta
 
 from models.camera import StereoRig
-from models.landmarks import LandmarkMap
+from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
-from vision.check import picture_flaw
-from vision.features import FeatureConfig, FeatureMap, NotRecognised, recognise
-from vision.ground_picture import GroundPicture
-from vision.identify import Prior
+from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground.picture import GroundPicture
+from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, register
+from vision.identify.identify import Prior
+from vision.identify.sightings import one_eyed
+from vision.image.check import picture_flaw
+from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
-from vision.pose import PoseEstimate
-from vision.rectify import Image
-from vision.registration import NotRegistered, Registered, RegistrationConfig, register
-from vision.reports import Result, fix_of, pose_flaw
-from vision.sightings import one_eyed
+from vision.pose.pose import PoseEstimate
+from vision.records.reports import Result, fix_of, pose_flaw
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
 

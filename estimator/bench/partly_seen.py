@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from models.camera import CameraModel, StereoRig
-from models.landmarks import Landmark
+from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.synthetic.render import render_labels
 from vision.synthetic.shapes import rectangle

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from estimator.bench.recognisers import METHODS
 from estimator.bench.recognition import TITLES, Recognition, Row
-from logs.plots import BLUE, ORANGE, SKY, VERMILLION
+from logs.evaluation.plots import BLUE, ORANGE, SKY, VERMILLION
 from models.messages import Array
 
 _COLOURS: Final = dict(zip(METHODS, (BLUE, "#8A8A8A", SKY, ORANGE), strict=True))

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 
 from estimator.bench.views import Reference, Sample
 from models import so3
-from models.landmarks import Landmark
+from models.maps.landmarks import Landmark
 from models.messages import Array, LandmarkFix
-from vision import sightings as sight
-from vision.catalogue import Sighting, catalogue
-from vision.correspond import Match, correspond
-from vision.identify import Prior
-from vision.likelihood import similarities
-from vision.measure import Measured, measure
+from vision.describe.correspond import Match, correspond
+from vision.describe.measure import Measured, measure
+from vision.describe.survey import Settings, grey, segment_regions
+from vision.identify import sightings as sight
+from vision.identify.catalogue import Sighting, catalogue
+from vision.identify.identify import Prior
+from vision.identify.likelihood import similarities
+from vision.image.rectify import Image, rectification, rectify
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
-from vision.rectify import Image, rectification, rectify
-from vision.survey import Settings, grey, segment_regions
 
 Verdict: TypeAlias = Literal["recognised", "wrong", "silent"]
 Points: TypeAlias = NDArray[np.float32]

@@ -14,7 +14,7 @@ from scipy.stats import beta
 
 from estimator.bench.recognisers import METHODS, Answer, ask, look
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
-from estimator.workers import pool
+from estimator.frontend.workers import pool
 
 TITLES: Final[dict[str, str]] = {
     "accuracy": "accuracy and speed",

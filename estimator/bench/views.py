@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.bench.partly_seen import cut, hide, shares, whole
-from models import colours, so3
+from models import so3
 from models.camera import CameraModel
-from models.landmarks import Landmark, LandmarkMap
+from models.maps import colours
+from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision.identify import Prior
-from vision.rectify import Image
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render, render_pair
 from vision.synthetic.scenes import Scene, WorldSpec, make_world

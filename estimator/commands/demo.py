@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import Json, print_json, print_table, progress
+from estimator.commands.common.console import Json, print_json, print_table, progress
 from estimator.commands.replay import print_summary
 
 if TYPE_CHECKING:
-    from logs.evaluation import Evaluation
+    from logs.evaluation.records import Evaluation
 
 
 def command(
@@ -29,8 +29,8 @@ def command(
       landfix demo
       landfix demo -o out/another --seed 7 --json
     """
-    from estimator.demo import demo
-    from estimator.kernels import prepare
+    from estimator.tools.demo import demo
+    from estimator.tools.kernels import prepare
 
     with progress("compiling, once") as report:
         prepare(report)

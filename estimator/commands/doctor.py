@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import Json, print_json, print_table, progress
+from estimator.commands.common.console import Json, print_json, print_table, progress
 
 if TYPE_CHECKING:
-    from estimator.doctor import Check
+    from estimator.tools.doctor.machine import Check
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
@@ -39,25 +39,25 @@ def command(
             raise typer.BadParameter("--config lists all keys and takes no file; check a file with -c FILE")
         _print_keys(json)
         return
-    from estimator import doctor
+    from estimator.tools.doctor import machine
 
-    checks = doctor.machine()
-    found, config = doctor.configuration(file)
+    checks = machine.machine()
+    found, config = machine.configuration(file)
     checks += found
     if file and config:
-        from estimator import doctor_flight
+        from estimator.tools.doctor import flight as doctor_flight
 
         checks += doctor_flight.flight(config, file.parent)
     if log and config:
-        from estimator import doctor_log
+        from estimator.tools.doctor import log as doctor_log
 
         with progress(f"read {log.name}") as report:
             checks += doctor_log.log(log, config, report)
     if json:
-        print_json({"checks": checks, "failed": doctor.failed(checks)})
+        print_json({"checks": checks, "failed": machine.failed(checks)})
     else:
         _print_checks(checks)
-    if doctor.failed(checks):
+    if machine.failed(checks):
         raise typer.Exit(1)
 
 

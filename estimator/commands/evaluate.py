@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import Json, note, print_json, progress
+from estimator.commands.common.console import Json, note, print_json, progress
 
 if TYPE_CHECKING:
-    from logs.evaluation import Evaluation
+    from logs.evaluation.records import Evaluation
 
 
 def command(
@@ -45,13 +45,13 @@ def command(
         if json:
             print_json(evaluation)
         else:
-            from logs.evaluation_table import print_table
+            from logs.evaluation.table import print_table
 
             print_table(evaluation)
         return
-    from logs.evaluation_runs import comma_separated as as_csv
-    from logs.evaluation_runs import compare_runs, print_runs
-    from logs.evaluation_runs import markdown as as_markdown
+    from logs.evaluation.runs import comma_separated as as_csv
+    from logs.evaluation.runs import compare_runs, print_runs
+    from logs.evaluation.runs import markdown as as_markdown
 
     evaluations = _readable(logs, truth, burn_in_s, outage_s)
     if json:
@@ -67,7 +67,7 @@ def command(
 
 
 def _evaluate(log: Path, truth: str, burn_in_s: float, outage_s: float | None) -> "Evaluation":
-    from logs.evaluate import evaluate
+    from logs.evaluation.evaluate import evaluate
 
     with progress(f"read {log.name}") as report:
         return evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, progress=report)
@@ -75,7 +75,7 @@ def _evaluate(log: Path, truth: str, burn_in_s: float, outage_s: float | None) -
 
 def _readable(logs: list[Path], truth: str, burn_in_s: float, outage_s: float | None) -> "list[Evaluation]":
     """The evaluations of those that can be read; of the others a line on stderr."""
-    from logs.reader import LogError
+    from logs.store.reader import LogError
 
     evaluations = []
     for log in logs:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from estimator.commands.console import Json, Out, print_json, progress
+from estimator.commands.common.console import Json, Out, print_json, progress
 
 
 class Kind(StrEnum):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import ConfigFile, note, progress
+from estimator.commands.common.console import ConfigFile, note, progress
 
 if TYPE_CHECKING:
     from estimator.service.live_server import LiveServer
@@ -69,9 +69,9 @@ def _relay(server: "LiveServer", config: Path | None, connect: str | None) -> No
     from estimator.publish import OVERLAY_TOPIC
     from estimator.service import monitor
     from estimator.service.live_server import relay
-    from estimator.service.zenoh_bus import OUTPUTS
-    from logs import schemas
-    from logs.markers import MARKERS, TOPIC
+    from estimator.service.zenoh.bus import OUTPUTS
+    from logs.wire import schemas
+    from logs.wire.markers import MARKERS, TOPIC
 
     loaded = load(config)
     topics = {

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estimator.commands.console import ConfigFile, Json
+from estimator.commands.common.console import ConfigFile, Json
 
 
 def command(

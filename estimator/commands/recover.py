@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estimator.commands.console import Json, Out, print_json, progress
+from estimator.commands.common.console import Json, Out, print_json, progress
 
 
 def command(
@@ -22,7 +22,7 @@ def command(
     Examples:
       landfix recover broken.mcap -o whole.mcap
     """
-    from logs.recover import recover
+    from logs.store.recover import recover
 
     with progress(f"recover {source.name}") as report:
         result = recover(source, out, report)

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import ConfigFile, Json, Out, note, print_json, print_table, progress
+from estimator.commands.common.console import ConfigFile, Json, Out, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from estimator.config import Config
-    from estimator.sight_replay import SightReplay
-    from estimator.tally import ReplaySummary
-    from logs.reader import Attachment
+    from estimator.frontend.replay_pictures import SightReplay
+    from estimator.replay.summary import ReplaySummary
+    from logs.store.reader import Attachment
 
 
 def command(
@@ -45,8 +45,8 @@ def command(
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
     from estimator.config import load
-    from estimator.replay import replay
-    from logs.parts import files_of
+    from estimator.replay.replay import replay
+    from logs.store.parts import files_of
 
     loaded, folder = load(config), config.parent if config else Path()
     parts = [file for given in source for file in files_of(given)]
@@ -84,8 +84,8 @@ def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
 def _sight(config: "Config", folder: Path, source: "list[Path]") -> "SightReplay":
     """What looks at the pictures of the log. Raises ConfigError."""
     from estimator.config import ConfigError
-    from estimator.sight_files import load_sight
-    from estimator.sight_replay import SightReplay
+    from estimator.frontend.files import load_sight
+    from estimator.frontend.replay_pictures import SightReplay
 
     rig, landmarks, picture = config.rig.file, config.map.landmarks, config.map_picture(folder)
     if rig is None or not (landmarks or picture):
@@ -98,7 +98,7 @@ def _sight(config: "Config", folder: Path, source: "list[Path]") -> "SightReplay
 
 def _add_smoothed(log: Path, config: "Config") -> None:
     """The log with the smoothed flight in it, in its place once it is whole."""
-    from estimator.smooth_log import write_smoothed
+    from estimator.replay.smooth_log import write_smoothed
 
     whole = log.with_name(f".{log.name}.smoothing")
     try:

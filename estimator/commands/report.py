@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estimator.commands.console import ConfigFile, Json, Out, print_json, progress
+from estimator.commands.common.console import ConfigFile, Json, Out, print_json, progress
 
 
 def command(
@@ -35,8 +35,8 @@ def command(
       landfix report estimate.mcap -o report.html --rig rig.yaml --map town.geojson
       landfix report estimate.mcap -o report.html --truth /rtk/fix --json
     """
-    from estimator.report_gallery import illustrations
-    from logs.report import no_illustrations, write
+    from estimator.tools.overlay.gallery import illustrations
+    from logs.report.write import no_illustrations, write
 
     illustrate = illustrations(log, config, rig, map_file) if pictures else no_illustrations
     with progress(f"read {log.name}") as report:

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from estimator.commands.console import ConfigFile
+from estimator.commands.common.console import ConfigFile
 
 
 def command(config: ConfigFile = None) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estimator.commands.console import Json, Out, print_json, progress
+from estimator.commands.common.console import Json, Out, print_json, progress
 
 
 def command(
@@ -33,7 +33,7 @@ def command(
       landfix simulate examples/scenarios/demo.toml -o demo.mcap
       landfix replay demo.mcap -o estimate.mcap -c demo.toml --from-images
     """
-    from estimator.simulate import write
+    from estimator.replay.simulate import write
     from models.sim.scenario import simulate
     from models.sim.scenario_file import loads
 
@@ -42,7 +42,7 @@ def command(
     config, text = out.with_suffix(".toml"), simulation.config_toml
     with progress(f"simulate {scenario.stem}") as report:
         if images and plan.cameras:
-            from estimator import flight_pictures
+            from estimator.replay import flight_pictures
 
             map_file, rig_file = (out.with_name(f"{out.stem}_{name}") for name in ("map.geojson", "rig.yaml"))
             flight = flight_pictures.plan(plan.cameras, simulation, seed)

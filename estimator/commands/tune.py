@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.console import ConfigFile, Json, note, print_json, print_table, progress
+from estimator.commands.common.console import ConfigFile, Json, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
-    from estimator.tune import Gain, Summary, TunedKey, TuneResult
+    from estimator.tools.tune.search import Gain, Summary, TunedKey, TuneResult
 
 
 class TuneError(ValueError):
@@ -51,10 +51,10 @@ def command(
       landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
     """
     from estimator.config import load
-    from estimator.tune import TuneConfig, Tuner
-    from estimator.tune_keys import chosen, written
-    from estimator.tune_score import sources
-    from logs.reader import check_output
+    from estimator.tools.tune.keys import chosen, written
+    from estimator.tools.tune.score import sources
+    from estimator.tools.tune.search import TuneConfig, Tuner
+    from logs.store.reader import check_output
 
     text = load(config).toml()
     names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
@@ -76,7 +76,7 @@ def command(
 def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
     """Processes on this machine, or those of a cluster."""
     if not scheduler:
-        from estimator.workers import pool
+        from estimator.frontend.workers import pool
 
         with pool(jobs) as executor:
             yield executor
@@ -95,7 +95,7 @@ def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
 
 def _print(result: "TuneResult", out: Path) -> None:
     """What a person reads."""
-    from estimator.tune import warning
+    from estimator.tools.tune.search import warning
 
     rows = [_row("before", result.before), _row("tuned", result.after)]
     if result.held_out_before and result.held_out_after:

@@ -11,15 +11,15 @@ from typing import Annotated, Final
 import msgspec
 from msgspec import Meta
 
+from estimator.frontend.requests import Track
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
-from estimator.service.clock import SECOND_NS, Clock, Stamps
-from estimator.service.mailbox import Mailbox
-from estimator.service.ports import Arrival, Log, Outbox
-from estimator.service.status import Status
-from estimator.vision_requests import Track
-from logs.codec import Decoder, Encoded, encode_input
-from logs.stamps import restamped, stamp_of
+from estimator.service.base.clock import SECOND_NS, Clock, Stamps
+from estimator.service.base.mailbox import Mailbox
+from estimator.service.base.ports import Arrival, Log, Outbox
+from estimator.service.base.status import Status
+from logs.wire.codec import Decoder, Encoded, encode_input
+from logs.wire.stamps import restamped, stamp_of
 from models.messages import ImuSample, Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late

@@ -10,11 +10,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from estimator.service.zenoh_keys import rmw_key
-from logs.codec import Encoded
-from logs.markers import TOPIC as LANDMARKS_TOPIC
-from logs.reader import LogReader
-from logs.schemas import is_known, schema_text
+from estimator.service.zenoh.keys import rmw_key
+from logs.store.reader import LogReader
+from logs.wire.codec import Encoded
+from logs.wire.markers import TOPIC as LANDMARKS_TOPIC
+from logs.wire.schemas import is_known, schema_text
 
 _KEPT: Final = frozenset({LANDMARKS_TOPIC})  # told rarely: who comes late gets the last
 _LONGEST_WAIT_S: Final = 1.0

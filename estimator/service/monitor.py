@@ -17,12 +17,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from estimator.service.zenoh_bus import BusError
-from estimator.service.zenoh_config import ZenohConfig, client_config
-from estimator.service.zenoh_keys import rmw_key
-from logs import schemas
-from logs.codec import Odometry, decode_aid_status, decode_odometry
-from logs.schemas import STORE
+from estimator.service.zenoh.bus import BusError
+from estimator.service.zenoh.config import ZenohConfig, client_config
+from estimator.service.zenoh.keys import rmw_key
+from logs.wire import schemas
+from logs.wire.codec import Odometry, decode_aid_status, decode_odometry
+from logs.wire.schemas import STORE
 from models import so3
 
 _STALE_S: Final = 2.0

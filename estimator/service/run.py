@@ -11,35 +11,36 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
+from estimator.map_files.picture_file import PictureFile
 from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
-from estimator.service import state_file
-from estimator.service.clock import SECOND_NS, Clock, ClockConfig, Stamps
+from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, Px4Config
+from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
+from estimator.service.base.mailbox import Mailbox
+from estimator.service.base.ports import Arrival, Outbox
+from estimator.service.base.status import Status
 from estimator.service.daemon import Daemon, ServiceConfig
-from estimator.service.handover import AutopilotConfig, Handover, Px4Config
-from estimator.service.log_writer import LogConfig, LogWriter
-from estimator.service.mailbox import Mailbox
-from estimator.service.mavlink_config import MavlinkConfig
-from estimator.service.ports import Arrival, Outbox
-from estimator.service.px4_link import Px4Link
-from estimator.service.recovery import claim, recover_in_background
-from estimator.service.state_file import StateKeeper
-from estimator.service.status import Status
-from estimator.service.vision_worker import VisionWorker
+from estimator.service.log import state_file
+from estimator.service.log.recovery import claim, recover_in_background
+from estimator.service.log.state_file import StateKeeper
+from estimator.service.log.writer import LogConfig, LogWriter
+from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.vision.worker import VisionWorker
 from estimator.service.warm_up import warm_up
 from estimator.service.watchdog import Notifier
-from estimator.service.zenoh_bus import ZenohBus
-from estimator.service.zenoh_config import ZenohConfig
+from estimator.service.zenoh.bus import ZenohBus
+from estimator.service.zenoh.config import ZenohConfig
+from estimator.service.zenoh.px4_link import Px4Link
 from estimator.strict_toml import ConfigError
 from estimator.version import version
-from estimator.vision_requests import PictureFile, Track, VisionConfig
-from logs import schemas
-from logs.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
-from logs.reader import Attachment
+from logs.store.reader import Attachment
+from logs.wire import schemas
+from logs.wire.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 from models.messages import Output
 
 if TYPE_CHECKING:
-    from estimator.service.mavlink_link import MavlinkLink
+    from estimator.service.mavlink.link import MavlinkLink
 
 _STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2)
 _SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop must not wait 5 ms for the log
@@ -261,7 +262,7 @@ def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
 def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) -> "MavlinkLink | None":
     if not config.mavlink.endpoint:
         return None
-    from estimator.service.mavlink_link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
+    from estimator.service.mavlink.link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
 
     handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
     link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, config.autopilot.odometry_hz, config.geoid_m)

@@ -4,7 +4,7 @@ import numpy as np
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import OutputConfig, Publisher
-from logs.codec import Decoder, encode_input
+from logs.wire.codec import Decoder, encode_input
 from models.measurements import DIRECTION_SCALE
 from models.messages import GnssFix, GnssVelocity, ImuSample, Input, LandmarkFix, PoseFix, Tick
 

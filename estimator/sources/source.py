@@ -19,7 +19,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 from numba import njit
 
-from estimator.gating import cusum
+from estimator.sources.gating import cusum
 from models.frames import Origin
 from models.measurements import Measurement
 from models.messages import Array, Reason

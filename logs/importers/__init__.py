@@ -4,6 +4,7 @@
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
 
 Each importer is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is needed.
+May import logs.store, logs.wire and models.
 """
 
 from collections.abc import Callable
@@ -12,10 +13,10 @@ from pathlib import Path
 
 import msgspec
 
-from logs.encoding import Encoded, encode_input, encode_truth
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
-from logs.reader import LogError
-from logs.recorder import Recorder
+from logs.store.reader import LogError
+from logs.store.recorder import Recorder
+from logs.wire.encoding import Encoded, encode_input, encode_truth
 
 __all__ = ["KINDS", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
 

@@ -21,7 +21,7 @@ from logs.importers import csv_table, frames, recording, sensors
 from logs.importers.csv_table import Quantity, Table, read_table
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import DataSet, Settings, data_set
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import Array, Vec3
 
 VISION_SIGMA_M = 0.1  # per axis; what the vision.csv of EuRoC was found to have, 0.02-0.13

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.recording import EPOCH_NS, Times
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.frames import GRAVITY
 from models.messages import Array
 

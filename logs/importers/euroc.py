@@ -17,7 +17,7 @@ from logs.importers import csv_table, frames, recording, sensors
 from logs.importers.csv_table import read_table
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream
 from logs.importers.settings import DATA_SETS, Settings
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.imu import ImuNoise
 from models.messages import Array
 

@@ -8,7 +8,7 @@ B and W are rotations: left-handed axes are refused.
 import numpy as np
 
 from logs.importers.recording import Times
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models import so3
 from models.messages import Array
 

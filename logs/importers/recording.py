@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.importers.settings import Settings
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import (
     ATTITUDE_TOPIC,
     Array,

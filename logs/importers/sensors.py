@@ -3,7 +3,7 @@
 import numpy as np
 
 from logs.importers.recording import Stream, Times
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.frames import GRAVITY, Origin
 from models.messages import Array, Vec3
 

@@ -20,7 +20,7 @@ from pymavlink import mavutil
 from logs.importers import frames, recording, sensors
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.frames import GRAVITY
 from models.messages import Array, Vec3
 

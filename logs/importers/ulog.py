@@ -20,7 +20,7 @@ from logs.importers import frames, recording, sensors
 from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import Array, Vec3
 
 Topic: TypeAlias = Mapping[str, Any]  # field -> column

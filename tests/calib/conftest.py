@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calib import synthetic
-from calib.bundle import IDENTITY, Pose
-from calib.chessboard import Board, View
-from calib.corners import Grey
-from calib.rig_yaml import FORWARD
+from calib.board.chessboard import Board, View
+from calib.board.corners import Grey
+from calib.cameras.bundle import IDENTITY, Pose
+from calib.files.rig_yaml import FORWARD
+from calib.synthetic import views
 from models import so3
 from models.camera import CameraModel, StereoRig
 
@@ -32,16 +32,16 @@ def seen_by(place: Pose, pose: Pose) -> Pose:
 
 def simulated_views(count: int = 12, seed: int = 0, sigma_px: float = 0.2) -> list[View]:
     rng = np.random.default_rng(seed)
-    poses = synthetic.poses([(CAMERA, IDENTITY)], BOARD, count, rng)
-    return [synthetic.seen(CAMERA, pose, BOARD, rng, sigma_px, f"v{k}") for k, pose in enumerate(poses)]
+    poses = views.poses([(CAMERA, IDENTITY)], BOARD, count, rng)
+    return [views.seen(CAMERA, pose, BOARD, rng, sigma_px, f"v{k}") for k, pose in enumerate(poses)]
 
 
 @pytest.fixture(scope="session")
 def pictures() -> list[Grey]:
     """Ten small pictures of a board, tilted each way."""
     rng = np.random.default_rng(5)
-    painter = synthetic.Painter(SMALL, BOARD)
-    return [painter.paint(pose, rng) for pose in synthetic.poses([(SMALL, IDENTITY)], BOARD, 10, rng)]
+    painter = views.Painter(SMALL, BOARD)
+    return [painter.paint(pose, rng) for pose in views.poses([(SMALL, IDENTITY)], BOARD, 10, rng)]
 
 
 @pytest.fixture(scope="session")

@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.campaign_runs import error_of, normalised_squared
+from benchmarks.campaign.runs import error_of, normalised_squared
+from estimator.filter.initialise import InitialiseConfig
 from estimator.fusion import FusionConfig
-from estimator.initialise import InitialiseConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import PoseConfig
-from logs.metrics import chi2_band
+from logs.evaluation.metrics import chi2_band
 from models.messages import Estimate, Reason
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.scenario import Scenario, simulate

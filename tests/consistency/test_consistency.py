@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.campaign_flights import Flight, flight
-from benchmarks.campaign_runs import BLOCKS, PARTS, run
-from benchmarks.campaign_statistics import Consistency, Result, judge, pooled_ratio
-from logs.metrics import chi2_band
+from benchmarks.campaign.flights import Flight, flight
+from benchmarks.campaign.runs import BLOCKS, PARTS, run
+from benchmarks.campaign.statistics import Consistency, Result, judge, pooled_ratio
+from logs.evaluation.metrics import chi2_band
 from models import sampling
 from models.messages import Array, Reason
 from models.sim.aids import PoseFixes

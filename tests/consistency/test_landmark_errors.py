@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from estimator.eskf import Eskf
-from estimator.hypotheses import MOST_OF_A_KIND, innovation
+from estimator.filter.eskf import Eskf
+from estimator.filter.hypotheses import MOST_OF_A_KIND, innovation
 from estimator.sources.pose import LandmarkFixConfig, pose_aid
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants

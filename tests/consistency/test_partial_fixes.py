@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimator.eskf import Eskf
-from estimator.hypotheses import innovation
+from estimator.filter.eskf import Eskf
+from estimator.filter.hypotheses import innovation
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig
 from estimator.sources.source import Aid

@@ -18,16 +18,16 @@ import numpy as np
 import pytest
 import typer
 
-from calib import synthetic
-from calib.bundle import Pose
-from calib.chessboard import Board
-from calib.files import load_rig
-from calib.synthetic_motion import EUROC_NOISE, Truth, record
+from calib.board.chessboard import Board
+from calib.cameras.bundle import Pose
+from calib.files.formats import load_rig
+from calib.synthetic import views
+from calib.synthetic.motion import EUROC_NOISE, Truth, record
 from estimator.cli import app
 from estimator.config import load
-from logs.codec import encode_input
-from logs.pictures import encode_picture
-from logs.recorder import Recorder
+from logs.store.recorder import Recorder
+from logs.wire.codec import encode_input
+from logs.wire.pictures import encode_picture
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.frames import GRAVITY
@@ -43,7 +43,7 @@ BOARD = Board(9, 6, 0.025)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))
 RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), np.zeros(3))
 
-# What ```console may hold, by how it begins. Our own of these: tests/service/, tests/docs/test_sitl_fixes.py.
+# What ```console may hold, by how it begins. Our own of these: tests/estimator/service/, tests/docs/test_sitl_fixes.py.
 NOT_RUN = {
     "make px4_sitl ": "PX4", "param set ": "PX4 and ArduPilot", "commander ": "PX4", "failure ": "PX4", "listener ": "PX4",
     "sim_vehicle.py ": "ArduPilot", "mode ": "ArduPilot", "arm ": "ArduPilot", "takeoff ": "ArduPilot", "rc ": "ArduPilot",
@@ -51,7 +51,7 @@ NOT_RUN = {
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
     "landfix report out/sitl/": "of a flight in a simulator", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
-    "make demo": "tests/estimator/test_demo.py flies a shorter one", "make test": "is what runs this",
+    "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",
 }  # fmt: skip
 
 
@@ -92,10 +92,10 @@ def a_csv_flight(folder: Path) -> None:
 
 def a_board_and_an_imu(folder: Path) -> None:
     """Twelve rendered pairs of a board, an IMU at rest, and ten seconds of a camera that is moved before the board."""
-    rng, painter = np.random.default_rng(3), synthetic.Painter(LEFT, BOARD)
+    rng, painter = np.random.default_rng(3), views.Painter(LEFT, BOARD)
     (folder / "board").mkdir()
-    for k, pose in enumerate(synthetic.poses(synthetic.both(RIG), BOARD, 12, rng)):
-        for name, (_, place) in zip(("left", "right"), synthetic.both(RIG), strict=True):
+    for k, pose in enumerate(views.poses(views.both(RIG), BOARD, 12, rng)):
+        for name, (_, place) in zip(("left", "right"), views.both(RIG), strict=True):
             seen = Pose(place.R @ pose.R, place.of(pose.t[None])[0])
             cv2.imwrite(str(folder / "board" / f"{name}{k:02d}.png"), painter.paint(seen, rng))
     with Recorder(folder / "still.mcap") as log:

@@ -13,12 +13,12 @@ import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.config import load
-from logs.codec import Decoder
+from logs.wire.codec import Decoder
 from models import so3
 from models.frames import Origin
 from models.messages import PoseFix
-from tests.service.autopilot import UdpAutopilot
-from tests.service.flying import free_port, until
+from tests.estimator.service.autopilots import UdpAutopilot
+from tests.estimator.service.flying import free_port, until
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPT = EXAMPLES / "sitl_fixes.py"

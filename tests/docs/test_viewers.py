@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from estimator.config import load
-from estimator.replay import replay
-from estimator.sight_files import load_sight
-from estimator.sight_replay import SightReplay
-from logs import schemas
-from logs.codec import encode_truth
-from logs.reader import LogReader
-from logs.recorder import Recorder
+from estimator.frontend.files import load_sight
+from estimator.frontend.replay_pictures import SightReplay
+from estimator.replay.replay import replay
+from logs.store.reader import LogReader
+from logs.store.recorder import Recorder
+from logs.wire import schemas
+from logs.wire.codec import encode_truth
 from tests.estimator.sights import PLACE, write_flight
 
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import simulate as simulated
+from estimator.replay import simulate as simulated
 from models.messages import Estimate, Mode
 from models.sim.scenario import Simulation, simulate
 from models.sim.scenario_file import loads

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.files import save_rig
-from logs.codec import Encoded, encode_input
-from logs.pictures import encode_picture
-from logs.recorder import Recorder
+from calib.files.formats import save_rig
+from logs.store.recorder import Recorder
+from logs.wire.codec import Encoded, encode_input
+from logs.wire.pictures import encode_picture
 from models.camera import StereoRig
-from models.landmarks import LandmarkMap
+from models.maps.landmarks import LandmarkMap
 from models.messages import PoseFix
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.scenes import SECOND, hover

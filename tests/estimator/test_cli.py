@@ -145,7 +145,7 @@ def test_a_defect_of_ours_is_one_line_too_and_debug_shows_it(
         raise KeyError("oops")
 
     monkeypatch.delenv("LANDFIX_DEBUG", raising=False)
-    monkeypatch.setattr("estimator.replay.replay", broken)
+    monkeypatch.setattr("estimator.replay.replay.replay", broken)
     result = run("replay", flight, "-o", tmp_path / "out.mcap")
     assert result.exit_code == 1
     assert result.stderr == "landfix: internal error, please report it: KeyError: 'oops' (LANDFIX_DEBUG=1 shows where)\n"

@@ -4,7 +4,7 @@ import pytest
 
 from estimator import strict_toml
 from estimator.config import Config, ConfigError, load, parse
-from logs.codec import ImuMounting, encode_input
+from logs.wire.codec import ImuMounting, encode_input
 from models.imu import ImuNoise
 from models.messages import ImuSample
 

@@ -10,14 +10,14 @@ import msgspec.inspect as mi
 import numpy as np
 import pytest
 
-from benchmarks.service_vehicle import gnss, imu, pose_fix
+from benchmarks.service.vehicle import gnss, imu, pose_fix
 from estimator.config import Config, ConfigError, parse, read
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
-from estimator.service.clock import Clock, Stamps
-from estimator.service.handover import Handover
-from estimator.service.mavlink_inputs import Inputs
-from estimator.service.zenoh_config import session_config
+from estimator.service.autopilot.output_policy import Handover
+from estimator.service.base.clock import Clock, Stamps
+from estimator.service.mavlink.inputs import Inputs
+from estimator.service.zenoh.config import session_config
 from models.messages import AidStatus, Baro, Estimate, Input, LandmarkFix, Reason, Tick
 from models.sim.scenario_file import ScenarioError, loads
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimator.bounds import BoundsConfig
-from estimator.eskf import Eskf, Innovation
+from estimator.filter.bounds import BoundsConfig
+from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.history import History
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.tracker import Decision, Tracker
 from estimator.fusion import Fusion, FusionConfig
-from estimator.history import History
-from estimator.samples import ImuBuffer
 from estimator.sources.source import Aid
-from estimator.tracker import Decision, Tracker
 from models.messages import GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X

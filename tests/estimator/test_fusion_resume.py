@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import asdict
 
 from estimator.fusion import Fusion
-from logs.codec import Decoder, encode_input
+from logs.wire.codec import Decoder, encode_input
 from models.messages import Checkpoint, Estimate, ImuSample, Input, LastGnss, Mode, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, local

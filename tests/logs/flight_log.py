@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from logs import cdr_fast, schemas
-from logs.codec import encode, encode_input, encode_slow, encode_truth
-from logs.reader import LogReader
-from logs.recorder import Recorder
+from logs.store.reader import LogReader
+from logs.store.recorder import Recorder
+from logs.wire import cdr_fast, schemas
+from logs.wire.codec import encode, encode_input, encode_slow, encode_truth
 from models import so3
 from models.frames import Origin
 from models.messages import AidStatus, Array, Estimate, Health, Mode, PoseFix, Reason, Reset, vec3

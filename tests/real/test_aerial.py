@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import aerial_brighton as brighton
-from benchmarks import aerial_nust as nust
-from benchmarks import aerial_spacenet as spacenet
-from benchmarks.aerial_reference import Reference, plane_pose
-from benchmarks.aerial_trials import Outcome, Spread, Trial, generator, outline_share, run, turned
+from benchmarks.aerial import brighton, nust, spacenet
+from benchmarks.aerial.reference import Reference, plane_pose
+from benchmarks.aerial.trials import Outcome, Spread, Trial, generator, outline_share, run, turned
 from models import so3
 from models.camera import CameraModel
-from models.landmarks import Landmark, LandmarkMap
+from models.maps.landmarks import Landmark, LandmarkMap
 
 PHOTOS = ("DJI_0026.jpg", "DJI_0033.jpg", "DJI_0034.jpg")
 FRAMES = (700, 750, 800)

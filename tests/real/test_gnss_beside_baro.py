@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import gnss
+from benchmarks.flights import gnss
 from models.messages import Baro, Reason
 
 

@@ -36,7 +36,7 @@ ALL = {"rare_fixes": 130.0, "fixed_wing": 135.0, "imu_dropout": 80.0, "late_and_
 
 
 def test_every_example_is_flown() -> None:
-    of_their_own = ["demo", "night"]  # tests: tests/estimator/test_demo.py, test_night.py
+    of_their_own = ["demo", "night"]  # tests: tests/estimator/tools/test_demo.py, test_night.py
     assert sorted([*ALL, *of_their_own]) == sorted(path.stem for path in EXAMPLES.glob("*.toml"))
 
 

@@ -5,11 +5,11 @@ from typing import Final
 import numpy as np
 
 from models import so3
-from models.landmarks import Landmark
+from models.maps.landmarks import Landmark
 from models.messages import Array
+from tests.vision.pose.test_pose import COLOURS, Flight
 from tests.vision.roofs import nadir_rig
-from tests.vision.test_pose import COLOURS, Flight
-from vision.identify import Prior
+from vision.identify.identify import Prior
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair

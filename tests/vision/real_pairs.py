@@ -8,7 +8,7 @@ import numpy as np
 
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
-from vision.rectify import Image
+from vision.image.rectify import Image
 
 
 @dataclass(frozen=True)

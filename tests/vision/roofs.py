@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from models import outline as polygon
 from models import so3
 from models.camera import CameraModel, StereoRig
-from models.landmarks import Landmark
+from models.maps import outline as polygon
+from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.measure import Level
-from vision.rectify import Image
+from vision.describe.measure import Level
+from vision.image.rectify import Image
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair

@@ -4,7 +4,7 @@ import numpy as np
 
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
-from vision.rectify import Image
+from vision.image.rectify import Image
 
 F, BASELINE = 500.0, 0.3
 WIDTH, HEIGHT = 320, 240

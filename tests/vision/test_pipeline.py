@@ -10,12 +10,12 @@ import pytest
 
 from models import so3
 from models.camera import StereoRig
-from models.landmarks import Landmark, LandmarkMap
+from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision.identify import Prior
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
-from vision.rectify import Image
-from vision.segmented import Identified, SegmentPath
+from vision.recognise import Identified, SegmentPath
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render_pair
 from vision.synthetic.scenes import Scene, WorldSpec, make_world

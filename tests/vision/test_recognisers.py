@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from models import so3
-from models.landmarks import LandmarkMap
+from models.maps.landmarks import LandmarkMap
 from models.messages import Array
-from tests.vision import ground_scene as scene
+from tests.vision.ground import scene
 from vision import recognisers
-from vision.features import FeatureConfig, FeatureMap
-from vision.identify import Prior
+from vision.ground.features import FeatureConfig, FeatureMap
+from vision.ground.registration import RegistrationConfig
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
 from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
-from vision.rectify import Image
-from vision.registration import RegistrationConfig
 
 SECOND = 1_000_000_000
 SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])

@@ -16,8 +16,8 @@ import vision
 LOOK = """
 import hashlib
 import numpy as np
-from vision.look import distance_from_roof
-from vision.outline import search
+from vision.pose.observation import distance_from_roof
+from vision.outline.profiles import search
 
 rng = np.random.default_rng(1)
 picture = rng.integers(60, 100, (480, 640, 3), dtype=np.uint8)
@@ -57,7 +57,7 @@ def test_no_kernel_that_an_estimate_rests_on_may_calculate_in_another_order() ->
     names = [
         found.name
         for package in (models, vision, estimator)
-        for found in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     ]
     kernels = [
         value for name in names if not name.endswith("__main__") for value in vars(importlib.import_module(name)).values()

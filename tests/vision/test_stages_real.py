@@ -8,13 +8,13 @@ import pytest
 
 from tests.vision import real_pairs
 from tests.vision.real_pairs import RealPair
-from vision import enhance
-from vision.check import picture_flaw
-from vision.correspond import Match, Search, correspond
-from vision.rectify import rectification
-from vision.regions import Limits, find_regions
-from vision.segment import segment_seeds
-from vision.survey import Settings, Survey, grey, segment_regions, survey
+from vision.describe.correspond import Match, Search, correspond
+from vision.describe.regions import Limits, find_regions
+from vision.describe.segment import segment_seeds
+from vision.describe.survey import Settings, Survey, grey, segment_regions, survey
+from vision.image import enhance
+from vision.image.check import picture_flaw
+from vision.image.rectify import rectification
 
 
 def matches_of(pair: RealPair) -> list[Match]:

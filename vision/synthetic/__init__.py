@@ -1,4 +1,7 @@
-"""Rendered stereo pictures of worlds whose truth is known: world, ground, camera effects, scenes from a seed."""
+"""Rendered stereo pictures of worlds whose truth is known: world, ground, camera effects, scenes from a seed.
+
+May import models, nothing else of vision.
+"""
 
 from vision.synthetic.camera_effects import IDEAL, Conditions, Image, blur_of_motion
 from vision.synthetic.ground import Ground

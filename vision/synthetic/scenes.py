@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from models.camera import StereoRig
-from models.landmarks import Landmark, LandmarkMap
+from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from vision.synthetic.ground import Ground
 from vision.synthetic.rigs import draw_rig, make_rig

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from models import outline as polygon
-from models.landmarks import Landmark
+from models.maps import outline as polygon
+from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.synthetic.ground import Ground
 from vision.synthetic.texture import SURFACES

@@ -8,10 +8,10 @@ import pytest
 
 from estimator.config import parse
 from logs import importers
-from logs.codec import Decoder, ImuMounting, Topics
 from logs.importers import ImportOptions, convert, read
 from logs.importers.settings import DATA_SETS, Settings, data_set
-from logs.reader import LogError, LogReader
+from logs.store.reader import LogError, LogReader
+from logs.wire.codec import Decoder, ImuMounting, Topics
 from models.imu import ImuNoise
 from models.messages import Baro, GnssFix, GnssVelocity, ImuSample, PoseFix
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from logs.importers import csv_folder
 from logs.importers.recording import EPOCH_NS, ImportOptions, Message, Truth
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.frames import Origin
 from models.messages import Array, Baro, GnssFix, GnssVelocity, ImuSample, PoseFix
 

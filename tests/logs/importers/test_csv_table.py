@@ -8,7 +8,7 @@ import pytest
 
 from logs.importers.csv_table import ACCEL, ATTITUDE, GYRO, Table, read_table
 from logs.importers.recording import EPOCH_NS
-from logs.reader import LogError
+from logs.store.reader import LogError
 
 IMU = "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2\n"
 

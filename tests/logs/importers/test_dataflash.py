@@ -9,7 +9,7 @@ from pymavlink import DFReader
 
 from logs.importers import csv_folder, dataflash
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models import so3
 from models.frames import Origin
 from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample

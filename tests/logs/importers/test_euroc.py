@@ -10,7 +10,7 @@ import pytest
 
 from logs.importers import csv_folder, euroc
 from logs.importers.recording import ImportOptions, Truth
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import ImuSample
 
 IMU_HEADER = (

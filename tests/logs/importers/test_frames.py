@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from logs.importers import frames
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models import so3
 
 

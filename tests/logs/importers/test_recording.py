@@ -6,7 +6,7 @@ import pytest
 from logs.importers import recording
 from logs.importers.recording import DEFAULTS, ImportOptions, Recording, Times, Truth
 from logs.importers.settings import Settings
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import GnssFix, ImuSample
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from logs.importers import recording, sensors
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.frames import Origin
 from models.messages import Array
 

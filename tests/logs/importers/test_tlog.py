@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink2
 
 from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models import so3
 from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
 

@@ -14,7 +14,7 @@ from pyulog import ULog
 
 from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
-from logs.reader import LogError
+from logs.store.reader import LogError
 from models.messages import Array, AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15

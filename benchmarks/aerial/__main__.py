@@ -1,0 +1,139 @@
+"""Outlines on real aerial pictures: `python -m benchmarks.aerial [brighton] [nust] [spacenet]`.
+
+Predict and verify beside plain segmentation, one camera, every trial with a pipeline of its own. A trial is one picture; where
+the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first picture alone. All thresholds are the
+pipeline's defaults, made on rendered pictures: nothing is tuned here. How each set is judged: docs/vision_aerial.md.
+Tables and overlays go to out/aerial/.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.aerial import brighton, nust, spacenet
+from benchmarks.aerial.trials import PATHS, Outcome, Row, Trial, Way, row, run
+from benchmarks.flights.tasks import data_folder
+from benchmarks.tables import Table, number
+from vision.describe.survey import to_8_bit
+from vision.pipeline import Result
+from vision.show.overlay import draw_overlay, outline_residuals
+
+OUT = Path(__file__).resolve().parents[2] / "out" / "aerial"
+SETS = ("brighton", "nust", "spacenet")
+
+
+def main() -> None:
+    """Command line."""
+    args = arguments()
+    data = data_folder()
+    if not (data / "images").is_dir():
+        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded pictures")
+    cv2.setNumThreads(1)
+    OUT.mkdir(parents=True, exist_ok=True)
+    outcomes = [outcome for name in args.sets or SETS for outcome in run_all(trials(name, data, args), args.paths, args.pictures)]
+    rows = summary(outcomes)
+    (OUT / f"outcomes_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
+    report = f"{table(rows).markdown()}\n{reasons(outcomes).markdown()}"
+    (OUT / "report.md").write_text(report)
+    sys.stdout.write(msgspec.json.encode(rows).decode() + "\n" if args.json else f"{report}\n{OUT}/report.md\n")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.aerial", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
+    parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
+    parser.add_argument(
+        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's belief (1 3)"
+    )
+    parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
+    parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+    args = parser.parse_args()
+    if args.priors < 1 or not 320 <= args.width <= brighton.WIDTH:
+        parser.error(f"--priors must be at least 1, --width between 320 and {brighton.WIDTH}")
+    if not all(0.0 < sigma <= 10.0 for sigma in args.attitude_deg or ()):
+        parser.error("--attitude-deg: both must be above 0 and at most 10")
+    return args
+
+
+def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
+    """Those of a set."""
+    if name == "brighton":
+        level, yaw = np.radians(args.attitude_deg) if args.attitude_deg else brighton.SPREAD.sigma[[3, 5]]
+        spread = replace(brighton.SPREAD, level_sigma_rad=float(level), yaw_sigma_rad=float(yaw))
+        return brighton.trials(data, args.seed, args.priors, args.width, spread)
+    if name == "nust":
+        return nust.trials(data, args.seed, args.priors)
+    return spacenet.trials(data, args.seed, args.priors)
+
+
+def run_all(several: Iterable[Trial], paths: Sequence[Way], pictures: bool) -> Iterator[Outcome]:
+    """Every trial by every path."""
+    for trial in track(several, description="trials", console=Console(stderr=True)):
+        for path in paths:
+            outcome, result = run(trial, path)
+            if pictures:
+                write_overlay(trial, outcome, result)
+            yield outcome
+
+
+def write_overlay(trial: Trial, outcome: Outcome, result: Result) -> None:
+    """The map in the picture: from the fix with its residuals, else from the prior."""
+    case, prior = (trial.case, trial.prior) if outcome.at_once or trial.after is None else trial.after
+    pose, picture = result.pose, to_8_bit(case.picture)
+    p_n, R_nb = (prior.p_n, prior.R_nb) if pose is None else (pose.joint_p_n, pose.joint_R_nb)
+    where = case.rig.camera_pose(p_n, R_nb)
+    used = [m for m in case.landmarks if m.id in outcome.landmarks]
+    residuals = outline_residuals(picture, case.rig.left, *where, used)
+    drawn_from = "drawn from the prior" if pose is None else f"{outcome.error_m:.2f} m off"
+    caption = [f"{outcome.outcome}: {outcome.detail}", f"{drawn_from}; the prior is {outcome.prior_m:.1f} m off"]
+    drawn = draw_overlay(picture, case.rig.left, *where, list(case.landmarks), outcome.landmarks, residuals, caption)
+    name = f"{case.group} {trial.case.name} {trial.number} {outcome.path}".replace(",", "").replace(" ", "_")
+    cv2.imwrite(str(OUT / f"{name}.jpg"), drawn)
+
+
+def summary(outcomes: Iterable[Outcome]) -> list[Row]:
+    """One row a group and path, in order of appearance."""
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for o in outcomes:
+        groups.setdefault((o.group, o.path), []).append(o)
+    return [row(group) for group in groups.values()]
+
+
+def table(rows: Iterable[Row]) -> Table:
+    columns = (
+        "set", "path", "pictures", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "sure to 2 m", "and beyond",
+        "median m", "95 % m", "worst m", "cpu s",
+    )  # fmt: skip
+    cells = [
+        (
+            r.group, r.path, str(r.pictures), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
+            str(r.wrong), f"{r.sure:.1%}", str(r.sure_wrong), number(r.median_m), number(r.p95_m), number(r.worst_m),
+            number(r.cpu_s),
+        )
+        for r in rows
+    ]  # fmt: skip
+    return Table("Fixes", columns, cells)
+
+
+def reasons(outcomes: Iterable[Outcome]) -> Table:
+    """How often each outcome came."""
+    count = Counter((o.group, o.path, o.outcome) for o in outcomes)
+    return Table("Outcomes", ("set", "path", "outcome", "trials"), [(*what, str(n)) for what, n in sorted(count.items())])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""NUST campus: a nadir video over two helipads, digitised from the orthophoto.
+
+The reference is a registration of every fifth frame to the orthophoto (SIFT, a homography a frame; about 0.5 m). Neither camera
+nor height is known, only their ratio: a frame shows 223 m. The ratio of focal length to width is taken as 0.77, that of common
+survey cameras; another one scales the height and moves nothing on the ground. The ground is the plane of the map. Judged is the
+place on the ground that the frame's middle shows.
+"""
+
+import csv
+import math
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.aerial.reference import plane_pose, utm_to_ned
+from benchmarks.aerial.trials import Case, Judge, Spread, Trial, generator, nadir_rig, outline_share
+from models.camera import CameraModel
+from models.maps.landmarks import LandmarkMap
+from models.messages import Array
+from vision.image.rectify import Image
+
+FOLDER = "images/nust_uav_video_orthophoto"
+MAP_FILE = Path(__file__).parents[1] / "data" / "nust_helipads.geojson"
+EPSG = 32643
+SPREAD = Spread(7.0, 3.0, math.radians(1.0), math.radians(3.0))
+BOTH, ONE = "NUST, both helipads", "NUST, one helipad"
+PADS = ("pad west", "pad east")
+_ORTHO_CORNER, _ORTHO_STEP_M = (313101.47628, 3724912.30675), 0.5
+_WIDTH, _HEIGHT, _FOCAL = 852, 480, 0.77
+_MIDDLE = np.array([[0.5 * (_WIDTH - 1), 0.5 * (_HEIGHT - 1)]])
+
+
+def camera() -> CameraModel:
+    """The camera assumed."""
+    f = _FOCAL * _WIDTH
+    return CameraModel(_WIDTH, _HEIGHT, f, f, 0.5 * (_WIDTH - 1), 0.5 * (_HEIGHT - 1))
+
+
+def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
+    """Every registered frame that shows a whole helipad."""
+    landmarks, known = landmark_map(), registrations(data)
+    shown = {number: pads(homography, landmarks) for number, homography in known.items()}
+    for number, picture in frames(data, [number for number, seen in shown.items() if seen]):
+        one = case(number, picture, known[number], landmarks)
+        for k in range(priors):
+            yield Trial(one, k, SPREAD.draw(generator(seed, one.name, k), one.p_n, one.R_nb))
+
+
+def landmark_map() -> LandmarkMap:
+    """The digitised pads and their inner marks."""
+    return LandmarkMap.from_geojson(MAP_FILE.read_bytes())
+
+
+def registrations(data: Path) -> dict[int, Array]:
+    """Frame -> homography (3, 3) from its pixels to those of the orthophoto."""
+    with (data / FOLDER / "reference_registration_sift.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = [f"h{i}{j}" for i in range(3) for j in range(3)]
+    return {int(row["frame"]): np.array([float(row[name]) for name in names]).reshape(3, 3) for row in rows}
+
+
+def frames(data: Path, wanted: Collection[int]) -> Iterator[tuple[int, Image]]:
+    """Those frames of the video."""
+    video = cv2.VideoCapture(str(data / FOLDER / "uav_video.mp4"))
+    for number in range(max(wanted, default=-1) + 1):
+        done, picture = video.read()
+        if not done:
+            return
+        if number in wanted:
+            yield number, picture
+
+
+def pose(homography: Array, landmarks: LandmarkMap) -> tuple[Array, Array]:
+    """p_nc, R_nc of the camera whose picture of the ground plane the homography describes best."""
+    u, v = np.meshgrid(np.linspace(0.0, _WIDTH - 1.0, 9), np.linspace(0.0, _HEIGHT - 1.0, 6))
+    px = np.column_stack((u.ravel(), v.ravel()))
+    ortho_px = cv2.perspectiveTransform(px[None], homography)[0]
+    xy = np.array(_ORTHO_CORNER) + _ORTHO_STEP_M * (ortho_px + 0.5) * np.array([1.0, -1.0])
+    ground_n = utm_to_ned(landmarks, EPSG, xy, np.full(len(xy), landmarks.origin[2]))
+    return plane_pose(ground_n, px, camera())
+
+
+def pads(homography: Array, landmarks: LandmarkMap) -> tuple[str, ...]:
+    """Helipads wholly in the frame."""
+    where = pose(homography, landmarks)
+    return tuple(name for name in PADS if outline_share(camera(), *where, landmarks[name]) == 1.0)
+
+
+def case(number: int, picture: Image, homography: Array, landmarks: LandmarkMap) -> Case:
+    """A frame."""
+    rig = nadir_rig(camera())
+    p_nc, R_nc = pose(homography, landmarks)
+    shown = pads(homography, landmarks)
+    group = BOTH if len(shown) == len(PADS) else ONE
+    return Case(group, f"frame {number}", picture, rig, landmarks, p_nc, R_nc @ rig.R_bc.T, shown, _by_middle(p_nc, R_nc))
+
+
+def _by_middle(p_nc: Array, R_nc: Array) -> Judge:
+    """Distance on the ground between what the middle of the picture shows; the body stands at the camera."""
+    ray_c = camera().ray(_MIDDLE)[0]
+
+    def ground(p: Array, R: Array) -> Array:
+        ray = R @ ray_c
+        place: Array = (p - ray * (p[2] / ray[2]))[:2]
+        return place
+
+    there, R_bc = ground(p_nc, R_nc), nadir_rig(camera()).R_bc
+    return lambda p, R: float(np.linalg.norm(ground(p, R @ R_bc) - there))

@@ -1,0 +1,176 @@
+"""Position from maps that hold a picture: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
+
+Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, and both as in flight, on the
+same pictures in one run. All thresholds are the recognisers' defaults. Judged is the place on the ground that the picture's
+middle shows, by fix and prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to
+out/registration/.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import cv2
+import msgspec
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.aerial.registration_sets import Flight, Shot, flights
+from benchmarks.flights.tasks import data_folder
+from benchmarks.tables import Table, number
+from models.maps.landmarks import LandmarkMap
+from models.messages import Array
+from vision.ground.features import FeatureConfig, FeatureMap, Recognised, recognise
+from vision.pose.pose import PoseEstimate
+from vision.recognisers import Recognisers
+from vision.records.reports import pose_flaw
+
+OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
+SETS = ("nust", "brighton", "rendered")
+Way = Literal["as in flight", "registration", "features", "features, 10 inliers"]
+WAYS: tuple[Way, ...] = get_args(Way)
+_LOOSE = FeatureConfig(least=10, least_share=0.0, least_spread=0.0)
+_WRONG_M = 2.0
+_NOWHERE = LandmarkMap.from_landmarks((0.0, 0.0, 0.0), [])
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What became of a picture. squared: squared error of the ground's place over its covariance, per degree of freedom."""
+
+    group: str
+    way: Way
+    decoy: bool
+    outcome: str
+    detail: str
+    prior_m: float
+    cpu_s: float
+    accepted: bool = False
+    error_m: float = math.nan
+    squared: float = math.nan
+
+
+def main() -> None:
+    """Command line."""
+    args = arguments()
+    data = data_folder()
+    sets = args.sets or SETS
+    if {"nust", "brighton"} & set(sets) and not (data / "images").is_dir():
+        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded pictures")
+    cv2.setNumThreads(1)
+    OUT.mkdir(parents=True, exist_ok=True)
+    every = [f for name in sets for f in flights(name, data, args.seed, OUT / "maps") if args.only in f.group]
+    outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight)]
+    report = f"{table(outcomes).markdown()}\n{decoys(outcomes).markdown()}"
+    name = "_".join((*sets, *args.only.split()))
+    (OUT / f"outcomes_{name}_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
+    (OUT / f"report_{name}.md").write_text(report)
+    sys.stdout.write(report + f"\n{OUT}/report_{name}.md\n")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.aerial.registration", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="flights whose name contains this")
+    return parser.parse_args()
+
+
+def fly(flight: Flight) -> Iterator[Outcome]:
+    """Every picture of a flight, in order, as registration may wait for the next one; decoys as in flight only."""
+    nothing = FeatureMap(flight.known.picture, np.empty((0, 3)), np.empty((0, 128), np.float32))
+    for way in WAYS[:1] if flight.decoy else WAYS:
+        known = replace(flight.known, features=nothing) if way == "registration" else flight.known
+        recognisers = Recognisers(flight.rig, _NOWHERE, known)
+        for shot in flight.shots():
+            begin = time.process_time()
+            if way in {"as in flight", "registration"}:
+                result = recognisers.process(shot.picture, None, shot.t_ns, shot.prior)
+                pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
+            else:
+                pose, outcome, detail = _features(flight, shot, FeatureConfig() if way == "features" else _LOOSE)
+            cpu_s = time.process_time() - begin
+            off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
+            what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
+            yield Outcome(*what) if pose is None else Outcome(*what, True, *_judge(flight, shot, pose))
+
+
+def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEstimate | None, str, str]:
+    found = recognise(flight.rig, shot.picture, shot.prior, flight.known.features, config)
+    if not isinstance(found, Recognised):
+        return None, found.reason, found.detail
+    if flaw := pose_flaw(found.pose, shot.prior):
+        return None, "no_pose", flaw
+    return found.pose, "fixed", f"{found.inliers} of {found.matched}"
+
+
+def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float]:
+    """Distance on the ground between what the picture's middle shows, and that squared over its covariance."""
+
+    def middle(p_n: Array, R_nb: Array) -> Array:
+        camera, (p_nc, R_nc) = flight.rig.left, flight.rig.camera_pose(p_n, R_nb)
+        ray = R_nc @ camera.ray(np.array([[0.5 * camera.width, 0.5 * camera.height]]))[0]
+        ground = float(flight.known.picture.heights.at(shot.p_n[None, :2])[0])
+        place: Array = p_nc[:2] + ray[:2] * (ground - p_nc[2]) / ray[2]
+        return place
+
+    p, R = pose.joint_p_n, pose.joint_R_nb
+    e, step = middle(shot.p_n, shot.R_nb) - middle(p, R), 1e-5
+    J = np.column_stack([(middle(*_moved(p, R, step * d)) - middle(*_moved(p, R, -step * d))) / (2.0 * step) for d in np.eye(6)])
+    return float(np.linalg.norm(e)), float(e @ np.linalg.solve(J @ pose.joint_covariance @ J.T, e)) / 2.0
+
+
+def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:
+    turn = np.asarray(cv2.Rodrigues(step[3:])[0], dtype=np.float64)
+    return p_n + step[:3], turn @ R_nb
+
+
+def table(outcomes: Sequence[Outcome]) -> Table:
+    """Pictures that have a right answer."""
+    columns = (
+        "set",
+        "by",
+        "pictures",
+        "prior off m",
+        "accepted",
+        "beyond 2 m",
+        "median m",
+        "95 % m",
+        "worst m",
+        "squared",
+        "cpu ms",
+    )
+    rows = []
+    for group, way in dict.fromkeys((o.group, o.way) for o in outcomes if not o.decoy):
+        every = [o for o in outcomes if (o.group, o.way, o.decoy) == (group, way, False)]
+        fixes = [o for o in every if o.accepted]
+        errors = np.array([o.error_m for o in fixes] or [np.nan])
+        squared = float(np.mean([o.squared for o in fixes])) if fixes else math.nan
+        rows.append((
+            group, way, str(len(every)), number(float(np.mean([o.prior_m for o in every]))), f"{len(fixes) / len(every):.1%}",
+            str(int(np.sum(errors > _WRONG_M))), number(float(np.median(errors))), number(float(np.quantile(errors, 0.95))),
+            number(float(errors.max())), number(squared), number(1e3 * float(np.median([o.cpu_s for o in every]))),
+        ))  # fmt: skip
+    return Table("Fixes", columns, rows)
+
+
+def decoys(outcomes: Sequence[Outcome]) -> Table:
+    """Pictures that have none."""
+    rows = []
+    for group, way in dict.fromkeys((o.group, o.way) for o in outcomes if o.decoy):
+        every = [o for o in outcomes if (o.group, o.way, o.decoy) == (group, way, True)]
+        false = sum(o.accepted for o in every)
+        bound = f"{3.0 / len(every):.1%}" if not false else "-"
+        rows.append((group, way, str(len(every)), str(false), bound, number(1e3 * float(np.median([o.cpu_s for o in every])))))
+    return Table("Decoys", ("set", "by", "pictures", "accepted", "share below (95 %)", "cpu ms"), rows)
+
+
+if __name__ == "__main__":
+    main()

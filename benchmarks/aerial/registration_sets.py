@@ -1,0 +1,192 @@
+"""What registration is tried on: a real video, real photos, and rendered ground on other days and in another season.
+
+Decoys have no right answer: the map turned by half a turn or by a quarter about its middle, or a vehicle 100 to 200 m from
+where it is believed to be, beyond what is searched.
+"""
+
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.aerial import brighton, nust
+from benchmarks.aerial.trials import Spread, generator, nadir_rig
+from estimator.map_files import picture as picture_store
+from estimator.map_files.picture_file import PictureFile
+from models import so3
+from models.camera import CameraModel, StereoRig
+from models.messages import Array
+from vision.ground.picture import GroundPicture, Heights
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
+from vision.recognisers import MapPicture
+from vision.synthetic import Conditions, Sun, World, WorldSpec, make_rig, make_world, render
+from vision.synthetic.texture import bounded, pyramid, texels_a_side
+
+EVERY = 15  # th frame of the video
+NEAR = Spread(30.0, 5.0, math.radians(1.0), math.radians(2.0))
+WIDE = Spread(100.0, 5.0, math.radians(1.0), math.radians(2.0))
+LOW = Spread(15.0, 2.0, math.radians(1.0), math.radians(2.0))
+_FRAME_NS = 33_366_700
+_ORTHO_M, _ORTHO_PX, _ORTHO_FROM_M = 0.3, 1000, 5000.0  # of rendered ground: nearly straight from above
+_OVERCAST = Sun(0.0, math.radians(60.0), 0.85)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture, where it was truly taken, and where it is believed to have been."""
+
+    t_ns: int
+    picture: Image
+    p_n: Array
+    R_nb: Array
+    prior: Prior
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Pictures in their order over one map. decoy: no fix is right."""
+
+    group: str
+    rig: StereoRig
+    known: MapPicture
+    shots: Callable[[], Iterator[Shot]]
+    decoy: bool = False
+
+
+def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
+    """Those of a set."""
+    if name == "nust":
+        yield from _nust(data, seed)
+    elif name == "brighton":
+        yield from _brighton(data, seed, out)
+    else:
+        for number in range(3):
+            yield from _rendered(10 * seed + number)
+
+
+def _nust(data: Path, seed: int) -> Iterator[Flight]:
+    """Every 15th frame that has a reference; the error of the prior lasts over the flight, as a filter's does."""
+    landmarks = nust.landmark_map()
+    file = PictureFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
+    known = picture_store.load(file, landmarks.origin)
+    registered = nust.registrations(data)
+    wanted = [number for number in registered if number % EVERY == 0]
+    rig = nadir_rig(nust.camera())
+    taken = []
+    for number, picture in nust.frames(data, wanted):
+        p_nc, R_nc = nust.pose(registered[number], landmarks)
+        taken.append((number * _FRAME_NS, picture, p_nc, R_nc @ rig.R_bc.T))
+    yield Flight("NUST, prior off by up to 30 m", rig, known, _shots(taken, NEAR, (seed, "nust", 0)))
+    yield Flight("NUST, prior off by up to 100 m", rig, known, _shots(taken, WIDE, (seed, "nust", 1)))
+    for turn in (cv2.ROTATE_180, cv2.ROTATE_90_CLOCKWISE):
+        decoy = _turned(known, turn)
+        yield Flight("NUST decoys, map turned", rig, decoy, _shots(taken, NEAR, (seed, "nust", 2)), decoy=True)
+    away = _shots(taken, NEAR, (seed, "nust", 3), (100.0, 200.0))
+    yield Flight("NUST decoys, 100 to 200 m away", rig, known, away, decoy=True)
+
+
+def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
+    """The photos from which the orthophoto was made: light and season are the same, it shows no more than that it works."""
+    landmarks = brighton.landmark_map()
+    known = picture_store.load(_brighton_files(data, out), landmarks.origin)
+    rig = nadir_rig(brighton.camera())
+    taken = []
+    for k, (name, where) in enumerate(brighton.references(data, landmarks, brighton.photo_names(data)).items()):
+        taken.append((k * 7_000_000_000, brighton.photo(data, name), where.p_nc, where.R_nc @ rig.R_bc.T))
+    yield Flight("Brighton, prior off by up to 15 m", rig, known, _shots(taken, LOW, (seed, "brighton", 0)))
+    decoy = _turned(known, cv2.ROTATE_180)
+    yield Flight("Brighton decoys, map turned", rig, decoy, _shots(taken, LOW, (seed, "brighton", 1)), decoy=True)
+
+
+def _brighton_files(data: Path, out: Path) -> PictureFile:
+    """The set's orthophoto and heights as files that a configuration can name."""
+    out.mkdir(parents=True, exist_ok=True)
+    with np.load(data / brighton.FOLDER / "dsm_0.1m_utm15n.npz") as archive:
+        heights, x0, y1, step = archive["dsm"], float(archive["x0"]), float(archive["y1"]), float(archive["res"])
+    picture, raster = out / "ortho.png", out / "dsm.tif"
+    shutil.copyfile(data / brighton.FOLDER / "ortho_0.1m_utm15n.png", picture)
+    cv2.imwrite(str(raster), heights.astype(np.float32))
+    for path in (picture.with_suffix(".pgw"), raster.with_suffix(".tfw")):
+        path.write_text(f"{step} 0 0 {-step} {x0} {y1}")
+    return PictureFile(picture, 0.2, None, 0.5, raster, brighton.EPSG)
+
+
+def _rendered(seed: int) -> Iterator[Flight]:
+    """A village seen by an orthophoto on one day, and by a camera on that day, on another one, and in another season."""
+    scene = make_world(seed, WorldSpec(painted=0.0))
+    rig, rng = make_rig(), np.random.default_rng(seed)
+    known = MapPicture.of(_orthophoto(scene.world, rng))
+    opposite = Sun(scene.world.sun.azimuth_rad + math.pi, math.radians(28.0), 0.3)
+    worlds = {
+        "rendered, the same day": (scene.world, Conditions()),
+        "rendered, sun from the other side": (replace(scene.world, sun=opposite), Conditions(exposure=0.8)),
+        "rendered, another season": (_other_season(scene.world), Conditions(haze_per_m=0.001, cast_bgr=(1.1, 1.0, 0.9))),
+    }
+    for group, (world, conditions) in worlds.items():
+        taken = []
+        for k in range(20):
+            p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(90.0, 140.0)])
+            R_nb = so3.matrix(so3.from_euler(rng.normal(0.0, 0.05), rng.normal(0.0, 0.05), rng.uniform(-math.pi, math.pi)))
+            picture = render(world, scene.rig.left, *scene.rig.camera_pose(p_n, R_nb), conditions, rng)
+            taken.append((k * 500_000_000, picture, p_n, R_nb))
+        yield Flight(group, rig, known, _shots(taken, NEAR, (seed, group, 0)))
+        decoy = _turned(known, cv2.ROTATE_180)
+        yield Flight("rendered decoys, map turned", rig, decoy, _shots(taken, NEAR, (seed, group, 1)), decoy=True)
+
+
+def _orthophoto(world: World, rng: np.random.Generator) -> GroundPicture:
+    """From so far up that roofs lean by little more than a pixel; north up."""
+    middle, f = 0.5 * (_ORTHO_PX - 1), _ORTHO_FROM_M / _ORTHO_M
+    above = CameraModel(_ORTHO_PX, _ORTHO_PX, f, f, middle, middle)
+    picture = render(world, above, np.array([0.0, 0.0, -_ORTHO_FROM_M]), nadir_rig(above).R_bc, Conditions(vignetting=0.0), rng)
+    affine = np.array([[0.0, -_ORTHO_M, _ORTHO_M * middle], [_ORTHO_M, 0.0, -_ORTHO_M * middle]])
+    return GroundPicture("ortho", picture, affine, Heights.level(world.ground.down_m), 0.1, 0.1)
+
+
+def _other_season(world: World) -> World:
+    """Fields that were bright are dark, other grass has grown, trees are bare and pale, an overcast sky casts faint shadows."""
+    ground = world.ground
+    mean = ground.cover[-1]
+    side = texels_a_side(ground.detail)
+    grass = ground.detail[: side * side].reshape(side, side)
+    other = pyramid(bounded(np.ascontiguousarray(grass[::-1].T)))
+    cover = np.clip(2.0 * mean - ground.cover, 10.0, 250.0).astype(np.float32)
+    clutter = tuple(
+        replace(s, look=replace(s.look, roof_bgr=(120.0, 135.0, 140.0))) if s.look.texture == "leaves" else s
+        for s in world.clutter
+    )
+    return replace(world, ground=replace(ground, cover=cover, detail=other), clutter=clutter, sun=_OVERCAST)
+
+
+def _turned(known: MapPicture, turn: int) -> MapPicture:
+    """The same georeference over a picture that is turned about its middle, as far as the new one covers the same pixels."""
+    picture = known.picture
+    image = np.asarray(cv2.rotate(picture.image, turn), dtype=np.uint8)
+    return MapPicture.of(replace(picture, image=image))
+
+
+def _shots(
+    taken: list[tuple[int, Image, Array, Array]],
+    spread: Spread,
+    key: tuple[int, str, int],
+    away: tuple[float, float] = (0.0, 0.0),
+) -> Callable[[], Iterator[Shot]]:
+    """Priors drawn anew every 3 s of the flight, so that pictures within share their error; away: that much farther off, m."""
+
+    def shots() -> Iterator[Shot]:
+        drawn = generator(*key)
+        until_ns = -1
+        for t_ns, picture, p_n, R_nb in taken:
+            if t_ns >= until_ns:
+                off, until_ns = spread.draw(drawn, np.zeros(3), np.eye(3)), t_ns + 3_000_000_000
+                bearing, farther = drawn.uniform(0.0, 2.0 * math.pi), drawn.uniform(*away)
+            there = p_n + off.p_n + farther * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+            q = so3.normalise(so3.multiply(off.q_nb_wxyz, so3.from_matrix(np.ascontiguousarray(R_nb))))
+            yield Shot(t_ns, picture, p_n, R_nb, Prior(there, q, off.covariance))
+
+    return shots

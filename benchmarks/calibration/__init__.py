@@ -1,0 +1,1 @@
+"""Calibration against known truth and on published recordings."""

@@ -1,0 +1,1 @@
+"""Consistency over many simulated flights."""

@@ -1,0 +1,111 @@
+"""Accuracy and consistency on recorded flights, beside a plain filter and the published figures of others.
+
+python -m benchmarks.flights.real                              everything (make bench-real; the first time about half an hour)
+python -m benchmarks.flights.real --quick                      one seed, every third flight
+python -m benchmarks.flights.real --scenarios AX --sets euroc --naive
+python -m benchmarks.flights.real --gnss                       only the flights with GNSS
+python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with a quarter of the IMU samples
+python -m benchmarks.flights.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
+"""
+
+import argparse
+import json
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from benchmarks.flights import gnss, tables
+from benchmarks.flights.runs import NAIVE, OURS, Job, run
+from benchmarks.flights.tasks import ROOT, SETS, VISION, data_folder, tasks
+from benchmarks.tables import Table
+
+FLIGHT_SCENARIOS = "NABDLFXCG"
+
+
+def main() -> None:
+    args = arguments()
+    if not (data_folder() / "flights").is_dir():
+        raise SystemExit(f"{data_folder()}/flights not found: set LANDFIX_DATA to the folder of recorded flights")
+    if args.config and not args.config.is_file():
+        raise SystemExit(f"{args.config}: no such file")
+    everything = not (args.vision or args.gnss or args.scenarios)
+    scenarios = (args.scenarios or (FLIGHT_SCENARIOS if everything else "")) + ("VW" if args.vision or everything else "")
+    seeds, every = (args.seeds[:1], 3) if args.quick else (args.seeds, 1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
+    sigma = (args.vision_sigma[0], args.vision_sigma[1])
+    imu, config = (args.imu_every, args.imu_gap), str(args.config or "")
+    jobs = [Job(task, estimators, sigma, imu, config) for task in tasks(args.sets, scenarios, seeds, every)]
+    runs = run_all(jobs, args.out, args.jobs) if jobs else []
+    report = [table.markdown() for table in report_tables(runs)]
+    if runs:
+        (args.out / "results.json").write_text(json.dumps(runs, indent=1))
+        tables.figure(runs, args.out / "medians.png")
+    if args.gnss or everything:
+        report += [table.markdown() for table in gnss.tables(args.out, args.jobs)]
+    (args.out / "report.md").write_text("\n".join(report))
+    print("\n".join(report))
+    print(f"{args.out}/report.md, results.json, medians.png")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
+    parser.add_argument("--scenarios", type=scenario_letters, help=f"letters out of {FLIGHT_SCENARIOS}{''.join(VISION)}")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--naive", action="store_true", help="the plain filter too (slow the first time, then kept)")
+    parser.add_argument("--naive-only", action="store_true", help="the plain filter alone")
+    parser.add_argument("--vision", action="store_true", help="only real vision estimates as fixes (and --scenarios)")
+    parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
+    parser.add_argument("--imu-every", type=int, default=1, metavar="N", help="every n-th IMU sample alone, not averaged")
+    parser.add_argument("--imu-gap", type=float, default=0.0, metavar="S", help="no IMU samples for so long in each second")
+    parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the tasks' own, such as what landfix tune wrote")
+    parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")
+    parser.add_argument("--quick", action="store_true", help="one seed, every third flight")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_real")
+    return parser.parse_args()
+
+
+def scenario_letters(text: str) -> str:
+    unknown = set(text) - set(tables.SCENARIOS)
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no scenario {', '.join(sorted(unknown))}: letters out of {''.join(tables.SCENARIOS)}")
+    return text
+
+
+def run_all(jobs: list[Job], out: Path, processes: int) -> list[dict[str, Any]]:
+    """Results in the order of the jobs; a run that fails stops everything, with the name of its task."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    results: dict[Job, list[dict[str, Any]]] = {}
+    with Progress(*columns) as progress, ProcessPoolExecutor(processes) as pool:
+        bar = progress.add_task("flights", total=len(jobs))
+        futures = {pool.submit(run, job, out): job for job in jobs}
+        for future in as_completed(futures):
+            job = futures[future]
+            try:
+                results[job] = future.result()
+            except Exception as error:
+                pool.shutdown(cancel_futures=True)
+                raise RuntimeError(f"{job.task.name} failed") from error
+            progress.update(bar, advance=1, description=f"{job.task.name:34}")
+    return [result for job in jobs for result in results[job]]
+
+
+def report_tables(runs: list[dict[str, Any]]) -> list[Table]:
+    """Medians by scenario, consistency, outage ends by flight, worst runs."""
+    if not runs:
+        return []
+    by_scenario = {s: [r for r in runs if r["scenario"] == s] for s in dict.fromkeys(r["scenario"] for r in runs)}
+    found = [tables.scenario_table(scenario, those) for scenario, those in by_scenario.items()]
+    found.append(tables.consistency_table(runs))
+    found += [tables.flight_table(s, by_scenario[s], "end_60" if s == "B" else "end_30") for s in ("A", "B") if s in by_scenario]
+    return [*found, tables.worst_table(runs)]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""One rendered flight: simulated, its pictures drawn, and replayed with what the cameras see or without it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.files.formats import load_rig
+from estimator.config import load
+from estimator.frontend.processor import Sight
+from estimator.frontend.replay_pictures import SightReplay
+from estimator.map_files import store as map_store
+from estimator.replay import flight_pictures
+from estimator.replay import simulate as simulated
+from estimator.replay.replay import replay
+from logs.evaluation.evaluate import Comparison, compare
+from logs.evaluation.evidence import read
+from models.sim.scenario import Scenario, simulate
+
+
+def draw(folder: Path, plan: Scenario, seed: int) -> None:
+    """The flight of a scenario with cameras as flight.mcap, with map, rig and configuration beside it."""
+    assert plan.cameras is not None
+    folder.mkdir(parents=True, exist_ok=True)
+    simulation = simulate(plan, seed)
+    pictures = flight_pictures.plan(plan.cameras, simulation, seed)
+    pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
+    (folder / "flight.toml").write_text(flight_pictures.configuration(simulation, "map.geojson", "rig.yaml"))
+    simulated.write(simulation, folder / "flight.mcap", pictures=pictures)
+
+
+def fly(folder: Path, after_s: float, *, landmarks: bool = True) -> Comparison:
+    """Estimate and truth from after_s on; landmarks: with what the cameras see."""
+    config, log, estimate = load(folder / "flight.toml"), folder / "flight.mcap", estimate_of(folder, landmarks=landmarks)
+    sight = None
+    if landmarks:
+        seen = Sight(load_rig(folder / "rig.yaml"), map_store.load(folder / "map.geojson"))
+        sight = SightReplay(seen, config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    replay(log, estimate, config, sight=sight)
+    evidence = read(estimate)
+    c = compare(evidence.estimate, evidence.truth)
+    return c[np.asarray(c.t_ns - int(evidence.truth.t_ns[0]) >= round(after_s * 1e9))]
+
+
+def estimate_of(folder: Path, *, landmarks: bool) -> Path:
+    """The log that fly() writes."""
+    return folder / f"estimate_{'with' if landmarks else 'without'}.mcap"

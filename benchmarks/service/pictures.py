@@ -1,0 +1,74 @@
+"""What the cameras of benchmarks.service.vehicle see on one turn of its circle, rendered beforehand.
+
+    python -m benchmarks.service.pictures FOLDER
+
+It writes turn.mcap (300 stereo pairs, JPEG), map.geojson and rig.yaml.
+"""
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmarks.service.vehicle import ORIGIN, PERIOD_NS, truth
+from calib.files.formats import save_rig
+from logs.store.recorder import Recorder
+from logs.wire.codec import Encoded
+from logs.wire.pictures import encode_picture
+from vision.synthetic import Conditions, Scene, WorldSpec, make_world, render_pair
+
+PAIRS: Final = 300  # a turn of 30 s at 10 Hz
+_SPEC: Final = WorldSpec(
+    area_m=130.0,
+    spacing_m=16.0,
+    painted=0.8,
+    unmapped=0.1,
+    sigma_m=0.1,
+    height_sigma_m=0.1,
+    outline_sigma_m=0.05,
+    origin=ORIGIN.lla,
+)  # fmt: skip
+_JPEG_QUALITY: Final = 90
+
+
+def write(folder: Path) -> None:
+    """Render the turn on all cores."""
+    scene = _scene()
+    (folder / "map.geojson").write_bytes(scene.map.to_geojson())
+    save_rig(folder / "rig.yaml", scene.rig_believed)
+    with Recorder(folder / "turn.mcap") as recorder:
+        for k, pair in enumerate(_pairs()):
+            for message in pair:
+                recorder.write(*message, k * PERIOD_NS // PAIRS)
+
+
+def _pairs() -> Iterator[tuple[Encoded, Encoded]]:
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(_draw, range(PAIRS), chunksize=10)
+
+
+@cache
+def _scene() -> Scene:
+    cv2.setNumThreads(1)
+    return make_world(5, _SPEC)
+
+
+def _draw(k: int) -> tuple[Encoded, Encoded]:
+    t_ns, scene = k * PERIOD_NS // PAIRS, _scene()
+    p_n, _, R_nb = truth(t_ns)
+    left, right = render_pair(scene.world, scene.rig, p_n, R_nb, Conditions(), np.random.default_rng(k))
+    return (
+        encode_picture(t_ns, left, "/left/image", jpeg_quality=_JPEG_QUALITY),
+        encode_picture(t_ns, right, "/right/image", jpeg_quality=_JPEG_QUALITY),
+    )
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))

@@ -1,0 +1,1 @@
+"""Speed, as ratios to a baseline that runs in the same milliseconds."""

@@ -1,0 +1,4 @@
+"""One camera, a stereo rig, a camera against surveyed points: first estimate, bundle adjustment, covariance.
+
+Begin with `mono` and `stereo`. May import calib.board, calib.files and calib.errors, vision and models.
+"""

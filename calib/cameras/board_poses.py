@@ -1,0 +1,98 @@
+"""Where the board is in each picture of a recording, with covariance: x_c = R_co @ x_o + t_co."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.board.chessboard import Board, View
+from calib.cameras.bundle import IDENTITY, Pose, Problem, Seen, Solution, adjust
+from calib.cameras.mono import board_pose
+from calib.errors import CalibrationError
+from models.camera import CameraModel
+from models.messages import Array
+
+_OUTLIER: Final = 5.0  # times the residual of the middle view
+
+
+@dataclass(frozen=True)
+class BoardPoses:
+    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about the axes of c) from noise of the corners sigma_px.
+
+    by_lens (M, 6, k): what an error of the lens' parameters does to a pose; lens_covariance (k, k) of those, None = exact.
+    """
+
+    R_co: Array
+    t_co: Array
+    covariance: Array
+    sigma_px: float
+    by_lens: Array
+    lens_covariance: Array | None
+
+    def only(self, kept: NDArray[np.bool_]) -> "BoardPoses":
+        """Some of the pictures."""
+        return replace(
+            self, R_co=self.R_co[kept], t_co=self.t_co[kept], covariance=self.covariance[kept], by_lens=self.by_lens[kept]
+        )  # fmt: skip
+
+    def shifted(self, lens: Array) -> "BoardPoses":
+        """As they would have been measured with the lens' parameters off by `lens`."""
+        moved = [Pose(R, t).moved(d) for R, t, d in zip(self.R_co, self.t_co, self.by_lens @ lens, strict=True)]
+        return replace(self, R_co=np.array([p.R for p in moved]), t_co=np.array([p.t for p in moved]))
+
+
+def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
+    """Views in order of time; of a board that looks the same upside down each is read from the end that the one before was."""
+    if not board.ends_alike:
+        return list(views)
+    same = [views[0]]
+    for view in views[1:]:
+        ways = (view, replace(view, px=view.px[::-1].copy()))
+        same.append(min(ways, key=lambda v: float(np.sum((v.px - same[-1].px) ** 2))))
+    return same
+
+
+def board_poses(
+    views: Sequence[View], board: Board, camera: CameraModel, progress: Callable[[float], None] | None = None
+) -> tuple[BoardPoses, NDArray[np.int64]]:
+    """Poses by least squares, and which views they are of; the noise of the corners is what all views leave together.
+
+    A view whose corners fit far worse than the others' is left out: what was found in it was not the board.
+    """
+    told = progress or (lambda _: None)
+    solved: list[tuple[int, Solution]] = []
+    for k, view in enumerate(views):
+        seen = Seen(board.points[view.ids], view.px)
+        with contextlib.suppress(CalibrationError, cv2.error):
+            solved.append((k, adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))))
+        told((k + 1) / len(views))
+    usual = float(np.median([s.rms for _, s in solved])) if solved else 0.0
+    good = [(k, s) for k, s in solved if s.rms <= _OUTLIER * usual]
+    if not good:
+        raise CalibrationError("the rig's camera fits none of the views: is it the right rig, the right --board?")
+    parts = [_information(camera, s) for _, s in good]
+    redundancy = [2 * len(views[k].px) - 6 for k, _ in good]
+    sigma2 = float(np.average([s.sigma_px**2 for _, s in good], weights=redundancy))
+    poses = BoardPoses(
+        np.array([s.problem.poses[0].R for _, s in good]), np.array([s.problem.poses[0].t for _, s in good]),
+        np.asarray(sigma2 * np.linalg.inv([N for N, _ in parts]), dtype=np.float64), float(np.sqrt(sigma2)),
+        np.array([by_lens for _, by_lens in parts]), camera.covariance,
+    )  # fmt: skip
+    return poses, np.array([k for k, _ in good], dtype=np.int64)
+
+
+def _information(camera: CameraModel, solution: Solution) -> tuple[Array, Array]:
+    """J^T J (6, 6) of a view's pose, and the pose's derivative by the lens' parameters (6, k)."""
+    seen, pose = solution.problem.views[0][0], solution.problem.poses[0]
+    assert seen is not None
+    x_c = pose.of(seen.x_o)
+    to_x = camera.project_jacobian(x_c)
+    turned = seen.x_o @ pose.R.T
+    J = np.concatenate((to_x, np.cross(turned[:, None], to_x)), axis=2).reshape(-1, 6)
+    J_lens = camera.parameter_jacobian(x_c).reshape(len(J), -1)
+    N: Array = J.T @ J
+    return N, np.asarray(-np.linalg.solve(N, J.T @ J_lens))

@@ -1,0 +1,154 @@
+"""Rig and camera files: ours (rig.yaml, versioned, with covariances), OpenCV XML/YAML, ROS camera_info, Kalibr camchain.
+
+What a file is, its content tells, not its name:  load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel.
+A file that cannot be used raises CalibrationError with one line that says what is wrong.
+"""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from calib.errors import CalibrationError
+from calib.files import kalibr, opencv, rig_yaml, ros
+from calib.files.plain_yaml import parse
+from models.camera import CameraModel, StereoRig
+
+__all__ = ["CalibrationError", "Format", "load_camera", "load_rig", "save_camera", "save_rig"]
+
+_LONGEST_BASELINE_M = 20.0  # of a rig on a vehicle; a larger number is in millimetres
+_SHORTEST_BASELINE_M = 1e-3
+_MOST_BYTES = 1_000_000
+
+
+class Format(StrEnum):
+    """How a rig or a camera is written."""
+
+    LANDFIX = "landfix"
+    OPENCV = "opencv"
+    ROS = "ros"
+    KALIBR = "kalibr"
+
+
+def load_rig(path: str | Path) -> StereoRig:
+    """A stereo rig from any of the formats; of ROS camera_info either of the two files NAME_left.yaml, NAME_right.yaml.
+
+    A file that does not say where the cameras sit on the body gets a forward-looking camera at the IMU whose covariance
+    is "not given" (rig_yaml.UNKNOWN_POSE). Raises CalibrationError.
+    """
+    path = Path(path)
+    text = _read(path)
+    try:
+        rig = _rig(path, text)
+    except ValueError as error:  # the camera's and the rig's own checks
+        raise error if isinstance(error, CalibrationError) else CalibrationError(f"{path}: {error}") from None
+    if not _SHORTEST_BASELINE_M < rig.baseline_m < _LONGEST_BASELINE_M:
+        raise CalibrationError(f"{path}: the cameras are {rig.baseline_m:g} m apart; are the translations in metres?")
+    return rig
+
+
+def load_camera(path: str | Path, side: str = "left") -> CameraModel:
+    """One camera; of a rig the one on the given side. Raises CalibrationError."""
+    path = Path(path)
+    text = _read(path)
+    try:
+        if _is_opencv(text):
+            camera = opencv.read_camera(text, str(path), side)
+            return camera if camera is not None else _of_rig(opencv.read_rig(text, str(path)), side)
+        value = parse(text, str(path))
+        if "image_width" in value and "camera_matrix" in value:
+            return ros.camera(value, str(path))
+        if value.get("format") == rig_yaml.CAMERA_FORMAT:
+            return rig_yaml.read_camera(value, str(path))
+        if "cam0" in value:
+            return kalibr.camera(value, "cam0" if side == "left" else "cam1", str(path))
+        return _of_rig(_rig(path, text), side)
+    except ValueError as error:
+        raise error if isinstance(error, CalibrationError) else CalibrationError(f"{path}: {error}") from None
+
+
+def save_rig(path: str | Path, rig: StereoRig, form: Format | None = None) -> list[Path]:
+    """Write a rig; without a form the name tells (.xml, .yml: OpenCV, else ours). Returns the files written."""
+    path = Path(path)
+    try:
+        texts = _rig_texts(path, rig, form or _form_of(path))
+    except ValueError as error:  # cameras that cannot be rectified, a lens the form has no name for
+        raise CalibrationError(f"{path}: {error}") from None
+    for name, text in texts.items():
+        _write(name, text)
+    return list(texts)
+
+
+def save_camera(path: str | Path, camera: CameraModel, form: Format | None = None) -> list[Path]:
+    """Write one camera; the form as in save_rig."""
+    path = Path(path)
+    form = form or _form_of(path)
+    if form is Format.ROS:
+        text = ros.camera_text(camera, path.stem)
+    elif form is Format.KALIBR:
+        text = kalibr.camera_text(camera)
+    elif form is Format.OPENCV:
+        text = opencv.camera_text(camera, path.suffix == ".xml")
+    else:
+        text = rig_yaml.camera_text(camera)
+    _write(path, text)
+    return [path]
+
+
+def _rig(path: Path, text: str) -> StereoRig:
+    if _is_opencv(text):
+        return opencv.read_rig(text, str(path))
+    value: dict[str, Any] = parse(text, str(path))
+    if value.get("format") == rig_yaml.RIG_FORMAT:
+        return rig_yaml.read_rig(value, str(path))
+    if value.get("format") == rig_yaml.CAMERA_FORMAT:
+        raise CalibrationError(f"{path}: this is one camera, a rig has two: landfix calibrate stereo makes it")
+    if "cam0" in value:
+        return kalibr.rig(value, str(path))
+    if "camera_matrix" in value:
+        left, right = ros.pair_of(path)
+        return ros.rig(parse(_read(left), str(left)), parse(_read(right), str(right)), f"{left}, {right.name}")
+    raise CalibrationError(f"{path}: neither a rig of ours, OpenCV, ROS camera_info nor Kalibr camchain")
+
+
+def _form_of(path: Path) -> Format:
+    return Format.OPENCV if path.suffix in {".xml", ".yml"} else Format.LANDFIX
+
+
+def _rig_texts(path: Path, rig: StereoRig, form: Format) -> dict[Path, str]:
+    if form is Format.ROS:
+        return dict(zip(ros.pair_of(path), ros.rig_texts(rig), strict=True))
+    if form is Format.KALIBR:
+        return {path: kalibr.rig_text(rig)}
+    if form is Format.OPENCV:
+        return {path: opencv.rig_text(rig, path.suffix == ".xml")}
+    return {path: rig_yaml.rig_text(rig)}
+
+
+def _of_rig(rig: StereoRig, side: str) -> CameraModel:
+    return rig.right if side == "right" else rig.left
+
+
+def _is_opencv(text: str) -> bool:
+    return text.lstrip().startswith(("<?xml", "<opencv_storage", "%YAML:1.0")) or "!!opencv-matrix" in text
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise CalibrationError(f"{path}: is larger than {_MOST_BYTES:_} bytes: no rig or camera file")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such file") from None
+    except (UnicodeDecodeError, IsADirectoryError):
+        raise CalibrationError(f"{path}: no text file (needed: a rig or camera file in YAML or XML)") from None
+    except OSError as error:
+        raise CalibrationError(f"{path}: {error.strerror}") from None
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,4 @@
+"""What commands share: what is printed and how, where pictures come from, views of a board in them.
+
+May import calib, logs and vision; no command.
+"""

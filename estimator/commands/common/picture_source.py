@@ -1,0 +1,171 @@
+"""Where a command gets pictures from: files, folders, patterns, videos, logs, a live camera; one at a time."""
+# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
+
+import re
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from calib.errors import CalibrationError
+
+_PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
+_VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"}
+MOST_FRAMES = 300  # of a video or a log; evenly spread
+_LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: a picture so often, for so long
+
+
+class Picture(NamedTuple):
+    """key: what pairs it with the other camera's (a number in its name, frame, or stamp in ns); done: fraction of the source.
+
+    fault: why it cannot be read; its image is None then.
+    """
+
+    name: str
+    key: int
+    image: Any
+    done: float
+    fault: str = ""
+
+
+def picture(path: Path) -> Any:
+    """The one picture of a file. Raises CalibrationError where it cannot be read."""
+    first = next(pictures([str(path)], "", 1))
+    if first.fault:
+        raise CalibrationError(f"{path}: {first.fault}")
+    return first.image
+
+
+def pictures(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[Picture]:
+    """All pictures of the sources in order, of a video or log at most so many. Raises CalibrationError where there is none."""
+    files = files_of(sources)
+    source: Iterator[Picture]
+    for k, file in enumerate(files):
+        if is_live(file):
+            source = (taken for (taken,) in live([file]))
+        elif Path(file).suffix.lower() == ".mcap":
+            source = _log(Path(file), topic, most)
+        elif Path(file).suffix.lower() in _VIDEOS:
+            source = _video(Path(file), most)
+        else:
+            source = _still(Path(file), k)
+        for picture in source:
+            yield picture._replace(done=(k + picture.done) / len(files))
+
+
+def files_of(sources: Sequence[str]) -> list[str]:
+    """The files, and cameras, that sources mean. Raises CalibrationError where there is none."""
+    return [f for source in sources for f in _files(source)]
+
+
+def _files(source: str) -> list[str]:
+    path = Path(source)
+    if is_live(source):
+        return [source]
+    if path.is_dir():
+        found = sorted(str(p) for p in path.iterdir() if p.suffix.lower() in _PICTURES)
+        if not found:
+            raise CalibrationError(f"{source}: no pictures in this folder")
+        return found
+    if any(c in source for c in "*?["):
+        base = Path(path.anchor or ".")
+        found = sorted(str(p) for p in base.glob(str(path.relative_to(path.anchor)) if path.anchor else source))
+        if not found:
+            raise CalibrationError(f"{source}: no file has such a name")
+        return found
+    if not path.exists():
+        raise CalibrationError(f"{source}: no such file or folder")
+    return [source]
+
+
+def _still(path: Path, k: int) -> Iterator[Picture]:
+    import cv2
+    import numpy as np
+
+    from logs.importers.quiet import silence
+
+    data = np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8)
+    with silence():  # libpng and OpenCV would tell of a torn file, too
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    numbers = re.findall(r"\d+", path.stem)
+    key = int(numbers[-1]) if numbers else -1 - k
+    if image is None:
+        yield Picture(path.name, key, None, 1.0, "no picture that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)")
+    else:
+        yield Picture(path.name, key, image[..., :3] if image.ndim == 3 else image, 1.0)
+
+
+def _video(path: Path, most: int) -> Iterator[Picture]:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    if not video.isOpened() or count == 0:
+        raise CalibrationError(f"{path}: no video that can be read")
+    step = max(1, -(-count // most))
+    for frame in range(count):
+        if not video.grab():
+            break
+        if frame % step == 0:
+            ok, image = video.retrieve()
+            if ok:
+                yield Picture(f"{path.name} frame {frame}", frame, image, (frame + 1) / count)
+
+
+def is_live(source: str) -> bool:
+    """Whether a source is a camera: camera:0, camera:URL."""
+    return source.startswith("camera:")
+
+
+def live(sources: Sequence[str]) -> Iterator[tuple[Picture, ...]]:
+    """Pictures of one or more cameras, each time of all at once. Raises CalibrationError where one gives none."""
+    cameras = [_opened(source.removeprefix("camera:")) for source in sources]
+    began, taken, count = time.monotonic(), -_LIVE_S, 0
+    while (elapsed := time.monotonic() - began) < _LIVE_FOR_S and all(c.grab() for c in cameras):
+        if elapsed - taken >= _LIVE_S:
+            shots = [c.retrieve() for c in cameras]
+            if all(ok for ok, _ in shots):
+                taken, count = elapsed, count + 1
+                yield tuple(Picture(f"picture {count}", count, image, elapsed / _LIVE_FOR_S) for _, image in shots)
+    if count == 0:
+        raise CalibrationError(f"{', '.join(sources)}: opened, but gives no picture: is another program using it?")
+
+
+def _opened(device: str) -> Any:
+    import cv2
+
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # else it tells of every way that it tried
+    camera = cv2.VideoCapture(int(device) if device.isdigit() else device)
+    if not camera.isOpened():
+        raise CalibrationError(f"camera {device} cannot be opened (landfix takes camera:0, camera:1, ... or camera:URL)")
+    return camera
+
+
+def _log(path: Path, topic: str, most: int) -> Iterator[Picture]:
+    from logs.store.reader import LogReader
+
+    with LogReader(path) as log:
+        stamps = [r.log_time_ns for r in log if r.topic == topic]
+    if not stamps:
+        raise CalibrationError(f"{path}: no pictures under {topic} in it; name their topic")
+    step = max(1, -(-len(stamps) // most))
+    with LogReader(path) as log:
+        for k, record in enumerate(r for r in log if r.topic == topic):
+            if k % step == 0:
+                yield _of_record(record.schema, record.data, topic, (k + 1) / len(stamps))
+
+
+def _of_record(schema: str, data: bytes, topic: str, done: float) -> Picture:
+    """The picture in a sensor_msgs Image or CompressedImage."""
+    from logs.wire import schemas
+    from logs.wire.pictures import PictureError, decode_picture
+    from logs.wire.stamps import stamp_of
+
+    if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
+        raise CalibrationError(f"{topic} carries {schema}, not pictures")
+    t_ns = stamp_of(data) or 0
+    name = f"{topic} at {t_ns * 1e-9:.3f} s"
+    try:
+        return Picture(name, t_ns, decode_picture(schema, data), done)
+    except PictureError as error:
+        return Picture(name, t_ns, None, done, str(error))

@@ -1,0 +1,81 @@
+"""landfix map learn."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from estimator.commands.common.console import ConfigFile, Json, Out, note, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from estimator.tools.maps.learn import LearnSummary
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Flight with GNSS, IMU and pictures.")],
+    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
+    out: Out,
+    config: ConfigFile = None,
+    ground_alt_m: Annotated[
+        float | None, typer.Option(help="Ground above the ellipsoid; else where the log begins, standing.")
+    ] = None,
+    least_frames: Annotated[int, typer.Option(min=2, help="Landmarks are seen in so many pictures.")] = 4,
+    least_m2: Annotated[float, typer.Option(min=0, help="Landmarks are at least this large; cars are smaller than 15.")] = 15.0,
+    most_sigma_m: Annotated[float, typer.Option(min=0, help="Pictures whose place is less sure are left out.")] = 1.5,
+    most_hz: Annotated[float, typer.Option(min=0.01, help="Pairs looked at, per second.")] = 2.0,
+    pick: Annotated[str, typer.Option(metavar="COLOURS", help="Only regions of these colours, as in red,#30a050.")] = "",
+    json: Json = False,
+) -> None:
+    """Learn a map by flying.
+
+    Poses come from the log's GNSS and IMU, smoothed; what the pictures show is measured from them, and what is seen at the same
+    place again and again becomes a landmark, with the standard deviation it deserves. Look at the map before you trust it.
+
+    \b
+    Examples:
+      landfix map learn flight.mcap --rig rig.yaml -o map.geojson
+      landfix map learn flight.mcap --rig rig.yaml -c vehicle.toml -o map.geojson --ground-alt-m 488
+      landfix map learn flight.mcap --rig rig.yaml -o map.geojson --pick red,white --least-frames 8
+    """
+    from calib.files.formats import load_rig
+    from estimator import config as configuration
+    from estimator.commands.map.options import colours
+    from estimator.tools.maps.ambiguity import marked
+    from estimator.tools.maps.learn import LearnConfig, learn
+    from vision.learn.tracks import KeepConfig
+
+    how = LearnConfig(
+        most_hz=most_hz,
+        most_sigma_m=most_sigma_m,
+        ground_alt_m=ground_alt_m,
+        colours_bgr=colours(pick),
+        keep=KeepConfig(least_frames=least_frames, least_m2=least_m2),
+    )
+    loaded = configuration.read(config) if config else configuration.Config()
+    with progress(f"learn {source.name}") as report:
+        the_map, summary = learn(source, load_rig(rig_file), loaded, how, report)
+        if len(the_map):
+            out.write_bytes(the_map.to_geojson(marked(the_map)))
+    if summary.torn:
+        note(f"landfix: {source} is torn; read up to its last whole record")
+    if json:
+        print_json(summary)
+    else:
+        _print(summary, out, told=ground_alt_m is not None)
+    if not len(the_map):
+        note(f"landfix: {source}: no landmark was learned, nothing written")
+        raise typer.Exit(1)
+
+
+def _print(summary: "LearnSummary", out: Path, *, told: bool) -> None:
+    horizontal, vertical = summary.common_sigma_m
+    rows = [
+        ("landmarks", str(summary.landmarks)),
+        ("pictures looked at", str(summary.pictures)),
+        ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if told else ", where the log begins")),
+        ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
+        *((f"skipped: {reason}", f"{count} pictures") for reason, count in summary.skipped.items()),
+        *((f"left out: {reason}", f"{count} things") for reason, count in summary.left_out.items()),
+    ]
+    print_table(f"{out}", rows)

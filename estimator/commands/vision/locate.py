@@ -1,0 +1,262 @@
+"""landfix locate."""
+# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from estimator.commands.common.console import Json, note, print_json, print_table
+
+if TYPE_CHECKING:
+    from estimator.map_files.picture_file import PictureFile
+    from models.camera import StereoRig
+    from models.maps.landmarks import LandmarkMap
+    from models.messages import Array, LandmarkFix
+    from vision.identify.identify import Prior
+    from vision.image.rectify import Image
+    from vision.pipeline import Result
+    from vision.recognisers import MapPicture
+
+
+_WIDEST_M = 1e7  # a quarter of the way around the Earth
+
+
+class LocateError(ValueError):
+    """No fix, or nothing to make one of; the text is one line for a person."""
+
+
+def command(
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
+    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the cameras (YAML or XML).")],
+    prior: Annotated[
+        str,
+        typer.Option(
+            metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Where the vehicle is believed to be: deg, m above the ellipsoid, deg."
+        ),
+    ],
+    map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
+    right: Annotated[Path | None, typer.Argument(metavar="[RIGHT]", help="Right picture, taken at the same time.")] = None,
+    prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
+    ] = None,
+    picture_sigma_m: Annotated[float, typer.Option(min=0, help="How far it may lie from its place, per axis.")] = 1.0,
+    picture_height_m: Annotated[
+        float | None, typer.Option(help="Of its ground above the ellipsoid; else the height of the map's origin.")
+    ] = None,
+    picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="How well the height of its ground is known.")] = 2.0,
+    picture_heights: Annotated[
+        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or picture with a world file: heights above the ellipsoid [m].")
+    ] = None,
+    picture_epsg: Annotated[
+        int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
+    ] = 0,
+    within_m: Annotated[
+        float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
+    json: Json = False,
+) -> None:
+    """Say where the vehicle is: one fix from one stereo pair, or from one picture.
+
+    Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
+    orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.
+    Exit code 1 where there is no fix, or with --within none that, with the prior, is good enough.
+
+    \b
+    Examples:
+      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
+      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
+      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
+      landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
+    """
+    from calib.files.formats import load_rig
+    from estimator.commands.common.picture_source import picture as read_picture
+    from estimator.map_files.picture_file import PictureFile
+    from vision.recognisers import Recognisers
+
+    believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")
+    sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
+    if within_m is not None and not within_m > 0.0:
+        raise typer.BadParameter(f"--within {within_m:g} must be above 0")
+    if map_file is None and picture is None:
+        raise typer.BadParameter("a map is needed: --map, --picture, or both")
+    rig = load_rig(rig_file)
+    known = None
+    if picture is not None:
+        known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
+    landmarks, map_picture = _map(map_file, known)
+    images = [None if path is None else read_picture(path) for path in (left, right)]
+    start = _prior(landmarks, believed, sigma)
+    try:
+        recognisers = Recognisers(rig, landmarks, map_picture)
+    except ValueError as error:
+        raise LocateError(f"{rig_file}: {error}") from None
+    result = recognisers.process(images[0], images[1], 0, start)
+    if out is not None and images[0] is not None:
+        _write_overlay(out, images[0], rig, landmarks, start, result)
+    answer = _as_json(landmarks, start, result)
+    if json:
+        print_json(answer)
+    else:
+        _print(answer, result)
+    if result.fix is None:
+        raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
+    known_m = answer["with_prior"]["within_m"]
+    if within_m is not None and not known_m <= within_m:
+        raise LocateError(f"no fix good to {within_m:g} m: with the prior it is good to {known_m:.2f} m (95 %)")
+
+
+def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
+    """Landmarks, none without a file of them, and the map's picture in the same frame."""
+    from estimator.map_files import picture as picture_store
+    from estimator.map_files import store as map_store
+    from models.maps.landmarks import LandmarkMap
+
+    if map_file is not None:
+        landmarks = map_store.load(map_file)
+        if not len(landmarks) and known is None:
+            raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
+    else:
+        assert known is not None
+        landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
+    return landmarks, picture_store.load(known, landmarks.origin) if known else None
+
+
+def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
+    """Fix and prior fused: p_n, R_nb, covariance (6, 6)."""
+    import numpy as np
+
+    from models import so3
+    from vision.pose.pose import combine
+
+    common = 0.0 if fix.covariance_common is None else fix.covariance_common
+    return combine(
+        prior, np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)), fix.covariance + common, fix.directions, fix.readings
+    )
+
+
+def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
+    try:
+        numbers = [float(x) for x in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise typer.BadParameter(f"{option} '{text}' must be {count} numbers with commas between, as in {example}")
+    return numbers
+
+
+def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) -> "Prior":
+    import numpy as np
+
+    from models import so3
+    from vision.identify.identify import Prior
+
+    lat, lon, alt, roll, pitch, yaw = believed
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
+        raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
+    if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):
+        raise typer.BadParameter(f"--prior-sigma must be positive, at most {_WIDEST_M:.0f} m and 180 degrees")
+    variance = [sigma[0] ** 2] * 3 + [math.radians(sigma[1]) ** 2] * 3
+    q = so3.from_euler(math.radians(roll), math.radians(pitch), math.radians(yaw))
+    return Prior(np.array(landmarks.frame.to_ned(lat, lon, alt)), q, np.diag(variance))
+
+
+def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance: "Array") -> dict[str, Any]:
+    """within_m: the position is known to so many metres in every direction (95 %)."""
+    import numpy as np
+
+    from models import so3
+    from models.radius import reach
+
+    lat, lon, alt = landmarks.frame.to_geodetic(p_n)
+    sigma = np.sqrt(np.diag(covariance))
+    return {
+        "lat_deg": lat,
+        "lon_deg": lon,
+        "alt_m": alt,
+        **dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), map(math.degrees, so3.to_euler(q_nb)), strict=True)),
+        "p_n_m": [float(x) for x in p_n],
+        "q_nb_wxyz": [float(x) for x in q_nb],
+        "sigma_north_east_down_m": sigma[:3].tolist(),
+        "sigma_rotation_deg": np.degrees(sigma[3:]).tolist(),
+        "within_m": reach(covariance[:3, :3]),
+        "covariance": covariance.tolist(),
+    }
+
+
+def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict[str, Any]:
+    import msgspec
+    import numpy as np
+
+    from models import so3
+
+    fix, report = result.fix, result.report
+    answer: dict[str, Any] = {"outcome": report.outcome, "detail": report.detail, "fix": None, "with_prior": None}
+    if fix is not None:
+        common = np.zeros((6, 6)) if fix.covariance_common is None else fix.covariance_common
+        answer["fix"] = {
+            **_pose_json(landmarks, np.array(fix.p_n), np.array(fix.q_nb_wxyz), fix.covariance + common),
+            "covariance_common": common.tolist(),
+            "landmarks": list(fix.landmarks),
+            "similarity": fix.similarity,
+            "residual_px": fix.residual_px,
+        }
+        p_n, R_nb, covariance = _joint(prior, fix)
+        answer["with_prior"] = _pose_json(landmarks, p_n, so3.from_matrix(np.ascontiguousarray(R_nb)), covariance)
+    answer["regions"] = [msgspec.structs.asdict(region) for region in result.regions]
+    return answer
+
+
+def _print(answer: dict[str, Any], result: "Result") -> None:
+    if result.regions:
+        rows = [
+            (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)
+            for r in result.regions
+        ]
+        print_table("Regions", rows, ("landmark", "state", "similarity", "why"))
+    for title, pose in (("The pictures alone", answer["fix"]), ("With the prior", answer["with_prior"])):
+        if pose is not None:
+            print_table(title, _pose_rows(pose))
+    if result.fix is not None:
+        note(f"{result.report.detail}; they fit to {result.fix.residual_px:.2f} px")
+
+
+def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
+    north, east, down = pose["sigma_north_east_down_m"]
+    return [
+        ("latitude", f"{pose['lat_deg']:.7f} deg ± {north:.2f} m"),
+        ("longitude", f"{pose['lon_deg']:.7f} deg ± {east:.2f} m"),
+        ("height above ellipsoid", f"{pose['alt_m']:.2f} ± {down:.2f} m"),
+        ("known to (95 %)", f"{pose['within_m']:.2f} m"),
+        ("roll, pitch, yaw", ", ".join(f"{pose[k]:.2f}" for k in ("roll_deg", "pitch_deg", "yaw_deg")) + " deg"),
+        ("± about north, east, down", ", ".join(f"{x:.2f}" for x in pose["sigma_rotation_deg"]) + " deg"),
+    ]
+
+
+def _write_overlay(
+    path: Path, image: "Image", rig: "StereoRig", landmarks: "LandmarkMap", prior: "Prior", result: "Result"
+) -> None:
+    """The map drawn into the left picture from the estimate, or from the prior where there is none."""
+    import cv2
+
+    from vision.describe.survey import to_8_bit
+    from vision.show.overlay import draw_overlay, outline_residuals
+
+    picture = to_8_bit(image)
+    p_n, R_nb = (prior.p_n, prior.R_nb) if result.fix is None else _joint(prior, result.fix)[:2]
+    p_nc, R_nc = rig.camera_pose(p_n, R_nb)
+    near = landmarks.near(float(p_nc[0]), float(p_nc[1]), 300.0)
+    used = result.fix.landmarks if result.fix is not None else ()
+    caption = [f"{result.report.outcome}: {result.report.detail}" if result.fix is None else result.report.detail]
+    if result.fix is None:
+        caption.append("drawn from the prior")
+    residuals = outline_residuals(picture, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
+    drawn = draw_overlay(picture, rig.left, p_nc, R_nc, near, used, residuals, caption)
+    done, png = cv2.imencode(".png", drawn)
+    if not done:
+        raise LocateError(f"{path}: the picture could not be encoded")
+    path.write_bytes(png.tobytes())

@@ -1,0 +1,256 @@
+"""The error-state extended Kalman filter: propagate, innovation, update.
+
+A nominal state x runs through the nonlinear motion model; the filter estimates its error dx, which is injected and reset to
+zero after every update (Sola 2017, sec. 6):
+
+    x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                                                     (eq. 287)
+
+P may carry, behind the 15 error states, slow errors: they repeat from fix to fix (map, rig, slow GNSS, zero of a barometer)
+and take part in S and in the correlations. Most are *considered*: never corrected (Schmidt 1966). A reading has of the
+considered errors c only their sum e = H_c c, so the update is that of the others and of e, few as they are:
+
+    (a, e) <- update,   P_ac <- P_ac - K_a (H P)_c,   P_cc stays                        (Bierman 1977, sec. VIII.3)
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.kalman import ErrorStateKalman
+from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
+from models import cholesky, imu, so3
+from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
+from models.messages import Array
+from models.state import E, retract, sound
+
+_WIDEST = 1.0  # rad: of the attitude after widen()
+_LN_2PI = math.log(2.0 * math.pi)
+_kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
+_identity = cache(np.eye)
+
+
+class Innovation(NamedTuple):
+    """One measurement seen from one state: nu (m,), H and H P (m, n), R and S (m, m), squared Mahalanobis distance, ln det S."""
+
+    nu: Array
+    h: Array
+    hp: Array
+    noise: Array
+    s: Array
+    distance2: float
+    logdet: float
+
+    @property
+    def log_likelihood(self) -> float:
+        """ln N(nu; 0, S)."""
+        return -0.5 * (self.distance2 + self.logdet + len(self.nu) * _LN_2PI)
+
+
+class Eskf:
+    """State, covariance and time of one filter."""
+
+    __slots__ = ("constants", "cov", "slow", "sound", "t_ns", "x")
+
+    def __init__(self, t_ns: int, x: Array, cov: Array, constants: Array, slow: SlowErrors = NO_SLOW_ERRORS) -> None:
+        self.t_ns, self.x, self.cov = t_ns, x, cov
+        self.constants, self.slow = constants, slow
+        self.sound = True  # state.sound of the present state
+
+    def copy(self) -> "Eskf":
+        """An independent filter in the same state."""
+        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow)
+
+    def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
+        """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
+        s = self.slow
+        self.sound = imu.propagate(
+            self.x, self.cov, samples.t_ns, samples.u, samples.known, samples.count, index, self.t_ns, to_ns,
+            self.constants, s.tau_s, s.psd,
+        )  # fmt: skip
+        self.t_ns = to_ns
+
+    def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> None:
+        """From now on take the slow error `block` into account, if it is not known already.
+
+        covariance: (k, k), steady; with `walk` (k,), variance per second, that of the start of a random walk, which is estimated.
+        """
+        if block in self.slow.columns:
+            return
+        n, k = len(self.cov), len(covariance)
+        wider = np.zeros((n + k, n + k))
+        wider[:n, :n], wider[n:, n:] = self.cov, covariance
+        self.cov = wider
+        if walk is None:
+            self.slow = self.slow.also(block, 2.0 * np.diag(covariance) / tau_s, tau_s, estimated=False)
+        else:
+            self.slow = self.slow.also(block, walk, math.inf, estimated=True)
+
+    def zero(self, block: str, seen: Innovation) -> None:
+        """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,
+
+        ds = -(H dx + v),   cov(ds, dx) = -P H^T,   var(ds) = H P H^T + R               (H of all states but s itself)
+        """
+        column = self.slow.columns[block].start
+        h = seen.h[0].copy()
+        h[column] = 0.0
+        cross = -h @ self.cov
+        variance = h @ self.cov @ h + seen.noise[0, 0]
+        self.cov[column, :], self.cov[:, column] = cross, cross
+        self.cov[column, column] = variance
+        by = np.zeros(len(self.slow.mean))
+        by[column - E.SIZE] = seen.nu[0]
+        self.slow = self.slow.moved(by)
+
+    def widen(self, factor: float) -> None:
+        """P_nn <- factor^2 P_nn: position, velocity and attitude have jumped, by an error that nothing else knows of.
+
+        So what contradicts them moves the biases no more than before. Correlations scaled with P (D P D) would claim that the
+        jump is a multiple of the error that biases make, and one such update may move them by many of their sigmas.
+
+        A small-angle error state has no use for an attitude sigma beyond _WIDEST: the attitude is widened up to that by f_theta,
+        and what position and velocity are widened by more is independent of it:
+
+            P_nn <- f_theta^2 P_nn + (f^2 - f_theta^2) blockdiag(P_pp,vv, 0)
+        """
+        sigma = math.sqrt(max(self.cov.diagonal()[E.THETA].tolist()))
+        turned = min(factor, max(1.0, _WIDEST / sigma)) ** 2
+        self.cov[:_G, :_G] *= turned
+        if turned < factor**2:
+            self.cov[:_T, :_T] *= factor**2 / turned
+
+    def forget(self, block: str) -> None:
+        """The slow error `block` is no longer taken into account."""
+        gone = self.slow.columns[block]
+        rows = np.concatenate((self.cov[: gone.start], self.cov[gone.stop :]))
+        self.cov = np.concatenate((rows[:, : gone.start], rows[:, gone.stop :]), axis=1)
+        self.slow = self.slow.without(block)
+
+    def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
+        """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
+        nu, by_state = z.evaluate(self.x, gyro_b)
+        m, noise = len(nu), z.noise
+        h = np.zeros((m, len(self.cov)))
+        h[:, : E.SIZE] = by_state
+        for block, jacobian in slow:
+            columns = self.slow.columns[block]
+            moved = _identity(columns.stop - columns.start) if jacobian is None else jacobian
+            h[:, columns] = moved if len(moved) == m else moved[z.rows]
+        hp, s, distance2, logdet = compare(nu, self.cov, h, noise, self.slow.mean)
+        if isinstance(z, PartialPose):
+            bend = z.bend(self.x, self.cov, nu, h, s)
+            noise, s = noise + bend, s + bend
+            distance2, logdet = mahalanobis(nu, s)
+        return Innovation(nu, h, hp, noise, s, distance2, logdet)
+
+    def update(self, seen: Innovation) -> None:
+        """Fuse a measurement that has passed its gate."""
+        dx = self.correct(seen)
+        self.sound = inject(self.x, self.cov, dx)
+
+    def correct(self, seen: Innovation) -> Array:
+        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
+        if len(self.cov) == E.SIZE:
+            dx, self.cov, _ = _kalman(E.SIZE).update(self.cov, seen.nu, seen.h, seen.noise)
+            return dx
+        kept, cov, h = summed(self.cov, seen.h, self.slow.estimated)
+        dx, cov, gain = _kalman(len(cov)).update(cov, seen.nu, h, seen.noise)
+        spread(self.cov, cov, gain, seen.hp, kept)
+        if len(kept) > E.SIZE:
+            by = np.zeros(len(self.slow.mean))
+            by[kept[E.SIZE :] - E.SIZE] = dx[E.SIZE : len(kept)]
+            self.slow = self.slow.moved(by)
+        return dx[: E.SIZE]
+
+
+_T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
+
+
+@njit(cache=True, error_model="numpy")
+def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, float, float]:
+    """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s, in place; s: mean (n - 15,) of the slow errors."""
+    for i in range(nu.shape[0]):
+        for k in range(mean.shape[0]):
+            nu[i] -= h[i, _N + k] * mean[k]
+    s, hp = innovation_covariance(cov, h, noise)
+    distance2, logdet = mahalanobis(nu, s)
+    return hp, s, distance2, logdet
+
+
+@njit(cache=True, error_model="numpy")
+def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Which states a (k,) of P (n, n) are corrected, and P (k + m, k + m) and H (m, k + m) of a and e = H_c c, H (m, n).
+
+    estimated: (n - 15,) 0 where a slow error is considered.
+    """
+    kept, k, m = np.arange(_N + estimated.shape[0]), _N, h.shape[0]
+    for i in range(estimated.shape[0]):
+        if estimated[i] != 0.0:
+            kept[k] = _N + i
+            k += 1
+    kept = kept[:k].copy()
+    of_considered = h.copy()
+    by = np.zeros((m, k + m))
+    for i in range(m):
+        for j in range(k):
+            by[i, j] = h[i, kept[j]]
+            of_considered[i, kept[j]] = 0.0
+        by[i, k + i] = 1.0
+    between, with_all = innovation_covariance(cov, of_considered, np.zeros((m, m)))
+    small = np.empty((k + m, k + m))
+    for i in range(m):
+        for j in range(m):
+            small[k + i, k + j] = between[i, j]
+    for i in range(k):
+        for j in range(k):
+            small[i, j] = cov[kept[i], kept[j]]
+        for j in range(m):
+            small[i, k + j] = with_all[j, kept[i]]
+            small[k + j, i] = with_all[j, kept[i]]
+    return kept, small, by
+
+
+@njit(cache=True, error_model="numpy")
+def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
+    """P (n, n), in place, from what `summed` made and the update turned into posterior and gain (k + m, m); hp: H P (m, n)."""
+    n, k = cov.shape[0], kept.shape[0]
+    for i in range(k):
+        row = cov[kept[i]]
+        for line in range(hp.shape[0]):
+            for j in range(n):
+                row[j] -= gain[i, line] * hp[line, j]
+    for i in range(k):
+        for j in range(k):
+            cov[kept[i], kept[j]] = posterior[i, j]
+    for i in range(k):
+        for j in range(n):
+            cov[j, kept[i]] = cov[kept[i], j]
+
+
+@njit(cache=True, error_model="numpy")
+def inject(x: Array, cov: Array, dx: Array) -> bool:
+    """x <- x (+) dx and P <- G P G^T, in place; dx (15,). False where the result is not sound."""
+    moved, g, n = retract(x, dx), so3.skew(dx[_T:_G]), cov.shape[0]
+    for i in range(x.shape[0]):
+        x[i] = moved[i]
+    for i in range(3):
+        for j in range(3):
+            g[i, j] = (1.0 if i == j else 0.0) - 0.5 * g[i, j]
+    row = np.empty(3)
+    for j in range(n):
+        for i in range(3):
+            row[i] = g[i, 0] * cov[_T, j] + g[i, 1] * cov[_T + 1, j] + g[i, 2] * cov[_T + 2, j]
+        for i in range(3):
+            cov[_T + i, j] = row[i]
+    for j in range(n):
+        for i in range(3):
+            row[i] = g[i, 0] * cov[j, _T] + g[i, 1] * cov[j, _T + 1] + g[i, 2] * cov[j, _T + 2]
+        for i in range(3):
+            cov[j, _T + i] = row[i]
+    cholesky.symmetrise(cov)
+    return sound(x, cov)

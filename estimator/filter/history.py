@@ -1,0 +1,249 @@
+"""Exact rewind: the estimate is a function of the set of measurements, ordered by time of validity, never by arrival.
+
+A late or reordered measurement takes its place in the order; the tracker goes back to the last checkpoint before it and does
+everything again, gates and source machines included. So late = punctual, to the bit. A stop at an IMU sample changes no bit of
+the propagation, and one at an aid is made in any case: there checkpoints may stand.
+
+No output waits for that: behind each, a slice of it is done, few measurements at a time, and until it has caught up the tracker
+of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
+least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
+
+A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
+before it and passes it over from then on.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.tracker import Decision, Tracker
+from estimator.sources.source import Aid
+from models.messages import ImuSample, Reason
+
+_CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
+_MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
+_PACE = 2  # a slice covers this many times the interval between the newest two samples
+_LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what it may go through again, for the alignment
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """An aid in the history, what became of it last time, how often that changed, the samples replayed
+    for it, and the reason last reported; failed: its processing raised, so it is passed over.
+    """
+
+    aid: Aid
+    decision: Decision | None = None
+    revision: int = -1
+    replayed: int = 0
+    told: Reason | None = None
+    failed: bool = False
+
+
+class History:
+    """Samples, aids and checkpoints of the last `history_s`, and the tracker at the end of them."""
+
+    def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
+        self.samples = samples or ImuBuffer()
+        self.tracker = tracker
+        self._span_ns = int(history_s * 1e9)
+        self._orders: list[tuple[int, str, str, bytes]] = []
+        self._entries: list[Entry] = []
+        self._next = 0  # first entry that the tracker has not seen
+        self._checkpoints = [tracker.copy()]
+        self._checkpoint_times = [tracker.t_ns]
+        self._since_checkpoint = 0  # IMU samples
+        self._redo_from_ns: int | None = None
+        self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
+        self._due = False  # a slice of that work
+        self._changed: list[Entry] = []
+
+    def from_last_sound(self) -> "History | None":
+        """A history that begins at the newest sound checkpoint, with the IMU samples and without any aid; None: there is none."""
+        for tracker in reversed(self._checkpoints):
+            if tracker.is_sound:
+                return History(tracker.copy(), self._span_ns * 1e-9, self.samples)
+        return None
+
+    def insert_sample(self, sample: ImuSample) -> Reason | None:
+        """Put an IMU sample in its place; the reason where it is not taken."""
+        if sample.t_ns <= self._checkpoint_times[0]:
+            return Reason.TOO_OLD
+        if sample.t_ns > self.samples.newest_ns:
+            before_ns = self.samples.newest_ns
+            self.samples.insert(sample)
+            if self._checkpoint_times[0] <= before_ns < self.tracker.t_ns:  # the IMU was missing and the tracker has coasted
+                self._rewind_to(before_ns + 1)
+            return None
+        before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
+        if before < 0 and self.samples.has_forgotten:
+            return Reason.TOO_OLD
+        before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1
+        if before_ns < max(self._checkpoint_times[0], self.samples.newest_ns - self._span_ns):
+            return Reason.TOO_OLD
+        if not self.samples.insert(sample):
+            return Reason.DUPLICATE
+        self._rewind_to(before_ns + 1)
+        return None
+
+    def insert_aid(self, aid: Aid) -> Reason | None:
+        """Put an aid in its place; the reason where it is not taken."""
+        if aid.t_ns <= self._checkpoint_times[0] or aid.t_ns < self.samples.newest_ns - self._span_ns:
+            return Reason.TOO_OLD
+        k = bisect_left(self._orders, aid.order)
+        if k < len(self._orders) and self._orders[k] == aid.order:
+            return Reason.DUPLICATE
+        self._orders.insert(k, aid.order)
+        entry = Entry(aid)
+        self._entries.insert(k, entry)
+        if aid.t_ns <= self.tracker.t_ns:
+            self._next += k <= self._next  # the tracker is beyond it, and goes back for it
+            entry.replayed = self.samples.count - self.samples.first_after(aid.t_ns)
+            self._rewind_to(aid.t_ns)
+        return None
+
+    def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
+        """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
+
+        coast: with every measurement up to `to_ns`, at once and beyond the newest IMU sample, for those that wait there. The
+        tracker then stands at the last of them: where the IMU will split the time beyond it is not known yet.
+        """
+        if self._redo_from_ns is not None and self._ahead is None:
+            self._ahead = self.tracker
+            self._restore()
+        if self._ahead is not None:
+            if not coast and self._ahead.t_ns <= to_ns:  # else it has coasted beyond
+                self._ahead.propagate(self.samples, to_ns)
+                self._due = True
+                return self._ahead
+            self._ahead = None
+            if self._redo_from_ns is not None:
+                self._restore()
+        self._go_through(to_ns if coast else min(to_ns, self.samples.newest_ns))
+        return self.tracker
+
+    def catch_up(self) -> None:
+        """Work in a slice of what came late, once behind every output of `advance`."""
+        if not self._due:
+            return
+        self._due = False
+        newest_ns = self.samples.newest_ns
+        interval_ns = newest_ns - self.samples.previous_ns
+        keeps_pace = self._waiting(self.tracker.t_ns + _PACE * interval_ns)
+        self._go_through(newest_ns, max(1, interval_ns // _MEASUREMENT_NS, keeps_pace))
+        if self.tracker.t_ns >= newest_ns:
+            self._ahead = None
+
+    def changed(self) -> list[Entry]:
+        """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""
+        if not self._changed:  # nearly every call
+            return []
+        changed = [e for e in set(self._changed) if e.decision is not None and e.told is not e.decision.reason]
+        self._changed.clear()
+        for entry in changed:
+            entry.revision += 1
+        return sorted(changed, key=lambda e: e.aid.order)
+
+    def _decide(self, entry: Entry, decision: Decision) -> None:
+        if entry.decision is None or entry.decision.reason is not decision.reason:
+            self._changed.append(entry)
+        entry.decision = decision
+
+    def _go_through(self, to_ns: int, most: int | None = None) -> None:
+        """Move the tracker through the measurements up to `to_ns`, as many as may be, and by the IMU as far as it is known."""
+        if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
+            self._propagate(min(to_ns, self.samples.newest_ns))
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(self.tracker.t_ns):  # all of one stamp, or none
+            self._checkpoint()
+
+    def _waiting(self, to_ns: int) -> int:
+        """How many measurements of up to `to_ns` the tracker has not seen."""
+        return bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
+
+    def _take(self, to_ns: int, most: int | None) -> bool:
+        """Let the tracker process what waits up to `to_ns`, as many as may be; whether that is all of it."""
+        wanted = self._waiting(to_ns)
+        left = wanted if most is None else min(wanted, most)
+        is_all = left == wanted
+        while left > 0:
+            entry = self._entries[self._next]
+            self._propagate(entry.aid.t_ns)
+            if entry.failed or self._process(entry):
+                self._next += 1
+                self._since_checkpoint = _CHECKPOINT_SAMPLES  # it costs more than so many samples
+                left -= 1
+            else:  # gone back to before it
+                left = self._waiting(to_ns) if is_all else left
+        return is_all
+
+    def _process(self, entry: Entry) -> bool:
+        """Let the tracker process an entry.
+
+        False: it raised, or the state is not finite after it, and it is marked; the tracker is that of a checkpoint before it.
+        """
+        was_sound = self.tracker.is_sound
+        try:
+            decision = self.tracker.process(entry.aid, self.samples)
+            if was_sound and not self.tracker.is_sound:
+                raise ArithmeticError("the state is not finite after it")
+        except Exception as error:
+            entry.failed = True
+            self._decide(entry, Decision(Reason.INTERNAL, detail=f"internal error: {type(error).__name__}: {error}"))
+            self._rewind_to(entry.aid.t_ns)
+            self._restore()
+            return False
+        self._decide(entry, decision)
+        return True
+
+    def _propagate(self, to_ns: int) -> None:
+        """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
+        samples, tracker = self.samples, self.tracker
+        if tracker.t_ns >= to_ns:
+            return
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+            self._checkpoint()
+        if tracker.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
+            self._since_checkpoint += 1
+        else:
+            begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns)
+            stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : max(end - 1, 0) : _CHECKPOINT_SAMPLES].tolist()
+            for stop in stops:
+                tracker.propagate(samples, stop)
+                self._checkpoint()
+            self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
+        tracker.propagate(samples, to_ns)
+
+    def _checkpoint(self) -> None:
+        self._checkpoints.append(self.tracker.copy())
+        self._checkpoint_times.append(self.tracker.t_ns)
+        self._since_checkpoint = 0
+        horizon = self.samples.newest_ns - self._span_ns
+        if self._redo_from_ns is not None:  # what waits to be redone needs a checkpoint before it
+            horizon = min(horizon, self._redo_from_ns - 1)
+        keep = bisect_right(self._checkpoint_times, horizon) - 1  # the newest that is older than the horizon
+        if keep <= 0:
+            return
+        del self._checkpoints[:keep], self._checkpoint_times[:keep]
+        oldest = self._checkpoint_times[0]
+        self.samples.forget_before(min(oldest, self._checkpoints[0].needs_from_ns) - _LEVELLING_NS)
+        drop = 0
+        while drop < self._next and self._entries[drop].aid.t_ns <= oldest:
+            drop += 1
+        if drop:
+            del self._entries[:drop], self._orders[:drop]
+            self._next -= drop
+
+    def _rewind_to(self, t_ns: int) -> None:
+        """Whatever was done at or after t_ns is to be done again."""
+        self._redo_from_ns = t_ns if self._redo_from_ns is None else min(self._redo_from_ns, t_ns)
+
+    def _restore(self) -> None:
+        """Back to the last checkpoint strictly before the time from which to redo."""
+        assert self._redo_from_ns is not None
+        k = bisect_left(self._checkpoint_times, self._redo_from_ns) - 1
+        del self._checkpoints[k + 1 :], self._checkpoint_times[k + 1 :]
+        self.tracker = self._checkpoints[k].copy()
+        at = self.tracker.t_ns
+        self._next = bisect_right(self._orders, at, key=lambda order: order[0])
+        self._since_checkpoint = 0
+        self._redo_from_ns = None

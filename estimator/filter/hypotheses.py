@@ -1,0 +1,336 @@
+"""Which measurements are true? A few filters side by side, each with its own answer, weighed by the evidence.
+
+One filter with a gate cannot tell a false fix after an outage, when almost anything passes, from the true ones that contradict
+it later: it keeps the lie and locks the truth out. So the decision stays open while it is open:
+
+* a fix is fused although a false reading would explain it nearly as well (as after an outage): a *sceptic* goes on without it,
+  and without whatever agrees with it;
+* a fix fails the gate: a *believer* goes on with it.
+
+A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
+sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are told with the chance that
+they are a look-alike, until that is less than 1 in 10,000: 500 m with a chance of 1 in a million make no ellipsoid of use.
+
+    true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
+    false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
+
+j: who believes in the source; e is the share of false readings, u their uniform density, tau how long a fault that repeats
+itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin
+a reading must be better foretold as the last falsehood than as true, where a gate was all that spoke against the last one.
+
+A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
+believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s),
+sooner when it has long been unaided. A cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking;
+Blackman and Popoli 1999, ch. 16.)
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from estimator.filter.eskf import Eskf, Innovation
+from estimator.sources.gating import gate
+from estimator.sources.source import Aid
+from models.measurements import Measurement
+from models.messages import Array
+from models.state import E, local
+
+_N = E.SIZE  # compiled code reads plain integers
+_OF_STATE = (slice(0, _N), slice(0, _N))  # of P
+MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
+_MOST = 4  # hypotheses at a time
+_MARGIN = 3.0  # ln: by which another must be better
+_FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
+_SHOWS = 9.2  # ln 10,000: further behind, it is not told in the covariance; a gate refuses one in as many good readings
+_LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
+_LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
+_LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
+_TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
+_SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
+_OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
+
+
+@dataclass(slots=True)
+class Doubt:
+    """A hypothesis disbelieves a source: since the fix at last_ns at least; deliberate: though the fix passed the gate."""
+
+    last_ns: int
+    deliberate: bool
+
+
+@dataclass(slots=True, eq=False)
+class Hypothesis:
+    """One filter and the logarithm of its weight.
+
+    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
+    parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic; benefit: ln, of the doubt that a
+    sceptic stands for: it counts for so much more in the covariance than in the decision.
+    """
+
+    filter: Eskf
+    weight: float = 0.0
+    fused_ns: int = 0
+    established_ns: int = 0
+    parted_ns: int = 0
+    doubts: dict[str, Doubt] = field(default_factory=dict)
+    benefit: float = 0.0
+
+    def copy(self) -> "Hypothesis":
+        """An independent hypothesis in the same state."""
+        doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
+        times = self.fused_ns, self.established_ns, self.parted_ns
+        return Hypothesis(self.filter.copy(), self.weight, *times, doubts, self.benefit)
+
+    def note_fused(self, t_ns: int) -> None:
+        """A position was fused."""
+        if (t_ns - self.fused_ns) * 1e-9 > _LEAST_PATIENCE_S:
+            self.established_ns = t_ns
+        self.fused_ns = t_ns
+
+    def matters_beside(self, lead: "Hypothesis") -> bool:
+        """It may still lead, or it shows in the covariance."""
+        return self.weight > lead.weight - _FORGET or self.shows_beside(lead)
+
+    def shows_beside(self, lead: "Hypothesis") -> bool:
+        """It is likely enough for the covariance to tell of it."""
+        return self.weight + self.benefit > lead.weight - _SHOWS
+
+    def has_settled(self, t_ns: int) -> bool:
+        """It has agreed with the leading hypothesis for so long that there is no question any more."""
+        return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
+
+    def patience_s(self, t_ns: int, most_s: float) -> float:
+        """How long consistent contradiction must last: as long as the hypothesis itself has stood, less when it is unaided."""
+        stood_s = (self.fused_ns - self.established_ns) * 1e-9
+        unaided_s = (t_ns - self.fused_ns) * 1e-9
+        return min(max(stood_s, _LEAST_PATIENCE_S), most_s) / (1.0 + unaided_s / _TRUST_FADES_S)
+
+
+class Verdict(NamedTuple):
+    """What the leading hypothesis made of a measurement; foreseen: by any."""
+
+    seen: Innovation
+    gate: float
+    passed: bool
+    fused: bool
+    foreseen: bool
+
+
+class Hypotheses:
+    """The filters that are still in question; the first is the estimate. `switches` counts take-overs."""
+
+    __slots__ = ("members", "switches")
+
+    def __init__(self, members: list[Hypothesis], switches: int = 0) -> None:
+        self.members, self.switches = members, switches
+
+    def copy(self) -> "Hypotheses":
+        """Independent hypotheses in the same state."""
+        return Hypotheses([h.copy() for h in self.members], self.switches)
+
+    @property
+    def lead(self) -> Eskf:
+        """The filter that is the estimate."""
+        return self.members[0].filter
+
+    def covariance(self) -> Array:
+        """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
+        lead = self.members[0]
+        if len(self.members) == 1:  # most of the time
+            return lead.filter.cov[_OF_STATE].copy()
+        shown = [m for m in self.members if m.shows_beside(lead)]
+        weights = [math.exp(m.weight + m.benefit) for m in shown]
+        total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
+        for weight, member in zip(weights, shown, strict=True):
+            _mix(total, weight / whole, member.filter.cov, local(lead.filter.x, member.filter.x))
+        return total
+
+    def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
+        """Let every hypothesis answer a measurement; trusted: the source's machine lets it be fused."""
+        limit = gate(aid.rules.gate_probability, len(z.rows))
+        seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
+        passed = [s.distance2 <= limit for s in seen]
+        if not trusted:
+            return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
+        believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
+        born: list[Hypothesis] = []
+        agreement = self._agreement(aid, seen, passed)
+        doubted = self._doubted(aid, agreement)
+        fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], doubted, born) for k in range(len(self.members))]
+        for member, was_fused in zip(self.members, fused, strict=True):
+            doubt = member.doubts.get(aid.topic)
+            if was_fused != fused[0] and not (doubt and doubt.deliberate):
+                member.parted_ns = aid.t_ns
+        self.members += born + ([believer] if believer else [])
+        self._rank(aid.t_ns)
+        return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
+
+    def drop(self, is_impossible: Callable[[Hypothesis], bool]) -> None:
+        """Drop what no vehicle can be, but never the last hypothesis; the heaviest that is left leads."""
+        if len(self.members) == 1:  # most of the time
+            return
+        possible = [m for m in self.members if not is_impossible(m)]
+        if not possible or len(possible) == len(self.members):
+            return
+        if possible[0] is not self.members[0]:
+            possible.sort(key=lambda m: -m.weight)
+            self.switches += 1
+        top = possible[0].weight
+        for member in possible:
+            member.weight -= top
+        self.members = possible
+
+    def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool]) -> list[float | None]:
+        """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.
+
+        Those who believe in the source say what it reads next, each with his weight: so who disbelieves never gains on them. No
+        hypothesis is made about a reading that is not absolute, so there who believes in it again speaks too: it must not be news
+        that only those pay for who do not foresee it.
+        """
+        doubts = [m.doubts.get(aid.topic) for m in self.members]
+        if not any(doubts):  # most of the time
+            return [None] * len(doubts)
+        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if doubt else 0.0 for doubt in doubts]
+        believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
+        told = self._told(believe, seen)
+        again = [
+            j
+            for j, doubt in enumerate(doubts)
+            if passed[j]
+            and doubt
+            and not doubt.deliberate
+            and not aid.absolute
+            and told + fades[j] <= seen[j].log_likelihood + _MARGIN
+        ]
+        told_by_all = self._told(believe + again, seen)
+        agreement = [(told if passed[k] else told_by_all) + fade for k, fade in enumerate(fades)]
+        return [a if doubt and a > -math.inf else None for a, doubt in zip(agreement, doubts, strict=True)]
+
+    def _told(self, by: list[int], seen: list[Innovation]) -> float:
+        """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
+        if not by:
+            return -math.inf
+        weights = [self.members[j].weight for j in by]
+        return _ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - _ln_sum(weights)
+
+    def _answer(
+        self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, doubted: float, born: list[Hypothesis]
+    ) -> bool:
+        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
+
+        doubted: weight of the heaviest sceptic that there is already.
+        """
+        member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
+        true = seen.log_likelihood
+        if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
+            member.weight += agreement
+            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s, 0.0)
+            doubt.last_ns = aid.t_ns
+            return False
+        if passed:
+            margin = max(true - aid.log_false, _LEAST_DOUBT)
+            if aid.absolute and margin < _FORGET and member.weight + true - margin > doubted:
+                sceptic = member.copy()
+                sceptic.weight += true - margin
+                sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
+                sceptic.parted_ns = aid.t_ns
+                sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
+                born.append(sceptic)
+            member.weight += true
+            if member.doubts.pop(aid.topic, None):
+                member.benefit = 0.0
+            member.filter.update(seen)
+            if aid.absolute:
+                member.note_fused(aid.t_ns)
+            return True
+        member.weight += aid.log_false
+        member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
+        return False
+
+    def _doubted(self, aid: Aid, agreement: list[float | None]) -> float:
+        """Weight of the heaviest hypothesis that goes on without the source deliberately, after this measurement; none: -inf.
+
+        One of the last outage has all but died away until the next, and does not stand for the doubt of the first fix after it.
+        """
+        return max(
+            (
+                m.weight + again
+                for m, again in zip(self.members, agreement, strict=True)
+                if again is not None and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
+            ),
+            default=-math.inf,
+        )
+
+    def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:
+        """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large."""
+        if not math.isfinite(seen.distance2):
+            return None
+        believer = self.members[0].copy()
+        dof = len(seen.nu)
+        overconfident = (
+            math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
+            + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
+        )  # fmt: skip
+        patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.believe_after_s)
+        broken = aid.log_false + _MARGIN - patience_s / aid.rules.lie_s
+        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.rules.lie_s
+        believer.weight += min(max(overconfident, broken), most)
+        believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
+        believer.doubts.pop(aid.topic, None)
+        believer.filter.widen(math.sqrt(seen.distance2 / dof))
+        believer.filter.update(innovation(believer.filter, aid, z, gyro_b))
+        return believer
+
+    def _rank(self, t_ns: int) -> None:
+        """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""
+        if len(self.members) == 1:  # most of the time
+            self.members[0].weight = 0.0
+            return
+        lead, *others = self.members
+        best = max(others, key=lambda m: m.weight, default=lead)
+        if best.weight > lead.weight + _MARGIN:
+            others = [lead, *(m for m in others if m is not best)]
+            lead = best
+            lead.benefit = 0.0
+            self.switches += 1
+        others = [m for m in others if m.matters_beside(lead) and not m.has_settled(t_ns)]
+        others.sort(key=lambda m: -m.weight)
+        self.members = [lead, *others[: _MOST - 1]]
+        top = lead.weight
+        for member in self.members:
+            member.weight -= top
+
+
+def _ln_sum(terms: list[float]) -> float:
+    """ln of the sum of exp(terms)."""
+    top = max(terms)
+    return top + math.log(sum(math.exp(term - top) for term in terms))
+
+
+@njit(cache=True)
+def _mix(total: Array, weight: float, cov: Array, off: Array) -> None:
+    """Add weight (P + d d^T) of the 15 error states to total (15, 15), in place; cov: (n, n), off: d (15,)."""
+    for i in range(_N):
+        for j in range(_N):
+            total[i, j] += weight * (cov[i, j] + off[i] * off[j])
+
+
+def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
+    """The measurement seen from one filter, with its slow errors."""
+    carried = [(slow.block, slow.moves(eskf.x)) for slow in aid.slow_errors]
+    eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
+    for slow, block in zip(aid.slow_errors, carried, strict=True):
+        known = eskf.slow.columns.get(slow.block)
+        if known and known.stop - known.start != len(slow.covariance):  # told otherwise than before: another error
+            eskf.forget(slow.block)
+        if slow.block not in eskf.slow.columns:
+            if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
+                eskf.forget(oldest)
+            eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
+            if slow.walk is not None:
+                eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
+    return eskf.innovation(z, gyro_b, carried)

@@ -1,0 +1,234 @@
+"""From nothing to a first estimate that may be published.
+
+* A pose fix with attitude starts the filter at once.
+* A position without attitude: roll and pitch from the specific force over the last second,
+
+      roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, sqrt(f_y^2 + f_z^2))                              (Groves 2013, eq. 5.101)
+
+  and the heading from motion: eight filters, one for each eighth of the circle, are aided by the same GNSS; the wrong ones
+  predict accelerations that do not come true (Gaussian sum; Sorenson and Alspach 1971). It needs no assumption that the
+  vehicle flies nose first. While the vehicle stands still, levelling is repeated and nothing is started.
+
+The estimate is aligned when attitude and velocity are known well enough for the linearised filter to be honest.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from estimator.filter.eskf import Eskf
+from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation
+from estimator.sources.gating import gate
+from estimator.sources.source import Aid
+from models import so3
+from models.frames import GRAVITY
+from models.measurements import Measurement, Pose, Position
+from models.messages import Array
+from models.state import E, NavState, X
+
+_HEADINGS = 8
+_LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
+_ANY_HEADING_DEG = 90.0  # a sigma beyond this (104 is that of no knowledge at all) tells nothing
+_HOPELESS = 12.0  # ln: a heading so far behind is dropped
+
+
+class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[initialise]: what is assumed before anything is known, and what must be known before anything is said."""
+
+    level_s: Annotated[float, Meta(ge=0.01, le=5, description="s: of specific force used to level")] = 1.0
+    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: of the unknown velocity at the start")] = 10.0
+    gyro_bias_sigma: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: of the gyro bias at the start")] = 0.05
+    accel_bias_sigma: Annotated[float, Meta(ge=1e-6, le=100, description="m/s^2: of the accelerometer bias at the start")] = 0.3
+    still_gyro: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: deviation below which the vehicle may be at rest")] = (
+        0.02
+    )
+    still_accel: Annotated[
+        float, Meta(ge=1e-6, le=100, description="m/s^2: deviation below which the vehicle may be at rest")
+    ] = 0.3
+    still_rate: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: mean rate below which the vehicle may be at rest")] = (
+        0.15
+    )
+    level_moving_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
+    heading_deg: Annotated[
+        float, Meta(ge=0.01, le=180, description="deg: attitude sigma below which the estimate is aligned")
+    ] = 5.0
+    velocity_m_s: Annotated[
+        float, Meta(ge=1e-3, le=1000, description="m/s: velocity sigma below which the estimate is aligned")
+    ] = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Roll, pitch [rad] and their sigma, gyro bias and its sigma, from a stretch of IMU; still: the vehicle was at rest."""
+
+    t_ns: int
+    roll: float
+    pitch: float
+    tilt_sigma: float
+    gyro_bias: Array
+    gyro_bias_sigma: float
+    still: bool
+
+
+def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = True) -> Level:
+    """Judge a stretch of samples u (k, 6), gyro then accel, that ends at t_ns.
+
+    may_rest: nothing else says that the vehicle moves; a gentle coordinated turn feels like rest.
+    """
+    gyro, force = u[:, :3], u[:, 3:]
+    f = force.mean(axis=0)
+    still = may_rest and bool(
+        gyro.std(axis=0).max() < config.still_gyro
+        and force.std(axis=0).max() < config.still_accel
+        and np.linalg.norm(gyro.mean(axis=0)) < config.still_rate
+        and abs(np.linalg.norm(f) - GRAVITY) < 3.0 * config.accel_bias_sigma
+    )
+    tilt_sigma = math.atan(config.accel_bias_sigma / GRAVITY) if still else math.radians(config.level_moving_deg)
+    # At rest the mean rate is the bias, but a hovering vehicle can look at rest while it turns slowly.
+    return Level(
+        t_ns=t_ns,
+        roll=math.atan2(-f[1], -f[2]),
+        pitch=math.atan2(f[0], math.hypot(f[1], f[2])),
+        tilt_sigma=tilt_sigma,
+        gyro_bias=gyro.mean(axis=0) if still else np.zeros(3),
+        gyro_bias_sigma=0.2 * config.gyro_bias_sigma if still else config.gyro_bias_sigma,
+        still=still,
+    )
+
+
+def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig) -> Hypotheses:
+    """One filter at a pose fix that gives position and full attitude (and soon shows the gyro bias, so no rest is needed)."""
+    x, cov = _unknown(None, config)
+    x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
+    r_nb = so3.matrix(z.q_nb_wxyz)
+    turn = np.eye(6)
+    turn[3:, 3:] = r_nb.T  # the fix's attitude error is about n's axes, ours about the body's
+    noise = _symmetric(turn @ z.noise @ turn.T)
+    cov[E.P, E.P], cov[E.THETA, E.THETA] = noise[:3, :3], noise[3:, 3:]
+    cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
+    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns)])
+
+
+def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
+    """Eight filters, levelled, at a position fix: one for each eighth of the circle."""
+    headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
+    filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
+    return Hypotheses([Hypothesis(f, fused_ns=t_ns, established_ns=t_ns) for f in filters])
+
+
+def start_from_attitude(
+    t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
+) -> Hypotheses | None:
+    """One filter at a position fix, with an attitude that somebody else believes; None where that contradicts gravity."""
+    levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
+    off = so3.quat_log(so3.multiply(levelled, so3.conjugate(prior.q_nb_wxyz)))[:2]
+    tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2
+    if off @ np.linalg.solve(tilt, off) > gate(_LEVEL_GATE, 2):
+        return None
+    noise = np.zeros((6, 6))
+    noise[:3, :3], noise[3:, 3:] = z.noise[:3, :3], prior.noise
+    return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
+
+
+def agrees(bank: Hypotheses, prior: Pose) -> bool:
+    """Whether the attitude that somebody else believes is within reach of a heading that is left, as likely as that one is."""
+    for member in bank.members:
+        r_nb = so3.matrix(member.filter.x[X.Q])
+        off = so3.quat_log(so3.multiply(so3.conjugate(member.filter.x[X.Q]), prior.q_nb_wxyz))
+        cov = member.filter.cov[E.THETA, E.THETA] + r_nb.T @ prior.noise @ r_nb
+        if off @ np.linalg.solve(cov, off) - 2.0 * member.weight <= gate(_LEVEL_GATE, 3):
+            return True
+    return False
+
+
+def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
+    """What is known at a position fix, without favour for any heading."""
+    return _levelled(t_ns, z, at, 0.0, 2.0 * math.pi, constants, config)
+
+
+def _levelled(
+    t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
+) -> Eskf:
+    """A filter at a position fix, roll and pitch from levelling; heading and its sigma in rad."""
+    x, cov = _unknown(at, config)
+    x[X.P], x[X.Q] = z.z_n, so3.from_euler(at.roll, at.pitch, heading)
+    cov[E.P, E.P] = z.noise[:3, :3]
+    about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, sigma**2])
+    r_nb = so3.matrix(x[X.Q])
+    cov[E.THETA, E.THETA] = _symmetric(r_nb.T @ about_n @ r_nb)
+    return Eskf(t_ns, x, cov, constants)
+
+
+def _symmetric(cov: Array) -> Array:
+    """To the last bit."""
+    return 0.5 * (cov + cov.T)
+
+
+def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
+    """State and covariance of which only the biases are guessed."""
+    bias, sigma = (at.gyro_bias, at.gyro_bias_sigma) if at else (np.zeros(3), config.gyro_bias_sigma)
+    zero = np.zeros(3)
+    x = NavState(zero, zero, np.array([1.0, 0.0, 0.0, 0.0]), bias, zero).pack()
+    cov = np.zeros((E.SIZE, E.SIZE))
+    cov[E.V, E.V] = np.eye(3) * config.velocity_sigma_m_s**2
+    cov[E.BG, E.BG] = np.eye(3) * sigma**2
+    cov[E.BA, E.BA] = np.eye(3) * config.accel_bias_sigma**2
+    return x, cov
+
+
+def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> bool:
+    """Every heading fuses the measurement and is weighed by how well it foresaw it; whether any did."""
+    foreseen = False
+    for member in bank.members:
+        seen = innovation(member.filter, aid, z, gyro_b)
+        # A single wild measurement must not decide the heading.
+        member.weight += max(seen.log_likelihood, aid.log_false)
+        passed = seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu))
+        foreseen |= passed
+        if passed or seen.log_likelihood > aid.log_false:
+            member.filter.update(seen)
+    best = max(m.weight for m in bank.members)
+    bank.members = sorted((m for m in bank.members if m.weight > best - _HOPELESS), key=lambda m: -m.weight)
+    for member in bank.members:
+        member.weight -= best
+    return foreseen
+
+
+def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:
+    """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough."""
+    attitude, velocity = _sigmas(bank)
+    return attitude < math.radians(config.heading_deg) and velocity < config.velocity_m_s
+
+
+def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:
+    """What keeps it from being aligned, in words."""
+    attitude, velocity = _sigmas(bank)
+    missing = []
+    if attitude > math.radians(_ANY_HEADING_DEG):
+        missing.append("heading unknown")
+    elif attitude >= math.radians(config.heading_deg):
+        missing.append(f"attitude known to {math.degrees(attitude):.1f} deg, {config.heading_deg:g} wanted")
+    if velocity >= config.velocity_m_s:
+        missing.append(f"velocity known to {velocity:.2f} m/s, {config.velocity_m_s:g} wanted")
+    if not missing:
+        return "attitude and velocity known, being confirmed"
+    return "; ".join(missing) + ": shown by a pose fix with attitude, or by positions while the vehicle accelerates"
+
+
+def _sigmas(bank: Hypotheses) -> tuple[float, float]:
+    """Standard deviations of the attitude [rad] and of the velocity [m/s], each about its worst axis."""
+    cov = np.diag(bank.lead.cov)
+    attitude = math.sqrt(float(cov[E.THETA].max()) + _heading_spread(bank) ** 2)
+    return attitude, math.sqrt(float(cov[E.V].max()))
+
+
+def _heading_spread(bank: Hypotheses) -> float:
+    """Standard deviation of the members' headings about the leading one's, rad."""
+    weights = np.exp([m.weight for m in bank.members])
+    yaw = np.array([so3.to_euler(m.filter.x[X.Q])[2] for m in bank.members])
+    off = np.angle(np.exp(1j * (yaw - yaw[0])))
+    return float(np.sqrt(weights @ off**2 / weights.sum()))

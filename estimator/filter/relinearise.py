@@ -1,0 +1,215 @@
+"""The aligning stretch run again, linearised about the trajectory that it led to: an iterated Kalman smoother.
+
+While little is known the errors are too large for a linear filter, and what it does wrong then stays in P. So the measurements
+of the stretch are kept, and when much has been learnt the stretch is run through again. With a trajectory x_k, one state at each
+measurement, and d_k = x_true,k (-) x_k,
+
+    d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
+
+is linear: a Kalman filter and, backward, a smoother give E[d_k | all nu], the trajectory moves by it, and so on until its end
+stays: Gauss-Newton on the whole stretch (Bell 1994). The prior is that of the first time, so nothing is counted twice.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.filter.eskf import Eskf, inject
+from estimator.filter.hypotheses import innovation
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
+from estimator.sources.gating import gate
+from estimator.sources.source import Aid
+from models import imu, so3
+from models.measurements import Measurement, mahalanobis
+from models.messages import Array
+from models.state import E, X, carried, local, retract
+
+_PASSES = 8
+# Squared moves of a pass, per state, in units of P: by less it has converged, by more it says something new.
+_STAYS, _CHANGES = 0.01, 0.05
+_LEARNT = 0.7  # an uncertainty that has fallen by this factor is worth another run
+_CONFIRMED = 1.25  # times the stretch at the last change
+_GROWN, _FEW = 1 / 16, 16  # but not before the stretch has grown by this share, where it is longer than a few measurements
+_MOST, _LONGEST_NS = 600, 120_000_000_000  # measurements and time of a stretch
+_ATTITUDE_KNOWN = math.radians(1.0)  # the linear model then holds
+_NONLINEAR = slice(E.THETA.start, E.SIZE)  # errors that are multiplied by others: attitude and biases
+_ATTITUDE = slice(0, 3)  # of these
+
+
+class Taken(NamedTuple):
+    """A measurement of the stretch; gyro_b: the raw rate then."""
+
+    aid: Aid
+    z: Measurement
+    gyro_b: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """What was known at its start, x (16,) and cov (n, n), slow errors included, and the measurements since.
+
+    Of the last run: path, its trajectory; sigma (9,) of attitude and biases after it; run_at: the number of measurements then;
+    moved_at: the same of the last run that changed the estimate.
+    """
+
+    t_ns: int
+    x: Array
+    cov: Array
+    slow: SlowErrors = NO_SLOW_ERRORS
+    taken: tuple[Taken, ...] = ()
+    path: tuple[Array, ...] = ()
+    sigma: Array | None = None
+    run_at: int = 0
+    moved_at: int = 0
+
+    @classmethod
+    def of(cls, known: Eskf) -> "Stretch":
+        """One that begins with what a filter knows."""
+        return cls(known.t_ns, known.x.copy(), known.cov.copy(), known.slow)
+
+    def also(self, aid: Aid, z: Measurement, gyro_b: Array) -> "Stretch":
+        """With one more measurement; not with one whose zero is unknown (a barometer's is found again afterwards)."""
+        if any(slow.walk is not None for slow in aid.slow_errors):
+            return self
+        return replace(self, taken=(*self.taken, Taken(aid, z, gyro_b)))
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether another run may say something else than the last one."""
+        return len(self.taken) <= _FEW or len(self.taken) > self.run_at * (1.0 + _GROWN)
+
+    def due(self, found: Eskf) -> bool:
+        """Whether so much has been learnt since the last run that another is worth it."""
+        return self.has_grown and (self.sigma is None or bool((_sigma(found) < _LEARNT * self.sigma).any()))
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the filter was right of late: no run has changed it for a fifth of the stretch."""
+        return self.run_at >= _CONFIRMED * self.moved_at > 0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the linear filter may go on alone: attitude known, and no change by a run for half of the stretch."""
+        known = self.sigma is not None and bool((self.sigma[_ATTITUDE] < _ATTITUDE_KNOWN).all())
+        return known and self.run_at >= 2 * self.moved_at > 0
+
+    def is_long(self, t_ns: int) -> bool:
+        """Whether it is too long to be run again."""
+        return len(self.taken) >= _MOST or t_ns - self.t_ns > _LONGEST_NS
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """How the error at a measurement follows from that at the one before: Phi (15, 15), and what was predicted."""
+
+    phi: Array
+    mean: Array
+    cov: Array
+
+
+def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
+    """The filter at the last measurement, linearised about the trajectory that leads there; None where that does not converge.
+
+    found: the filter that went through the stretch as it came. Also returned is the stretch with the run noted.
+    """
+    path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
+    before = None
+    for _ in range(_PASSES):
+        end, path = _run(stretch, path, samples, found)
+        if not end.sound:
+            return None
+        stays = before is not None and _distance2(end, before) < _STAYS
+        before = end.x
+        if stays:
+            changed, count = _distance2(end, found.x) >= _CHANGES or not stretch.path, len(stretch.taken)
+            moved_at = count if changed else stretch.moved_at
+            return end, replace(stretch, path=tuple(path), sigma=_sigma(end), run_at=count, moved_at=moved_at)
+    return None
+
+
+def _distance2(end: Eskf, x: Array) -> float:
+    """(x (-) x_end)^T P^-1 (x (-) x_end) / 15."""
+    sigma = np.sqrt(np.diag(end.cov)[: E.SIZE])
+    off = local(end.x, x) / sigma
+    return float(off @ np.linalg.solve(end.cov[: E.SIZE, : E.SIZE] / np.outer(sigma, sigma), off)) / E.SIZE
+
+
+def _first_path(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
+    """The trajectory of the IMU alone, with the biases of `found`, whose attitude at the end is that of `found`."""
+    start = stretch.x.copy()
+    start[X.BG], start[X.BA] = found.x[X.BG], found.x[X.BA]
+    ended = _moved(stretch.t_ns, start, found.t_ns, samples, found.constants)
+    start[X.Q] = so3.multiply(so3.multiply(found.x[X.Q], so3.conjugate(ended[X.Q])), start[X.Q])
+    return _extended(replace(stretch, path=(start,)), found, samples)
+
+
+def _extended(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
+    """The stretch's path, and on to the newest measurement by the IMU alone."""
+    path = list(stretch.path)
+    known = len(path) - 1
+    t_ns = stretch.taken[known - 1].aid.t_ns if known else stretch.t_ns
+    for taken in stretch.taken[known:]:
+        path.append(_moved(t_ns, path[-1], taken.aid.t_ns, samples, found.constants))
+        t_ns = taken.aid.t_ns
+    return path
+
+
+def _moved(t_ns: int, x: Array, to_ns: int, samples: ImuBuffer, constants: Array) -> Array:
+    """f(x): where the IMU leads from x."""
+    moved = Eskf(t_ns, x.copy(), np.eye(E.SIZE), constants)
+    moved.propagate(samples, samples.first_after(t_ns), to_ns)
+    return moved.x
+
+
+def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array]]:
+    """One pass: the filter at the end, and the smoothed trajectory."""
+    dx = local(path[0], stretch.x)
+    cov = carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
+    run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow)
+    means, covs, links = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], []
+    for x, taken in zip(path[1:], stretch.taken, strict=True):
+        index, to_ns = samples.first_after(run.t_ns), taken.aid.t_ns
+        phi = imu.transition(run.x, samples.t_ns, samples.u, samples.count, index, run.t_ns, to_ns, run.constants)
+        run.propagate(samples, index, to_ns)
+        off = local(x, run.x)
+        jacobian = so3.right_jacobian_inverse(off[E.THETA])
+        phi[E.THETA] = jacobian @ phi[E.THETA]
+        run.x, run.cov, dx = x.copy(), carried(run.cov, jacobian), off + phi @ dx
+        links.append(Link(phi, dx, run.cov[: E.SIZE, : E.SIZE].copy()))
+        dx = _fuse(run, dx, taken)
+        means.append(dx)
+        covs.append(run.cov[: E.SIZE, : E.SIZE].copy())
+    smoothed = [retract(x, mean) for x, mean in zip(path, _smoothed(means, covs, links), strict=True)]
+    run.sound = inject(run.x, run.cov, dx)
+    return run, smoothed
+
+
+def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
+    """The linear update: the mean dx and the covariance change, the trajectory stays."""
+    seen = innovation(run, taken.aid, taken.z, taken.gyro_b)
+    nu = seen.nu - seen.h[:, : E.SIZE] @ dx
+    distance2, _ = mahalanobis(nu, seen.s)
+    if distance2 > gate(taken.aid.rules.gate_probability, len(nu)):
+        return dx
+    return dx + run.correct(seen._replace(nu=nu))
+
+
+def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[Array]:
+    """Backward (Rauch, Tung, Striebel 1965): d_k + P_k Phi_k^T P_k+1|k^-1 (d_k+1|N - d_k+1|k); slow errors left out."""
+    after = means[-1]
+    result = [after]
+    for mean, cov, link in zip(means[-2::-1], covs[-2::-1], links[::-1], strict=True):
+        sigma = np.sqrt(np.diag(link.cov))
+        gained = np.linalg.solve(link.cov / np.outer(sigma, sigma), (after - link.mean) / sigma) / sigma
+        after = mean + cov @ (link.phi.T @ gained)
+        result.append(after)
+    return result[::-1]
+
+
+def _sigma(found: Eskf) -> Array:
+    """Of attitude and biases, (9,)."""
+    sigma: Array = np.sqrt(np.diag(found.cov)[_NONLINEAR])
+    return sigma

@@ -1,0 +1,45 @@
+"""What vision needs from disk: the rig file, the landmark map and the map's picture that the configuration names."""
+
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.files.formats import load_rig
+from estimator.frontend.processor import Sight
+from estimator.map_files import picture as picture_store
+from estimator.map_files import store as map_store
+from estimator.map_files.picture_file import PictureFile
+from estimator.strict_toml import ConfigError
+from models.maps.landmarks import LandmarkMap
+from models.maps.table import Defaults, MapError
+from models.messages import Vec3
+
+
+def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None = None) -> Sight:
+    """Vision with these files, in the frame at `origin` (None: the map's own). Raises ConfigError, which names the file."""
+    try:
+        if map_file:
+            landmarks = map_store.load(map_file, Defaults(origin=origin))
+        else:
+            landmarks = LandmarkMap.from_landmarks(origin or _picture_origin(picture), [])
+        known = picture_store.load(picture, landmarks.origin) if picture else None
+        return Sight(load_rig(rig_file), landmarks, known)
+    except (CalibrationError, MapError, ValueError) as error:
+        raise ConfigError(str(error)) from None
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def map_origin(map_file: Path | None, picture: PictureFile | None = None) -> Vec3:
+    """Where the frame of a map lies, of its landmarks or else of its picture. Raises ConfigError."""
+    try:
+        return map_store.load(map_file).origin if map_file else _picture_origin(picture)
+    except MapError as error:
+        raise ConfigError(str(error)) from None
+    except OSError as error:
+        raise ConfigError(f"{map_file}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def _picture_origin(picture: PictureFile | None) -> Vec3:
+    if picture is None:
+        raise ConfigError("[map]: neither landmarks nor a picture")
+    return picture_store.origin(picture)

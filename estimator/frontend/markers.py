@@ -1,0 +1,35 @@
+"""When viewers are told of the landmarks around: at the start, when those in use change, and when the vehicle has moved on."""
+
+from typing import Final
+
+import numpy as np
+
+from logs.wire.encoding import Encoded
+from logs.wire.markers import encode_landmarks
+from models.maps.landmarks import LandmarkMap
+from models.messages import Array
+
+_REACH_M: Final = 300.0
+_MOST: Final = 300  # landmarks in a message
+_MOVED_M: Final = 100.0  # from where it was told last
+_LEAST_NS: Final = 1_000_000_000  # between two messages
+
+
+class LandmarkBoard:
+    """Tells of the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
+
+    def __init__(self, landmarks: LandmarkMap) -> None:
+        self._landmarks = landmarks
+        self._told_ns: int | None = None
+        self._used: frozenset[str] = frozenset()
+        self._place = np.zeros(3)
+
+    def news(self, t_ns: int, p_n: Array, used: frozenset[str]) -> list[Encoded]:
+        """The message if one is due; p_n: where the vehicle is believed to be, used: ids of the landmarks of the newest fix."""
+        if self._told_ns is not None:
+            same = used == self._used and np.linalg.norm((p_n - self._place)[:2]) <= _MOVED_M
+            if same or 0 <= t_ns - self._told_ns < _LEAST_NS:
+                return []
+        self._told_ns, self._used, self._place = t_ns, used, p_n
+        near = self._landmarks.near(float(p_n[0]), float(p_n[1]), _REACH_M)[:_MOST]
+        return [encode_landmarks(t_ns, near, used)]

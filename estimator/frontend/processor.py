@@ -1,0 +1,106 @@
+"""Vision behind a door of messages: a request and its pictures in, report and fix out."""
+
+from typing import Final, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+
+from estimator.frontend.markers import LandmarkBoard
+from estimator.frontend.requests import Shot
+from estimator.frontend.residuals import Overlay, View
+from estimator.publish import OVERLAY_TOPIC
+from logs.wire.codec import Encoded, encode, encode_input
+from logs.wire.pictures import Picture, PictureError, decode_picture, encode_picture
+from models import so3
+from models.camera import StereoRig
+from models.maps.landmarks import LandmarkMap
+from models.messages import VisionReport, VisionRequest
+from models.radius import horizontal_radius
+from vision.identify.identify import Prior
+from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
+
+_JPEG_QUALITY: Final = 80
+
+
+class _Look(NamedTuple):
+    """What was looked at last, and what was identified in it."""
+
+    request: VisionRequest
+    left: Picture | None
+    right: Picture | None
+    identified: frozenset[str]
+
+
+class Sight:
+    """Vision, from request and pictures to messages. Each run of requests has recognisers of its own: memory begins anew."""
+
+    def __init__(
+        self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
+    ) -> None:
+        cv2.setNumThreads(1)  # the other core flies
+        self._rig, self._landmarks, self._known, self._config = rig, landmarks, known, config
+        self._run: int | None = None
+        self._recognisers = Recognisers(rig, landmarks, known, config)
+        self._board = LandmarkBoard(landmarks)
+        self._used: set[str] = set()
+        self._began_ns: int | None = None
+        self._last: _Look | None = None
+
+    @property
+    def time_offset_ns(self) -> int:
+        """Exposure minus stamp."""
+        return round(self._rig.time_offset_s * 1e9)
+
+    def look(self, request: VisionRequest, pictures: tuple[Shot | None, Shot | None]) -> list[Encoded]:
+        """What the pictures show: the report, the fix if there is one, and for viewers the landmarks where that is news.
+
+        Never raises.
+        """
+        if request.run != self._run:
+            self._run = request.run
+            self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
+            self._board = LandmarkBoard(self._landmarks)
+        decoded = [_decoded(shot) for shot in pictures]
+        left, right = (picture if not isinstance(picture, str) else None for picture in decoded)
+        prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
+        result = self._recognisers.process(left, right, request.t_ns, prior)
+        unread = "".join(f"; {flaw}" for flaw in decoded if isinstance(flaw, str))
+        report: VisionReport = msgspec.structs.replace(result.report, detail=result.report.detail + unread)
+        used = frozenset(result.fix.landmarks if result.fix else ())
+        self._used |= used
+        self._last = _Look(request, left, right, used)
+        self._began_ns = self._began_ns or request.t_ns
+        news = self._board.news(request.t_ns, prior.p_n, used)
+        return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
+
+    def draw(self, mode: str) -> Encoded | None:
+        """The picture looked at last with the map drawn in from the estimate; None where there is none. Never raises.
+
+        Residuals are those of the landmarks identified so far.
+        """
+        if self._last is None or self._began_ns is None:
+            return None
+        request, left, right, identified = self._last
+        picture = left if left is not None else right
+        try:
+            R_nb = so3.matrix(so3.normalise(np.array(request.q_nb_wxyz)))
+            radius_m = float(horizontal_radius(request.covariance[None, :2, :2])[0])
+            view = View(request.t_ns, np.array(request.p_n), R_nb, request.covariance, radius_m, mode, identified)
+            overlay = Overlay(self._rig, self._landmarks, self._began_ns, right=left is None)
+            if picture is None or picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
+                return None
+            canvas = overlay.frame(picture, view, self._used).canvas
+        except Exception:  # a picture for people must not cost the next fix; `overlays` of the status stands still then
+            return None
+        return encode_picture(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
+
+
+def _decoded(shot: Shot | None) -> Picture | str | None:
+    """The picture, or why it cannot be read."""
+    if shot is None:
+        return None
+    try:
+        return decode_picture(shot.schema, shot.data)
+    except PictureError as error:
+        return f"{shot.topic}: {error}"

@@ -1,0 +1,150 @@
+"""From pictures to requests: pairs are put together, and the prior is taken from the estimate at their exposure.
+
+    pictures -> Pairing -> VisionRequest (with the prior of Track) -> sight.Sight -> LandmarkFix, VisionReport
+
+All of it is bytes on the wire and values: the daemon runs Sight in a process of its own, a replay in its own thread, and both
+get the same answers, because the request is in the log.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Annotated, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from models import so3
+from models.messages import Array, Estimate, Output, PictureName, VisionRequest, vec3
+from models.state import E, X
+
+_SECOND_NS: Final = 1_000_000_000
+_OLDEST_NS: Final = 200_000_000  # an estimate further from the exposure says nothing of it
+_KEPT: Final = 2000  # estimates: seconds at IMU rate
+
+
+class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[vision]: used where [rig] file and [map] landmarks are given."""
+
+    most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are looked at")] = 10.0
+    pair_ms: Annotated[float, Meta(ge=0, le=100, description="ms: stamps of a pair differ by no more")] = 5.0
+    patience_ms: Annotated[
+        float, Meta(ge=0, le=1000, description="ms: how long one picture waits for the other, then it goes alone")
+    ] = 100.0
+    replay_latency_ms: Annotated[
+        float,
+        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of pictures that were never looked at in flight"),
+    ] = 50.0
+    timeout_s: Annotated[
+        float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
+    ] = 2.0
+
+
+class Shot(NamedTuple):
+    """A picture as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
+
+    topic: str
+    schema: str
+    data: bytes
+    stamp_ns: int
+    t_ns: int
+    arrived_ns: int
+
+    @property
+    def name(self) -> PictureName:
+        """What a request calls it."""
+        return PictureName(self.topic, self.stamp_ns)
+
+
+class Pair(NamedTuple):
+    """Pictures taken at once, or one alone."""
+
+    left: Shot | None
+    right: Shot | None
+
+    @property
+    def t_ns(self) -> int:
+        """Exposure of the left picture, or of the only one."""
+        shot = self.left or self.right
+        assert shot is not None
+        return shot.t_ns
+
+
+class Pairing:
+    """Puts pictures together by their stamps. One that waits in vain goes alone; at most most_hz go on."""
+
+    def __init__(self, config: VisionConfig) -> None:
+        self._pair_ns, self._patience_ns = round(config.pair_ms * 1e6), round(config.patience_ms * 1e6)
+        self._period_ns = round(_SECOND_NS / config.most_hz * 0.9)  # pictures at that very rate all go on
+        self._waiting: dict[str, deque[Shot]] = {"left": deque(maxlen=8), "right": deque(maxlen=8)}
+        self._last_ns = 0
+
+    def put(self, side: str, shot: Shot) -> list[Pair]:
+        """A picture of the "left" or "right" camera; the pairs that are complete now."""
+        other_side = "right" if side == "left" else "left"
+        ready = self.overdue(shot.arrived_ns)
+        others = self._waiting[other_side]
+        other = min(others, key=lambda o: abs(o.t_ns - shot.t_ns), default=None)
+        if other is None or abs(other.t_ns - shot.t_ns) > self._pair_ns:
+            self._waiting[side].append(shot)
+            return ready
+        while others and others.popleft() is not other:
+            pass
+        self._waiting[side].clear()
+        pair = Pair(shot, other) if side == "left" else Pair(other, shot)
+        return [*ready, *self._paced(pair)]
+
+    def overdue(self, now_ns: int) -> list[Pair]:
+        """The pictures whose other one does not come any more."""
+        alone: list[Pair] = []
+        for side, shots in self._waiting.items():
+            while shots and now_ns - shots[0].arrived_ns > self._patience_ns:
+                shot = shots.popleft()
+                alone += self._paced(Pair(shot, None) if side == "left" else Pair(None, shot))
+        return alone
+
+    def _paced(self, pair: Pair) -> list[Pair]:
+        """The pair, unless it comes too soon after the last, or before it."""
+        if 0 <= pair.t_ns - self._last_ns < self._period_ns or -_SECOND_NS < pair.t_ns - self._last_ns < 0:
+            return []
+        self._last_ns = pair.t_ns
+        return [pair]
+
+
+class Track:
+    """The estimates of the last seconds. note() and request() may be called by different threads."""
+
+    def __init__(self) -> None:
+        self._estimates: deque[Estimate] = deque(maxlen=_KEPT)
+
+    def note(self, outputs: Iterable[Output]) -> None:
+        """Keep what Fusion said."""
+        self._estimates.extend(o for o in outputs if isinstance(o, Estimate))
+
+    @property
+    def mode(self) -> str:
+        """What the newest estimate rests on; "" before the first."""
+        return self._estimates[-1].mode if self._estimates else ""
+
+    def request(self, pair: Pair, arrived_ns: int, run: int = 0) -> VisionRequest | None:
+        """Where the vehicle is believed to have been when the pictures were taken; None where nobody knows."""
+        t_ns = pair.t_ns
+        near = min(tuple(self._estimates), key=lambda e: abs(e.t_ns - t_ns), default=None)
+        if near is None or abs(near.t_ns - t_ns) > _OLDEST_NS:
+            return None
+        p_n, q, covariance = prior_at(near, t_ns)
+        w, x, y, z = q.tolist()
+        left, right = (shot.name if shot else None for shot in pair)
+        return VisionRequest(t_ns, arrived_ns, vec3(p_n), (w, x, y, z), covariance, left, right, run)
+
+
+def prior_at(estimate: Estimate, t_ns: int) -> tuple[Array, Array, Array]:
+    """p + v dt, R exp(w dt), and the covariance (6, 6) of position and attitude about the axes of n: J P J^T, J = diag(I, R)."""
+    dt = (t_ns - estimate.t_ns) * 1e-9
+    x, cov = estimate.nav, estimate.covariance
+    q = so3.normalise(so3.multiply(x[X.Q], so3.quat_exp(np.array(estimate.gyro_b) * dt)))
+    pose = np.r_[E.P, E.THETA]
+    jacobian = np.eye(6)
+    jacobian[3:, 3:] = so3.matrix(x[X.Q])
+    covariance = jacobian @ cov[np.ix_(pose, pose)] @ jacobian.T
+    return x[X.P] + x[X.V] * dt, q, 0.5 * (covariance + covariance.T)

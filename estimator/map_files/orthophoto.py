@@ -1,0 +1,199 @@
+"""Georeferenced pictures, and the colours of roofs in them.
+
+A GeoTIFF, or any picture with a world file (.pgw, .jgw, .tfw, .wld) beside it:
+
+(x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
+"""
+
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from models.maps import projection
+from models.maps.landmarks import LandmarkMap
+from models.maps.table import MapError
+from models.messages import Array
+
+_SCALE, _TIEPOINT, _TRANSFORM, _KEYS = 33550, 33922, 34264, 34735  # GeoTIFF tags
+_RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; a pixel's place is its centre
+_FORMATS = {2: "s", 3: "H", 4: "I", 12: "d"}  # TIFF's types that these tags have
+_LEAST_PX = 4  # that make a colour
+_MARGIN = 0.15  # of the width, along the edge: eaves, shadow, mixed pixels
+_STRETCH = (1.0, 99.0)  # percentiles of a 16-bit picture that become 0 and 255
+
+
+class Orthophoto(NamedTuple):
+    """Picture (H, W, 3) BGR, affine A (2, 3), EPSG code of x and y."""
+
+    picture: NDArray[np.uint8]
+    affine: Array
+    epsg: int
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether it has no colours to give."""
+        sample = self.picture[::7, ::7]
+        return bool(np.all(sample == sample[:, :, :1]))
+
+
+def load(path: Path, epsg: int = 0) -> Orthophoto:
+    """The picture of a file; epsg: its system, where the file does not tell. Raises MapError, one line."""
+    data = path.read_bytes()
+    image = _decode(path, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    return Orthophoto(_to_8_bit(image), *georeference(path, data, epsg))
+
+
+def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
+    """Numbers (H, W) of a georeferenced raster of one band, as they are; its affine and EPSG code. Raises MapError, one line."""
+    data = path.read_bytes()
+    values = _decode(path, data, cv2.IMREAD_UNCHANGED)
+    if values.ndim != 2:
+        raise MapError(f"{path}: has {values.shape[2]} bands, not one of heights")
+    return values.astype(np.float64), *georeference(path, data, epsg)
+
+
+def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
+    """Affine (2, 3) and EPSG code of a picture file's data; epsg: where the file does not tell. Raises MapError, one line."""
+    tags = _tags(data)
+    affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
+    if affine is None:
+        raise MapError(
+            f"{path}: is not georeferenced: neither a GeoTIFF nor with a world file ({_world_name(path).name}) beside it"
+        )
+    epsg = epsg or _epsg(tags)
+    if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
+        raise MapError(f"{path}: its coordinate system is not known: --picture-epsg or picture_epsg = 4326, 326xx, 327xx or 3857")
+    return affine, epsg
+
+
+def _decode(path: Path, data: bytes, flags: int) -> cv2.typing.MatLike:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise MapError(f"{path}: not a picture that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
+    return image
+
+
+def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
+    """The map with the median colour of the picture for each landmark that has none and lies in it."""
+    columns = the_map.columns
+    colours = columns.colour_bgr.copy()
+    missing = np.flatnonzero(colours[:, 0] < 0)
+    counts = np.diff(columns.offsets)
+    lat, lon, _ = pymap3d.ned2geodetic(*columns.vertices.T, np.repeat(columns.base_d, counts), *the_map.origin)
+    xy = projection.from_lonlat(ortho.epsg, np.column_stack((lon, lat)))
+    assert xy is not None
+    px = (xy - ortho.affine[:, 2]) @ np.linalg.inv(ortho.affine[:, :2]).T
+    for i in missing.tolist():
+        found = _median(ortho.picture, px[columns.offsets[i] : columns.offsets[i + 1]])
+        if found is not None:
+            colours[i] = found
+    report = the_map.report
+    lacking = {**report.missing, "colour": int(np.sum(colours[:, 0] < 0))}
+    return LandmarkMap(
+        the_map.origin,
+        msgspec.structs.replace(columns, colour_bgr=colours),
+        msgspec.structs.replace(report, missing=lacking),
+        the_map.common_sigma_m,
+    )
+
+
+def _median(picture: NDArray[np.uint8], px: Array) -> Array | None:
+    """Median colour inside an outline (K, 2), its margin left out; None where it is not wholly in the picture or too small."""
+    low, high = np.floor(px.min(axis=0)).astype(int), np.ceil(px.max(axis=0)).astype(int)
+    if np.any(low < 0) or np.any(high >= (picture.shape[1], picture.shape[0])):
+        return None
+    mask = np.zeros((high[1] - low[1] + 1, high[0] - low[0] + 1), np.uint8)
+    cv2.fillPoly(mask, [np.rint((px - low) * 16).astype(np.int32)], 1, cv2.LINE_8, 4)
+    depth = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    inside = depth > max(1.0, 2.0 * _MARGIN * float(depth.max()))
+    if np.sum(inside) < _LEAST_PX:
+        return None
+    middle: Array = np.median(picture[low[1] : high[1] + 1, low[0] : high[0] + 1][inside], axis=0)
+    return middle
+
+
+def _to_8_bit(image: cv2.typing.MatLike) -> NDArray[np.uint8]:
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8)
+    values = image.astype(np.float32)
+    low, high = np.percentile(values[::4, ::4], _STRETCH)
+    stretched: NDArray[np.uint8] = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
+    return stretched
+
+
+def _world_name(path: Path) -> Path:
+    """x.png -> x.pgw: first and last letter of the ending, and a w."""
+    ending = path.suffix.lstrip(".")
+    return path.with_suffix(f".{ending[:1]}{ending[-1:]}w")
+
+
+def _world_file(path: Path) -> Array | None:
+    """Its six lines: A's first column, second column, third column."""
+    for candidate in (_world_name(path), path.with_suffix(".wld"), Path(f"{path}w")):
+        if candidate.exists():
+            try:
+                numbers = np.array([float(word) for word in candidate.read_text().split()])
+                affine: Array = numbers.reshape(3, 2).T
+            except ValueError:
+                raise MapError(f"{candidate}: not a world file of six numbers") from None
+            return _regular(affine, candidate)
+    return None
+
+
+def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
+    """A of a GeoTIFF (standard 1.1, section 7.3): its raster space has (0, 0) at the corner of a pixel, unless it says point."""
+    if _TRANSFORM in tags:
+        affine: Array = np.array(tags[_TRANSFORM]).reshape(4, 4)[:2, [0, 1, 3]]
+    else:
+        (sx, sy), (i, j, _, x, y) = tags.get(_SCALE, (0.0, 0.0))[:2], tags[_TIEPOINT][:5]
+        affine = np.array([[sx, 0.0, x - sx * i], [0.0, -sy, y + sy * j]])
+    if _key(tags, _RASTER) != _POINT:
+        affine[:, 2] += 0.5 * affine[:, :2].sum(axis=1)
+    return _regular(affine, "GeoTIFF")
+
+
+def _regular(affine: Array, name: object) -> Array:
+    if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-20:
+        raise MapError(f"{name}: its georeference is not usable")
+    return affine
+
+
+def _epsg(tags: dict[int, tuple[float, ...]]) -> int:
+    return _key(tags, _PROJECTED) or _key(tags, _GEOGRAPHIC)
+
+
+def _key(tags: dict[int, tuple[float, ...]], key: int) -> int:
+    """A short value of the GeoTIFF's key directory, 0 where it is not there."""
+    directory = [int(v) for v in tags.get(_KEYS, ())]
+    entries = zip(directory[4::4], directory[5::4], directory[7::4], strict=False)
+    return next((value for name, place, value in entries if name == key and place == 0), 0)
+
+
+def _tags(data: bytes) -> dict[int, tuple[float, ...]]:
+    """Numbers of a classic TIFF's geographic tags; none of anything else."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    tags: dict[int, tuple[float, ...]] = {}
+    if order is None:
+        return tags
+    try:
+        (start,) = struct.unpack_from(order + "I", data, 4)
+        (count,) = struct.unpack_from(order + "H", data, start)
+        for k in range(count):
+            tag, kind, number = struct.unpack_from(order + "HHI", data, start + 2 + 12 * k)
+            if tag in (_SCALE, _TIEPOINT, _TRANSFORM, _KEYS) and kind in _FORMATS:
+                form = f"{order}{number}{_FORMATS[kind]}"
+                (place,) = struct.unpack_from(order + "I", data, start + 10 + 12 * k)
+                tags[tag] = struct.unpack_from(form, data, place if struct.calcsize(form) > 4 else start + 10 + 12 * k)
+    except (struct.error, MemoryError, OverflowError):
+        return {}
+    return tags

@@ -1,0 +1,29 @@
+"""Map files on disk."""
+
+from pathlib import Path
+
+from models.maps import geojson
+from models.maps.landmarks import LandmarkMap
+from models.maps.table import Defaults, MapError
+from models.messages import Vec3
+
+_HEAD = 4096  # bytes: where a map of ours says its origin
+
+
+def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
+    """The map of a file. Raises MapError, one line that names the file; OSError where it cannot be read."""
+    data = path.read_bytes()
+    try:
+        return LandmarkMap.from_geojson(data, defaults)
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from None
+
+
+def origin(path: Path) -> Vec3:
+    """Where the frame of the map in a file lies: from its head where it is there, without reading a million landmarks.
+
+    Raises as load does.
+    """
+    with path.open("rb") as file:
+        own = geojson.origin_of(file.read(_HEAD))
+    return own or load(path).origin

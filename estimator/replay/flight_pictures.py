@@ -1,0 +1,154 @@
+"""The stereo pictures of a simulated flight: rendered along the true trajectory, each pair on its own, on all cores.
+
+    pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
+
+Every pair has random numbers of its own, so the bytes do not depend on how many processes draw.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.files.formats import save_rig
+from estimator.frontend.workers import pool
+from logs.wire.encoding import Encoded
+from logs.wire.pictures import Picture, encode_picture
+from models import so3
+from models.camera import StereoRig
+from models.messages import Array
+from models.sim.cameras import Cameras
+from models.sim.scenario import EPOCH_NS, Simulation, Truth
+from vision.synthetic import Conditions, Image, Scene, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic.night import counts, night
+
+LEFT, RIGHT = "/left/image", "/right/image"
+
+_LOWEST_M: Final = 0.15  # camera above ground: what a vehicle stands on
+_SWING_S: Final = 37.0  # period of the light's changes
+_CHUNK: Final = 4  # pairs a process draws at a time
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A scene, and where the rig is when pictures are taken. Made once; iterating it renders the pairs in order of arrival."""
+
+    cameras: Cameras
+    scene: Scene
+    truth: Truth
+    seed: int
+    t_ns: NDArray[np.int64]  # exposures
+
+    def __len__(self) -> int:
+        """Messages: two a pair."""
+        return 2 * len(self.t_ns)
+
+    def __iter__(self) -> Iterator[tuple[int, Encoded]]:
+        """(arrival, message): left, right, left, ..."""
+        delay_ns = round(self.cameras.delay_s * 1e9)
+        with pool(None, partial(_begin, self)) as drawing:
+            for t_ns, pair in zip(self.t_ns.tolist(), drawing.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
+                for message in pair:
+                    yield t_ns + delay_ns, message
+
+    def write_map_and_rig(self, map_file: Path, rig_file: Path) -> None:
+        """What the vehicle is told: the map with its errors, the rig as it was calibrated."""
+        map_file.write_bytes(self.scene.map.to_geojson())
+        save_rig(rig_file, self.scene.rig_believed)
+
+    def draw(self, k: int) -> tuple[Encoded, Encoded]:
+        """The k-th pair as it goes over the wire."""
+        cameras, t_ns, rng = self.cameras, int(self.t_ns[k]), np.random.default_rng([self.seed, k])
+        since_s = (t_ns - EPOCH_NS) * 1e-9
+        p_n, R_nb, v_n, omega_b = _pose(self.truth, t_ns)
+        p_n = np.array([p_n[0], p_n[1], min(p_n[2], -_LOWEST_M - float(self.scene.rig.p_bc[2]))])
+        pair = render_pair(self.scene.world, self.scene.rig, p_n, R_nb, self._conditions(since_s, p_n, R_nb, v_n, omega_b), rng)
+        quality = None if cameras.sees == "thermal" else cameras.jpeg_quality or None
+        left, right = (
+            encode_picture(t_ns, _sensed(picture, cameras), topic, jpeg_quality=quality)
+            for picture, topic in zip(pair, (LEFT, RIGHT), strict=True)
+        )
+        return left, right
+
+    def _conditions(self, since_s: float, p_n: Array, R_nb: Array, v_n: Array, omega_b: Array) -> Conditions:
+        cameras, rig = self.cameras, self.scene.rig
+        R_nc = R_nb @ rig.R_bc
+        depth = max(-float(p_n[2]) / max(float(R_nc[2, 2]), 0.2), 1.0)
+        blur = blur_of_motion(rig.left.fx, R_nc.T @ v_n, rig.R_bc.T @ omega_b, depth, cameras.exposure_s)
+        light = 1.0 + cameras.light_swing * math.sin(2.0 * math.pi * since_s / _SWING_S)
+        dark = any(start <= since_s < end for start, end in cameras.dark_s)
+        return Conditions(exposure=0.0 if dark else light, haze_per_m=cameras.haze_per_m, blur_px=blur)
+
+
+def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
+    """The scene under a simulated flight, and the exposures. Raises ValueError where the flight is nowhere on Earth."""
+    if simulation.origin is None:
+        raise ValueError("cameras: their map needs a place on Earth")
+    w = cameras.world
+    spec = WorldSpec(
+        layout=w.layout,
+        area_m=w.area_m,
+        spacing_m=w.spacing_m,
+        clear_m=w.clear_m,
+        painted=w.painted,
+        unmapped=w.unmapped,
+        gone=w.gone,
+        sigma_m=w.sigma_m,
+        height_sigma_m=w.height_sigma_m,
+        outline_sigma_m=w.outline_sigma_m,
+        origin=simulation.origin.lla,
+        rig=_rig(cameras),
+    )
+    t_ns = simulation.truth.t_ns
+    period_ns = round(1e9 / cameras.rate_hz)
+    exposures = np.arange(int(t_ns[0]) + period_ns // 3, int(t_ns[-1]) - round(cameras.delay_s * 1e9), period_ns, dtype=np.int64)
+    taken = np.ones(len(exposures), dtype=np.bool_)
+    for start, end in cameras.outages_s:
+        taken &= (exposures - EPOCH_NS < start * 1e9) | (exposures - EPOCH_NS >= end * 1e9)
+    scene = make_world(w.seed, spec)
+    if cameras.sees == "thermal":
+        scene = scene._replace(world=night(scene.world, np.random.default_rng([w.seed, 1])))
+    return Flight(cameras, scene, simulation.truth, seed, exposures[taken])
+
+
+def configuration(simulation: Simulation, map_name: str, rig_name: str) -> str:
+    """The flight's configuration, with pictures, map and rig; the files are relative to it."""
+    text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = "{RIGHT}"\n')
+    return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n'
+
+
+def _sensed(picture: Image, cameras: Cameras) -> Picture:
+    """What this kind of camera makes of the light."""
+    if cameras.sees == "thermal":
+        return counts(picture)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8) if cameras.sees == "grey" else picture
+
+
+def _rig(cameras: Cameras) -> StereoRig:
+    return make_rig(cameras.width, cameras.height, cameras.focal_px, cameras.baseline_m, cameras.pitch_deg)
+
+
+def _pose(truth: Truth, t_ns: int) -> tuple[Array, Array, Array, Array]:
+    """p_n, R_nb, v_n, omega_b at t_ns."""
+    k = int(np.clip(np.searchsorted(truth.t_ns, t_ns, side="right") - 1, 0, len(truth.t_ns) - 1))
+    dt = (t_ns - int(truth.t_ns[k])) * 1e-9
+    turn = so3.matrix(so3.quat_exp(truth.omega_b[k] * dt))
+    return truth.p_n[k] + truth.v_n[k] * dt, truth.R_nb[k] @ turn, truth.v_n[k], truth.omega_b[k]
+
+
+_FLIGHT: list[Flight] = []  # of a drawing process
+
+
+def _begin(flight: Flight) -> None:
+    cv2.setNumThreads(1)
+    _FLIGHT[:] = [flight]
+
+
+def _draw(k: int) -> tuple[Encoded, Encoded]:
+    return _FLIGHT[0].draw(k)

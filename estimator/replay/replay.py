@@ -1,0 +1,122 @@
+"""A log through the estimator: what a flight with this configuration would have published, to the same bits.
+
+The output holds the input's messages byte for byte (its own earlier /landfix outputs left out) and behind each the outputs
+it caused, at the log time of its arrival. Nothing in it depends on when, where or how often the replay ran, so replaying
+an output gives the same file again.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Protocol
+
+from estimator.fusion import Fusion, FusionConfig
+from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
+from estimator.replay.summary import ReplaySummary, Tally
+from estimator.version import version
+from logs.store.parts import PartsReader, files_of
+from logs.store.reader import Attachment, LogError, Record
+from logs.store.recorder import Recorder
+from logs.wire import schemas
+from logs.wire.codec import Decoder, is_own_transform
+from models.messages import Output
+
+TF_TOPIC = "/tf"
+OWN_PREFIX = "/landfix/"
+OWN_INPUTS = frozenset({  # what stands under our own prefix, and no replay of ours makes anew
+    "/landfix/fix", "/landfix/vision", "/landfix/vision_request", "/landfix/landmarks", "/landfix/tick", "/landfix/checkpoint",
+})  # fmt: skip
+_PROGRESS_EVERY = 2000  # records
+
+
+class ReplayConfig(Protocol):
+    """What a replay needs of the configuration (estimator.config.Config has it)."""
+
+    @property
+    def output(self) -> OutputConfig:
+        """What is published how often."""
+        ...
+
+    def fusion(self) -> FusionConfig:
+        """The parameters of Fusion."""
+        ...
+
+    def decoder(self) -> Decoder:
+        """Which topics are read, and how."""
+        ...
+
+    def toml(self) -> str:
+        """All of it as text."""
+        ...
+
+
+class SeesAgain(Protocol):
+    """What looks at the pictures of the log again (estimator.frontend.replay_pictures.SightReplay)."""
+
+    def records(self, record: Record) -> Iterable[Record]:
+        """What the estimator is to see instead of this record."""
+        ...
+
+    def note(self, outputs: Iterable[Output]) -> None:
+        """What Fusion said."""
+        ...
+
+
+def replay(
+    source: Path | Sequence[Path],
+    out: Path,
+    config: ReplayConfig,
+    progress: Callable[[float], None] | None = None,
+    sight: SeesAgain | None = None,
+    attachments: Sequence[Attachment] = (),
+) -> ReplaySummary:
+    """Replay the log `source` (or its parts, or their folder) into `out`; progress is told the fraction done. Raises LogError.
+
+    sight: looks at the pictures of the log again; None: the fixes in it are taken. attachments: files that the configuration
+    names (publish.file_attachment), instead of the log's own of that kind.
+    """
+    parts = files_of(source)
+    if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
+        raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
+    fusion, decoder, publisher, tally = Fusion(config.fusion()), config.decoder(), Publisher(config.output), Tally()
+    text = config.toml().encode()
+    began = time.perf_counter()
+    metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
+    kept = [Attachment(CONFIG_ATTACHMENT, "application/toml", text), *attachments]
+    with PartsReader(parts) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
+        for attachment in kept:
+            recorder.attach(*attachment)
+        for record in (seen for read in reader for seen in (sight.records(read) if sight else (read,))):
+            topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
+            if _is_own_output(topic, schema, data):
+                continue
+            recorder.write(topic, schema, data, log_time_ns)
+            tally.record(log_time_ns)
+            message = decoder.decode(topic, schema, data, log_time_ns)
+            if message is not None:
+                outputs = fusion.handle(message)
+                tally.step(message, outputs)
+                if sight:
+                    sight.note(outputs)
+                for encoded in publisher.encoded(outputs):
+                    recorder.write(*encoded, log_time_ns)
+            if progress and tally.records % _PROGRESS_EVERY == 0:
+                progress(reader.fraction)
+        kinds = {_kind(attachment) for attachment in kept}
+        for attachment in reader.attachments:
+            if _kind(attachment) not in kinds:
+                recorder.attach(*attachment)
+    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing)
+
+
+def _kind(attachment: Attachment) -> str:
+    """What it is, whatever its file was called: config.toml, calibration, map ..."""
+    return attachment.name.partition("/")[0]
+
+
+def _is_own_output(topic: str, schema: str, data: bytes) -> bool:
+    """Whether a message of the input is what an earlier run of ours published. /tf is shared: only map -> base_link is ours."""
+    if topic == TF_TOPIC and schema == schemas.TF:
+        return is_own_transform(data)
+    return topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS

@@ -1,0 +1,119 @@
+"""A log through the smoother: the log again, and in it /landfix/smoothed, what can be said of the flight with all of it known."""
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from estimator.filter.smoother import Smoothed, smooth
+from estimator.fusion import FusionConfig
+from estimator.version import version
+from logs.store.reader import LogError, LogReader
+from logs.store.recorder import Recorder
+from logs.wire.codec import Decoder, Encoded, encode
+from models.messages import Estimate, ImuSample, Input, Mode, vec3
+
+TOPIC = "/landfix/smoothed"
+CONFIG_ATTACHMENT = "smoothed.toml"
+_PROGRESS_EVERY = 2000  # records
+_READ, _SMOOTHED = 0.3, 0.7  # fractions of the work after which the file is read and the flight is smoothed
+
+
+class SmoothLogConfig(Protocol):
+    """What is needed of the configuration (estimator.config.Config has it)."""
+
+    def fusion(self) -> FusionConfig:
+        """The parameters of the estimator."""
+        ...
+
+    def decoder(self) -> Decoder:
+        """Which topics are read, and how."""
+        ...
+
+    def toml(self) -> str:
+        """All of it as text."""
+        ...
+
+
+class SmoothSummary(msgspec.Struct, frozen=True):
+    """What was written: nodes, the segments they fall into, and the largest 1-sigma of a position in any direction, m."""
+
+    nodes: int
+    segments: int
+    worst_sigma_m: float
+    torn: bool
+
+
+def write_smoothed(
+    source: Path, out: Path, config: SmoothLogConfig, progress: Callable[[float], None] | None = None
+) -> SmoothSummary:
+    """Smooth the log `source` into `out`; progress is told the fraction done. Raises LogError for a file that is no log.
+
+    out holds the messages and attachments of the source, its own estimates included (an earlier /landfix/smoothed is not), and
+    nav_msgs/Odometry on /landfix/smoothed, each at the log time of the first IMU sample that is not older.
+    """
+    if source.exists() and out.exists() and out.samefile(source):
+        raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
+    tell = progress or (lambda _: None)
+    messages = _read(source, config.decoder(), lambda fraction: tell(_READ * fraction))
+    smoothed = smooth(messages, config.fusion(), lambda fraction: tell(_READ + (_SMOOTHED - _READ) * fraction))
+    arrivals = _arrivals(smoothed, messages)
+    text = config.toml().encode()
+    metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
+    with LogReader(source) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
+        recorder.attach(CONFIG_ATTACHMENT, "application/toml", text)
+        written = 0
+        for k, record in enumerate(reader):
+            while written < len(arrivals) and arrivals[written] < record.log_time_ns:
+                recorder.write(*_encoded(smoothed, written, arrivals[written]), arrivals[written])
+                written += 1
+            if record.topic != TOPIC:
+                recorder.write(record.topic, record.schema, record.data, record.log_time_ns)
+            if k % _PROGRESS_EVERY == 0:
+                tell(_SMOOTHED + (1.0 - _SMOOTHED) * reader.fraction)
+        for row in range(written, len(arrivals)):
+            recorder.write(*_encoded(smoothed, row, arrivals[row]), arrivals[row])
+        for name, media_type, content in reader.attachments:
+            if name != CONFIG_ATTACHMENT:
+                recorder.attach(name, media_type, content)
+        tell(1.0)
+        return _summary(smoothed, reader.torn)
+
+
+def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list[Input]:
+    """All inputs of the log, in the order of their arrival."""
+    messages: list[Input] = []
+    with LogReader(source) as reader:
+        for k, record in enumerate(reader):
+            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
+            if message is not None:
+                messages.append(message)
+            if k % _PROGRESS_EVERY == 0:
+                tell(reader.fraction)
+    return messages
+
+
+def _arrivals(smoothed: Smoothed, messages: list[Input]) -> list[int]:
+    """When each node could first have been known: the arrival of the first IMU sample that is not older, never decreasing."""
+    imu = sorted((m.t_ns, m.arrived_ns) for m in messages if isinstance(m, ImuSample))
+    t_ns, arrived_ns = np.array(imu, np.int64).reshape(-1, 2).T
+    rows = np.searchsorted(t_ns, smoothed.t_ns)
+    known: list[int] = np.maximum.accumulate(arrived_ns[rows]).tolist()
+    return known
+
+
+def _encoded(smoothed: Smoothed, row: int, arrived_ns: int) -> Encoded:
+    """One node as /landfix/odometry would be encoded, on its own topic."""
+    t_ns = int(smoothed.t_ns[row])
+    estimate = Estimate(
+        t_ns, arrived_ns, smoothed.nav[row], smoothed.covariance[row], vec3(smoothed.gyro_b[row]), Mode.AIDED, 0, t_ns
+    )
+    return encode(estimate)[0]._replace(topic=TOPIC)
+
+
+def _summary(smoothed: Smoothed, torn: bool) -> SmoothSummary:
+    largest = np.linalg.eigvalsh(smoothed.covariance[:, :3, :3])[:, -1].max(initial=0.0)
+    return SmoothSummary(len(smoothed.t_ns), len(set(smoothed.segment.tolist())), float(np.sqrt(largest)), torn)

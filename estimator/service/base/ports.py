@@ -1,0 +1,76 @@
+"""What the daemon's loop knows of the world outside: where messages come from, where outputs go, where both are kept.
+
+A link (Zenoh, MAVLink, a test) is given an Inbox and is itself an Outbox. All of its own threads may call Inbox.put at any time;
+Outbox.send is called by the loop alone, must not block, and must not raise.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from logs.wire.codec import Encoded
+from models.messages import Input, Output
+
+
+class Arrival(NamedTuple):
+    """A message as it came: ROS 2 CDR bytes, and when, on the daemon's clock (clock.Clock). own: from our own vision."""
+
+    topic: str
+    schema: str
+    data: bytes
+    arrived_ns: int
+    own: bool = False
+
+
+class Inbox(Protocol):
+    """Where a link puts what it receives. Never blocks, never raises, keeps the order."""
+
+    def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
+        """A message on the wire's own bytes; it arrives now. Images go to the log only."""
+        ...
+
+    def put(self, message: Input) -> None:
+        """A measurement of a link that speaks no CDR; it arrives now, whatever its arrived_ns says.
+
+        It is encoded first: the estimator sees what the log holds, so that a replay sees the same.
+        """
+        ...
+
+
+class Outbox(Protocol):
+    """Whoever sends what the estimator says."""
+
+    def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:
+        """What one input led to: as records (NED, FRD), and as the messages that are due, in CDR."""
+        ...
+
+    def close(self) -> None:
+        """The daemon stops; nothing is sent after this."""
+        ...
+
+
+class Log(Protocol):
+    """Where everything is kept. Never blocks, never raises; what is dropped is counted."""
+
+    def put_input(self, arrival: Arrival) -> None:
+        """What the estimator was told: the last that may be lost."""
+        ...
+
+    def put_output(self, encoded: Encoded, log_time_ns: int) -> None:
+        """What the estimator said, which a replay can say again."""
+        ...
+
+    def put_image(self, arrival: Arrival) -> None:
+        """A picture; the oldest ones go first when the disk is slow."""
+        ...
+
+
+class Screen(Protocol):
+    """Where pictures for people are shown, if anybody watches."""
+
+    def watched(self) -> bool:
+        """Whether somebody subscribes now; asked before anything is drawn."""
+        ...
+
+    def show(self, picture: Encoded) -> None:
+        """Send it. Called by one thread, must not block, and must not raise."""
+        ...

@@ -1,0 +1,283 @@
+"""The log's own thread: what the loop hands over is written, flushed every 50 ms, rotated, and never waited for.
+
+A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
+replay makes again, are left out first, pictures from the oldest on, and inputs only when memory is at stake. When the disk is
+full the flight goes on, the log says so, and begins again in a new file as soon as there is space. Where somebody deletes, moves
+or replaces the file, a new one begins within a second, and the state counts it.
+"""
+
+import contextlib
+import os
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from estimator.service.base.ports import Arrival
+from estimator.service.log.recovery import FILE_MODE, FOLDER_MODE
+from logs.store.reader import Attachment, LogError
+from logs.store.recorder import Recorder
+from logs.wire.codec import Encoded
+from logs.wire.schemas import is_known
+
+_WAKE_S: Final = 0.025
+_FLUSH_S: Final = 0.05
+_RETRY_S: Final = 2.0
+_SPACE_EVERY_S: Final = 1.0
+_MB: Final = 1_000_000
+_OUTPUTS_LIMIT, _INPUTS_LIMIT = 32 * _MB, 256 * _MB  # bytes that wait for the disk
+
+
+class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[log]: the flight recorder."""
+
+    enabled: Annotated[bool, Meta(description="whether anything is recorded")] = True
+    folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
+    rotate_mb: Annotated[
+        float, Meta(ge=1e-3, le=1e9, description="MB: a file that has grown so large is followed by another")
+    ] = 4000.0
+    rotate_min: Annotated[float, Meta(ge=1e-3, le=1e6, description="min: a file that is so old is followed by another")] = 120.0
+    keep_gb: Annotated[float, Meta(ge=0, le=1e6, description="GB: oldest logs beyond this are deleted; 0: none ever is")] = 0.0
+    least_free_mb: Annotated[
+        float, Meta(ge=0, le=1e9, description="MB: with less free the log pauses, for the sake of the system")
+    ] = 200.0
+    sync_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: between writes that outlive a power cut; 0: left to the system")
+    ] = 5.0
+    images: Annotated[bool, Meta(description="whether pictures are recorded")] = True
+    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: pictures that may wait for the disk")] = 64.0
+
+
+class LogState(NamedTuple):
+    """How the log is doing. lost_inputs must be 0."""
+
+    state: str  # recording, waiting for space, failed, off
+    file: str
+    bytes_written: int
+    waiting_bytes: int
+    lost_inputs: int
+    dropped_outputs: int
+    dropped_images: int
+    removed_files: int  # deleted, moved or replaced by somebody while they were written
+
+
+class _Item(NamedTuple):
+    topic: str
+    schema: str
+    data: bytes
+    log_time_ns: int
+
+
+class LogWriter:
+    """The Log of ports.py. name(n): the path of the n-th file; attachments and metadata go into every file."""
+
+    def __init__(
+        self,
+        config: LogConfig,
+        name: Callable[[int], Path],
+        metadata: Mapping[str, str],
+        attachments: Sequence[Attachment] = (),
+    ) -> None:
+        self._config, self._name, self._metadata, self._attachments = config, name, dict(metadata), attachments
+        self._queue: deque[_Item] = deque()
+        self._images: deque[_Item] = deque()
+        self._put_bytes = self._taken_bytes = 0  # each is changed by one thread only
+        self._image_lock, self._image_bytes, self._taken_image_bytes = threading.Lock(), 0, 0
+        self._lost_inputs = self._dropped_outputs = self._dropped_images = 0
+        self._removed_files = 0
+        self._unflushed: list[_Item] = []  # written, but not yet safe: a full disk tears it off
+        self._state, self._problem = "recording", ""
+        self._recorder: Recorder | None = None
+        self._number = self._written = self._file_bytes = 0
+        self._opened_s = self._retry_s = self._space_s = self._sync_s = self._flush_s = 0.0
+        self._syncing: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        self._thread.start()
+
+    # --- called by the loop and the links -----------------------------------------------------------------------------------
+
+    def put_input(self, arrival: Arrival) -> None:
+        """Keep an input."""
+        if self.waiting_bytes > _INPUTS_LIMIT or not is_known(arrival.schema):
+            self._lost_inputs += 1
+            return
+        self._put_bytes += len(arrival.data)
+        self._queue.append(_Item(*arrival[:4]))
+
+    def put_output(self, encoded: Encoded, log_time_ns: int) -> None:
+        """Keep an output."""
+        if self.waiting_bytes > _OUTPUTS_LIMIT:
+            self._dropped_outputs += 1
+            return
+        self._put_bytes += len(encoded.data)
+        self._queue.append(_Item(*encoded, log_time_ns))
+
+    def put_image(self, arrival: Arrival) -> None:
+        """Keep a picture; the oldest make room."""
+        if not self._config.images or not is_known(arrival.schema):
+            return
+        with self._image_lock:
+            self._image_bytes += len(arrival.data)
+            self._images.append(_Item(*arrival[:4]))
+            while self._images and self._image_bytes - self._taken_image_bytes > self._config.image_queue_mb * _MB:
+                self._image_bytes -= len(self._images.popleft().data)
+                self._dropped_images += 1
+
+    @property
+    def waiting_bytes(self) -> int:
+        """What waits for the disk, pictures apart."""
+        return self._put_bytes - self._taken_bytes
+
+    @property
+    def state(self) -> LogState:
+        """How it is doing."""
+        file = str(self._recorder.path) if self._recorder else ""
+        state = f"{self._state}: {self._problem}" if self._problem else self._state
+        drops = self._lost_inputs, self._dropped_outputs, self._dropped_images, self._removed_files
+        return LogState(state, file, self._written, self.waiting_bytes, *drops)
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        return self.state._asdict()
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Write what waits and make the file whole."""
+        self._stop.set()
+        self._thread.join(timeout_s)
+
+    # --- the thread -----------------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._stop.wait(_WAKE_S):
+            self._turn(time.monotonic())
+        self._retry_s = 0.0  # what waits for a disk gets a last chance
+        self._turn(time.monotonic())
+        self._end_file()
+
+    def _turn(self, now_s: float) -> None:
+        """Write all that waits, as far as the disk lets us."""
+        try:
+            if self._recorder is None and now_s >= self._retry_s:
+                self._begin_file(now_s)
+            if self._recorder is not None:
+                self._drain(self._recorder)
+                if now_s - self._flush_s >= _FLUSH_S or self._stop.is_set():
+                    self._flush(self._recorder, now_s)
+                self._look_after(self._recorder, now_s)
+        except Exception as error:  # LogError, OSError of a folder that is gone; whatever it is, this thread goes on
+            self._fail(str(error), now_s)
+
+    def _drain(self, recorder: Recorder) -> None:
+        for _ in range(len(self._queue)):
+            item = self._queue.popleft()
+            self._unflushed.append(item)
+            self._taken_bytes += len(item.data)
+            recorder.write(*item)
+            self._count(item)
+        while True:
+            with self._image_lock:
+                if not self._images:
+                    return
+                image = self._images.popleft()
+                self._taken_image_bytes += len(image.data)
+            recorder.write(*image)
+            self._count(image)
+
+    def _flush(self, recorder: Recorder, now_s: float) -> None:
+        recorder.flush()
+        self._unflushed.clear()
+        self._flush_s = now_s
+
+    def _count(self, item: _Item) -> None:
+        self._file_bytes += len(item.data)
+        self._written += len(item.data)
+
+    def _look_after(self, recorder: Recorder, now_s: float) -> None:
+        """Space, rotation, power cuts."""
+        config = self._config
+        if config.sync_s and now_s - self._sync_s >= config.sync_s and not (self._syncing and self._syncing.is_alive()):
+            self._sync_s = now_s
+            self._syncing = threading.Thread(target=_sync, args=(recorder.path,), name="sync", daemon=True)
+            self._syncing.start()  # a card may take seconds, and kill -9 would cost what waits meanwhile
+        if now_s - self._space_s < _SPACE_EVERY_S:
+            return
+        self._space_s = now_s
+        if not recorder.is_in_place:
+            self._removed_files += 1
+            self._end_file()
+            self._begin_file(now_s)
+            return
+        if _free_mb(recorder.path.parent) < config.least_free_mb:
+            self._flush(recorder, now_s)
+            self._end_file()
+            self._pause(now_s)
+        elif self._file_bytes > config.rotate_mb * _MB or now_s - self._opened_s > config.rotate_min * 60.0:
+            self._flush(recorder, now_s)
+            self._end_file()
+            self._begin_file(now_s)
+
+    def _begin_file(self, now_s: float) -> None:
+        path = self._name(self._number)
+        path.parent.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
+        self._thin_out(path.parent)
+        if _free_mb(path.parent) < self._config.least_free_mb:
+            self._pause(now_s)
+            return
+        path.touch(FILE_MODE)
+        self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
+        for attachment in self._attachments:
+            self._recorder.attach(attachment.name, attachment.media_type, attachment.data)
+        self._number, self._file_bytes = self._number + 1, 0
+        self._opened_s = self._sync_s = now_s
+        self._state, self._problem = "recording", ""
+
+    def _end_file(self) -> None:
+        """Index and end. Where they do not fit the file is torn, but has every message that was flushed."""
+        if self._recorder is not None:
+            with contextlib.suppress(LogError):
+                self._recorder.close()
+            self._recorder = None
+
+    def _pause(self, now_s: float) -> None:
+        least = self._config.least_free_mb
+        self._state, self._problem, self._retry_s = "waiting for space", f"less than {least:g} MB free", now_s + _RETRY_S
+
+    def _fail(self, problem: str, now_s: float) -> None:
+        """What was torn off waits for the next file."""
+        self._end_file()
+        self._queue.extendleft(reversed(self._unflushed))
+        self._taken_bytes -= sum(len(item.data) for item in self._unflushed)
+        self._unflushed.clear()
+        self._state, self._problem, self._retry_s = "failed", problem, now_s + _RETRY_S
+
+    def _thin_out(self, folder: Path) -> None:
+        """Delete the oldest logs beyond keep_gb."""
+        if not self._config.keep_gb:
+            return
+        logs = sorted(folder.glob("landfix-*.mcap"), key=lambda p: p.name, reverse=True)
+        total = 0
+        for log in logs:
+            total += log.stat().st_size
+            if total > self._config.keep_gb * 1e9:
+                log.unlink(missing_ok=True)
+
+
+def _free_mb(folder: Path) -> float:
+    return shutil.disk_usage(folder).free / _MB
+
+
+def _sync(path: Path) -> None:
+    """What the system holds of the file goes to the disk."""
+    with contextlib.suppress(OSError):
+        fd = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)

@@ -1,0 +1,205 @@
+"""MAVLink messages <-> records. MAVLink is NED and FRD like ours; its units are its own.
+
+PX4 and ArduPilot read ODOMETRY differently:
+
+    PX4        LOCAL_NED, BODY_FRD; covariances are covariances
+    ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
+               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) tells it sigma
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from estimator.service.autopilot.px4_messages import position_sigmas
+from logs.importers.sensors import navsat_status, variance_from_dop
+from models import so3
+from models.frames import GRAVITY
+from models.messages import Array, AttitudePrior, Baro, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
+from models.state import E, X
+
+PX4: Final = mavlink.MAV_AUTOPILOT_PX4
+ARDUPILOT: Final = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+COARSE: Final = frozenset({"RAW_IMU", "SCALED_IMU"})
+
+_US_NS, _MS_NS = 1_000, 1_000_000
+_MILLI_G: Final = GRAVITY * 1e-3
+_ACCEL_AND_GYRO: Final = 0b111111  # of HIGHRES_IMU.fields_updated
+_PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE
+_HPA_PA: Final = 100.0
+_UNKNOWN: Final = 65535
+_SPEED_SIGMA_M_S: Final = 0.5  # where the receiver tells none
+_NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
+_BYTE: Final = 256
+_FIX_3D: Final = 3
+_GPS_EPOCH_NS: Final = 315_964_800_000_000_000  # 1980-01-06
+_LEAP_NS: Final = 18_000_000_000  # GPS time is ahead of UTC by this much, since 2017
+_WEEK_MS: Final = 604_800_000
+_DATES_NS: Final = (1_483_228_800_000_000_000, 4_102_444_800_000_000_000)  # 2017 to 2100: whoever is outside has no date
+_TURN: Final = 2.0 * math.pi
+_POSE: Final = np.r_[0:3, 6:9]  # position and attitude in the error state
+_UPPER: Final = np.triu_indices(6)
+_DIAGONAL: Final = np.flatnonzero(_UPPER[0] == _UPPER[1])  # of the 21 numbers of a 6x6 upper triangle
+_IGNORED: Final = (
+    mavlink.GPS_INPUT_IGNORE_FLAG_HDOP
+    | mavlink.GPS_INPUT_IGNORE_FLAG_VDOP
+    | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_HORIZ
+    | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
+    | mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
+)
+_NOT_COUNTED: Final = 255  # satellites: there are none
+
+Stamp = Callable[[int], int | None]  # ns since boot -> ns on our clock
+
+
+class Place(NamedTuple):
+    """Of the estimate on Earth: degrees, and metres above the ellipsoid and above the sea."""
+
+    lat_deg: float
+    lon_deg: float
+    ellipsoid_m: float
+    sea_m: float
+
+
+def stamp_ns(message: Any) -> int:
+    """The message's own time, as it is; 0 where it has none."""
+    if hasattr(message, "time_usec"):
+        return int(message.time_usec) * _US_NS
+    return int(getattr(message, "time_boot_ms", 0)) * _MS_NS
+
+
+def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
+    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU (mG, mrad/s); None: not of the first IMU, or without both triads."""
+    gyro = message.xgyro, message.ygyro, message.zgyro
+    accel = message.xacc, message.yacc, message.zacc
+    if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message
+        return None
+    if message.get_type() in COARSE:
+        return ImuSample(t_ns, t_ns, vec3([1e-3 * x for x in gyro]), vec3([_MILLI_G * x for x in accel]), topic)
+    if message.fields_updated & _ACCEL_AND_GYRO != _ACCEL_AND_GYRO:
+        return None
+    return ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel), topic)
+
+
+def baro(message: Any, t_ns: int, topic: str) -> Baro | None:
+    """The pressure in a HIGHRES_IMU, hPa; None where it is not a new one."""
+    if message.id != 0 or not message.fields_updated & _PRESSURE:
+        return None
+    return Baro(t_ns, t_ns, _HPA_PA * message.abs_pressure, 0.0, topic)
+
+
+def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str) -> AttitudePrior:
+    """ATTITUDE, roll, pitch and heading in rad; sigma_deg: of its tilt and of its heading, for it gives none.
+
+    Raises ValueError for what are no angles.
+    """
+    angles = message.roll, message.pitch, message.yaw
+    if not all(abs(angle) <= _TURN for angle in angles):
+        raise ValueError("roll, pitch, yaw = {:g}, {:g}, {:g} rad: are no angles".format(*angles))
+    tilt, heading = (math.radians(sigma) ** 2 for sigma in sigma_deg)
+    w, x, y, z = so3.from_euler(*angles).tolist()
+    return AttitudePrior(t_ns, t_ns, (w, x, y, z), np.diag([tilt, tilt, heading]), topic)
+
+
+def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:
+    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where there is none above the ellipsoid."""
+    height_m = 1e-3 * message.alt_ellipsoid if message.alt_ellipsoid else 1e-3 * message.alt + geoid_m
+    status = int(navsat_status(np.array(message.fix_type)))
+    return GnssFix(t_ns, t_ns, 1e-7 * message.lat, 1e-7 * message.lon, height_m, _position_covariance(message), status, topic)
+
+
+def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
+    """Speed and course over ground; None where the receiver gives none."""
+    if message.fix_type < _FIX_3D or _UNKNOWN in {message.vel, message.cog}:
+        return None
+    speed, course = 1e-2 * message.vel, math.radians(1e-2 * message.cog)
+    variance = (1e-3 * message.vel_acc or _SPEED_SIGMA_M_S) ** 2
+    v_n = speed * math.cos(course), speed * math.sin(course), 0.0
+    return GnssVelocity(t_ns, t_ns, v_n, np.diag([variance, variance, _NO_VERTICAL_VARIANCE]), topic)
+
+
+def odometry(e: Estimate, time_usec: int, quality: int, autopilot: int) -> Any:
+    """ODOMETRY in the convention of the autopilot: velocity in the body's axes, attitude variances about them."""
+    q_nb = so3.normalise(e.nav[X.Q])
+    R_bn = so3.matrix(q_nb).T
+    pose = e.covariance[np.ix_(_POSE, _POSE)][_UPPER]
+    frame = mavlink.MAV_FRAME_LOCAL_NED
+    if autopilot == ARDUPILOT:
+        frame, variances = mavlink.MAV_FRAME_LOCAL_FRD, pose[_DIAGONAL]
+        pose = np.zeros(len(pose))
+        pose[_DIAGONAL] = np.sqrt(variances**1.5 / 3.0)
+    velocity = np.zeros((6, 6))
+    velocity[:3, :3] = R_bn @ e.covariance[E.V, E.V] @ R_bn.T
+    return mavlink.MAVLink_odometry_message(
+        time_usec,
+        frame,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *vec3(e.nav[X.P]),
+        q_nb.tolist(),
+        *vec3(R_bn @ e.nav[X.V]),
+        *e.gyro_b,
+        pose.tolist(),
+        velocity[_UPPER].tolist(),
+        reset_counter=e.reset_counter % _BYTE,
+        estimator_type=mavlink.MAV_ESTIMATOR_TYPE_VISION,
+        quality=quality,
+    )
+
+
+def place(lla: Vec3, geoid_m: float) -> Place:
+    """lla: degrees, and metres above the ellipsoid; geoid_m: the geoid's height above it."""
+    return Place(*lla, lla[2] - geoid_m)
+
+
+def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: int) -> Any:
+    """GLOBAL_POSITION_SENSOR, for PX4's auxiliary global position."""
+    eph, epv = position_sigmas(e.covariance)
+    return mavlink.MAVLink_global_position_sensor_message(
+        system,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        slot,
+        time_usec,
+        0,
+        mavlink.GLOBAL_POSITION_SRC_VISION,
+        0,
+        *_degrees_e7(at),
+        at.ellipsoid_m,
+        at.sea_m,
+        eph,
+        epv,
+    )
+
+
+def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int | None) -> Any:
+    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where the autopilot knows it; week 0 where it knows none."""
+    eph, epv = position_sigmas(e.covariance)
+    week, week_ms = 0, 0
+    if utc_ns is not None and is_date(utc_ns):
+        week, week_ms = divmod((utc_ns + _LEAP_NS - _GPS_EPOCH_NS) // _MS_NS, _WEEK_MS)
+    nothing = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # hdop, vdop, three of velocity and its accuracy: flagged as not given
+    return mavlink.MAVLink_gps_input_message(
+        time_usec, gps_id, _IGNORED, week_ms, week, _FIX_3D, *_degrees_e7(at), at.sea_m, *nothing, eph, epv, _NOT_COUNTED
+    )
+
+
+def is_date(utc_ns: int) -> bool:
+    """Whether the time is one that a clock can show that was ever set."""
+    first, end = _DATES_NS
+    return first <= utc_ns < end
+
+
+def _degrees_e7(at: Place) -> tuple[int, int]:
+    return round(at.lat_deg * 1e7), round(at.lon_deg * 1e7)
+
+
+def _position_covariance(message: Any) -> Array | None:
+    """Of h_acc and v_acc, mm, where given; else of eph and epv, which are 100 HDOP and 100 VDOP."""
+    if message.h_acc and message.v_acc:
+        h, v = 1e-3 * message.h_acc, 1e-3 * message.v_acc
+        return np.diag([h * h, h * h, v * v])
+    hdop, vdop = (math.nan if x == _UNKNOWN else 1e-2 * x for x in (message.eph, message.epv))
+    variance = variance_from_dop(np.array([hdop]), np.array([vdop]))[0]
+    return np.diag(variance) if np.isfinite(variance).all() and (variance > 0.0).all() else None

@@ -1,0 +1,132 @@
+"""Which messages of the autopilot are measurements, on which topics, and which have to be asked for.
+
+HIGHRES_IMU is the IMU. Where it does not come, RAW_IMU (ArduPilot) or SCALED_IMU stands in, in steps of 0.01 m/s^2 and
+0.001 rad/s; the status says so.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from estimator.service.base.clock import SECOND_NS
+from estimator.service.mavlink import codec
+from estimator.service.mavlink.config import MavlinkConfig
+from estimator.strict_toml import ConfigError
+from logs.wire.codec import Topics
+from models.messages import Input
+
+_MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
+_MICRO: Final = 1e6
+_SYSTEM_TIME_HZ: Final = 1.0
+_ATTITUDE_HZ: Final = 2.0
+_ATTITUDE: Final[int] = mavlink.MAVLINK_MSG_ID_ATTITUDE
+_IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
+_RAW: Final[int] = mavlink.MAVLINK_MSG_ID_RAW_IMU
+_SCALED: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_IMU
+_IMUS: Final = {"HIGHRES_IMU": _IMU, "RAW_IMU": _RAW, "SCALED_IMU": _SCALED}
+_RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
+_NEVER: Final = -(2**62)
+
+
+class Inputs:
+    """Of one link. Raises ConfigError."""
+
+    def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float) -> None:
+        if config.attitude_sigma_deg and not topics.attitude:
+            raise ConfigError('mavlink.attitude_sigma_deg: name a topic for it, [inputs] attitude = "/attitude"')
+        self._attitude_sigma_deg, self._attitude_topics = config.attitude_sigma_deg, topics.attitude
+        self._geoid_m = geoid_m
+        self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
+        self._baro_topic = topics.baro[0] if config.baro and topics.baro else None
+        self._pressure_pa = 0.0  # the last
+        self._positions = dict(zip(_RECEIVERS, topics.gnss if config.gnss else (), strict=False))
+        self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
+        self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
+        imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset({_IMU} if self._baro_topic else ())
+        attitudes = frozenset({_ATTITUDE} if self._attitude_sigma_deg else ())
+        self.wanted = imus | attitudes | self._positions.keys() | self._velocities.keys()
+        self._heard: dict[int, int] = {}  # message id -> when
+        self._asked: dict[int, int] = {}
+        self._began_ns: int | None = None  # when an IMU was first asked for
+        self.imu_kind = "none"
+
+    def ask_again(self) -> None:
+        """The autopilot may have forgotten what it was asked for."""
+        self._asked.clear()
+        self._heard.clear()
+        self._began_ns = None
+
+    def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
+        """Id and period in us of each message that is to be asked for now."""
+        for number, period_us in self._missing(now_ns, autopilot).items():
+            asked_ns = self._asked.get(number)  # once in any case: it may come by itself, but too seldom
+            if asked_ns is None or now_ns - max(asked_ns, self._heard.get(number, _NEVER)) > _MISSING_NS:
+                self._asked[number] = now_ns
+                yield number, period_us
+
+    def hear(self, message: Any, now_ns: int) -> None:
+        """It comes, so it need not be asked for."""
+        self._heard[message.get_msgId()] = now_ns
+
+    def measured(self, message: Any, t_ns: int, now_ns: int, autopilot: int | None) -> Iterator[Input]:
+        """The measurements in a message that was valid at t_ns."""
+        number, kind = message.get_msgId(), message.get_type()
+        if kind in _IMUS:
+            if self._imu_topic and self._is_best(kind, now_ns, autopilot):
+                sample = codec.imu(message, t_ns, self._imu_topic)
+                if sample is not None:
+                    self.imu_kind = kind
+                    yield sample
+            if kind == "HIGHRES_IMU" and self._baro_topic:
+                yield from self._pressure(message, t_ns, self._baro_topic)
+            return
+        if number == _ATTITUDE and self._attitude_sigma_deg:
+            yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topics[0])
+        if number in self._positions:
+            yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
+        if number in self._velocities:
+            velocity = codec.gnss_velocity(message, t_ns, self._velocities[number])
+            if velocity is not None:
+                yield velocity
+
+    def _pressure(self, message: Any, t_ns: int, topic: str) -> Iterator[Input]:
+        """A reading that is told again with every IMU sample is one reading."""
+        reading = codec.baro(message, t_ns, topic)
+        if reading is not None and reading.pressure_pa != self._pressure_pa:
+            self._pressure_pa = reading.pressure_pa
+            yield reading
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        coarse = " (coarse: steps of 0.01 m/s^2, 0.001 rad/s)" if self.imu_kind in codec.COARSE else ""
+        return {"imu": self.imu_kind + coarse}
+
+    def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
+        """What is wanted, and how often."""
+        wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
+        wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
+        if self._attitude_sigma_deg:
+            wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
+        if self._baro_topic:
+            wanted[_IMU] = self._gnss_us
+        if self._imu_topic:
+            wanted[_IMU] = self._imu_us
+            self._began_ns = now_ns if self._began_ns is None else self._began_ns
+            if self._is_gone(_IMU, now_ns):
+                wanted[_coarse_of(autopilot)] = self._imu_us
+        return wanted
+
+    def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
+        """One kind at a time: the coarse one, in physical units, only while the good one does not come."""
+        return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
+
+    def _is_gone(self, number: int, now_ns: int) -> bool:
+        """Asked for in vain for a while."""
+        since_ns = max(self._heard.get(number, _NEVER), self._began_ns or _NEVER)
+        return self._began_ns is not None and now_ns - since_ns > _MISSING_NS
+
+
+def _coarse_of(autopilot: int | None) -> int:
+    """RAW_IMU is in mG and mrad/s with ArduPilot only; others' is in counts of the chip."""
+    return _RAW if autopilot == codec.ARDUPILOT else _SCALED

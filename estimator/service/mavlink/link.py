@@ -1,0 +1,268 @@
+"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and its messages asked for.
+
+One thread reads, answers and asks; what the estimator says is sent from the daemon's loop, which never waits for the link.
+"""
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from estimator.publish import Pace
+from estimator.service.autopilot.clock import AutopilotClock
+from estimator.service.autopilot.output_policy import Handover, is_sound, newest
+from estimator.service.base.clock import SECOND_NS, Clock
+from estimator.service.base.ports import Inbox
+from estimator.service.mavlink import codec
+from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
+from estimator.service.mavlink.inputs import Inputs
+from estimator.service.mavlink.io import opened
+from estimator.service.mavlink.wire import Wire
+from logs.wire.codec import Encoded, Topics
+from models.frames import Origin
+from models.messages import Estimate, Output
+from models.state import X
+
+_HEARTBEAT_NS: Final = SECOND_NS
+_TIMESYNC_NS: Final = SECOND_NS // 4
+_GONE_NS: Final = 3 * SECOND_NS  # without a HEARTBEAT
+_TURN_S: Final = 0.02  # the thread looks at the time this often
+_US_NS: Final = 1_000
+_AUTOPILOTS: Final = {"px4": codec.PX4, "ardupilot": codec.ARDUPILOT}
+_NAMES: Final = {number: name for name, number in _AUTOPILOTS.items()}
+_IN_PROGRESS: Final = frozenset({mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS})
+_OF_THE_LINK: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+    }
+)
+
+
+class MavlinkLink:
+    """An Outbox that feeds an Inbox. Raises ConfigError when its endpoint or key cannot be had."""
+
+    def __init__(
+        self,
+        config: MavlinkConfig,
+        folder: Path,
+        topics: Topics,
+        clock: Clock,
+        handover: Handover,
+        odometry_hz: float,
+        geoid_m: float,
+    ) -> None:
+        self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
+        self._inputs = Inputs(config, topics, geoid_m)
+        key, heard = signing_key(config, folder), frozenset(config.listen_to)
+        wanted = _OF_THE_LINK | self._inputs.wanted
+        self._in, self._out = (
+            Wire(config.system, config.component, heard, wanted, key, clock.now_ns()) for _ in ("what it parses", "what it packs")
+        )
+        self._pace, self._fix_waits = Pace(odometry_hz), False
+        self._boot = AutopilotClock()
+        self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
+        self._autopilot = _AUTOPILOTS.get(config.autopilot)
+        self._peer: Any = None
+        self._heartbeat_ns = self._peer_ns = -SECOND_NS * 3600
+        self._next_heartbeat_ns = self._next_timesync_ns = 0
+        self._sending, self._stopping = threading.Lock(), False
+        self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
+        self.refused = self.out_of_range = self.impossible_dates = 0
+        self._defect = self._refusal = ""  # the last one
+        self._endpoint = opened(address_of(config))
+        self._thread: threading.Thread | None = None
+
+    def open_inputs(self, inbox: Inbox) -> None:
+        """From now on measurements go there, and the autopilot hears of us."""
+        self._thread = threading.Thread(target=self._run, args=(inbox,), name="mavlink", daemon=True)
+        self._thread.start()
+
+    def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
+        """Tell the autopilot what it may know."""
+        self._fix_waits |= self._handover.note(outputs)
+        estimate = newest(outputs)
+        autopilot = self._autopilot
+        if (
+            estimate is None
+            or autopilot is None
+            or autopilot not in _NAMES
+            or self._clock.now_ns() - self._heartbeat_ns > _GONE_NS
+        ):
+            return
+        if not is_sound(estimate):
+            self.out_of_range += 1
+            return
+        time_usec = estimate.t_ns // _US_NS
+        if self._config.odometry and self._pace.due(estimate.t_ns):
+            quality = self._handover.quality(estimate)
+            self.sent_odometry += self._tell(codec.odometry(estimate, time_usec, quality, autopilot))
+        if self._fix_waits:
+            self._fix_waits = False
+            self._tell_fix(estimate, time_usec)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._stopping = True
+        if self._thread:
+            self._thread.join()
+        with self._sending:
+            self._endpoint.close()
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        offset, now_ns = self._boot.offset, self._clock.now_ns()
+        known = offset.ahead_ns is not None
+        return {
+            "state": self._endpoint.state,
+            "autopilot": _NAMES.get(self._autopilot or -1, "unknown"),
+            "heard_s": f"{(now_ns - self._heartbeat_ns) * 1e-9:.1f}" if self._heartbeat_ns > 0 else "never",
+            "clock_ahead_s": f"{(offset.ahead_ns or 0) * 1e-9:.6f}" if known else "unknown",
+            "clock_bound_ms": f"{offset.bound_ns * 1e-6:.3f}",
+            "timesync_answers": self._boot.answers,
+            "reboots": self._boot.reboots,
+            "wild_stamps": self._boot.wild,
+            **self._inputs.report(),
+            "odometry": self.sent_odometry,
+            "fixes": self.sent_fixes,
+            "unsent": self.unsent,
+            "out_of_range": self.out_of_range,
+            "impossible_dates": self.impossible_dates,
+            "refused": self.refused,
+            **({"refusal": self._refusal} if self._refusal else {}),
+            "damaged": self._in.damaged,
+            "passed_over": self._in.passed_over,
+            "refused_signatures": self._in.refused,
+            "strangers": self.strangers,
+            "commands_refused": self.commands_refused,
+            "defects": self.defects,
+            **({"defect": self._defect} if self._defect else {}),
+        }
+
+    def _tell_fix(self, estimate: Estimate, time_usec: int) -> None:
+        origin = Origin.of(estimate.origin)
+        if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
+            return
+        at = codec.place(origin.to_geodetic(estimate.nav[X.P]), self._geoid_m)
+        if self._autopilot == codec.PX4:
+            message = codec.global_position(estimate, at, time_usec, self._config.slot, self._config.system)
+        else:
+            utc_ns = None if self._unix_ahead_ns is None else estimate.t_ns + self._unix_ahead_ns
+            message = codec.gps_input(estimate, at, time_usec, self._config.slot, utc_ns)
+        self.sent_fixes += self._tell(message)
+
+    def _tell(self, message: Any) -> bool:
+        """Whether it went out; if not, it is counted and forgotten."""
+        with self._sending:
+            if self._stopping:
+                return False
+            signing = self._out.signing
+            signing.timestamp = max(signing.timestamp, self._in.signing.timestamp)
+            frame = self._out.packed(message)
+            went = frame is not None and self._endpoint.send(frame, self._peer)
+        self.out_of_range += frame is None
+        self.unsent += frame is not None and not went
+        return went
+
+    def _run(self, inbox: Inbox) -> None:
+        """The thread."""
+        while not self._stopping:
+            try:
+                self._turn(inbox)
+            except Exception as error:  # a defect of ours costs what was just read, not the link
+                self.defects, self._defect = self.defects + 1, f"{type(error).__name__}: {error}"
+
+    def _turn(self, inbox: Inbox) -> None:
+        heard = self._endpoint.receive(_TURN_S)
+        now_ns = self._clock.now_ns()
+        if heard is not None:
+            for message in self._in.messages(heard.data, whole=self._endpoint.whole):
+                if self._is_peer(heard.sender, now_ns):
+                    self._judge(message, now_ns, inbox)
+        self._speak(now_ns)
+
+    def _judge(self, message: Any, now_ns: int, inbox: Inbox) -> None:
+        """Take it; one that cannot be taken is refused with the reason, and costs none of those that came with it."""
+        try:
+            self._take(message, now_ns, inbox)
+        except Exception as error:  # of what a stranger's bytes can say not everything is foreseen
+            self.refused, self._refusal = self.refused + 1, f"{message.get_type()}: {str(error) or type(error).__name__}"
+
+    def _is_peer(self, sender: Any, now_ns: int) -> bool:
+        """Whoever spoke first is the autopilot, until it is silent."""
+        if sender != self._peer and now_ns - self._peer_ns <= _GONE_NS:
+            self.strangers += 1
+            return False
+        self._peer, self._peer_ns = sender, now_ns
+        return True
+
+    def _take(self, message: Any, now_ns: int, inbox: Inbox) -> None:
+        kind = message.get_type()
+        self._inputs.hear(message, now_ns)
+        if kind == "HEARTBEAT":
+            self._hear_heartbeat(message, now_ns)
+        elif kind == "TIMESYNC":
+            self._hear_timesync(message, now_ns)
+        elif kind == "SYSTEM_TIME":
+            self._hear_system_time(message, now_ns)
+        elif kind == "COMMAND_ACK":
+            asked = message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+            self.commands_refused += asked and message.result not in _IN_PROGRESS
+        else:
+            before = self._boot.reboots
+            t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)
+            if self._boot.reboots != before:
+                self._inputs.ask_again()
+            if t_ns is not None:
+                for measurement in self._inputs.measured(message, t_ns, now_ns, self._autopilot):
+                    inbox.put(measurement)
+
+    def _hear_heartbeat(self, message: Any, now_ns: int) -> None:
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return
+        if now_ns - self._heartbeat_ns > _GONE_NS:
+            self._inputs.ask_again()
+        self._heartbeat_ns = now_ns
+        if self._config.autopilot == "auto":
+            self._autopilot = message.autopilot
+
+    def _hear_timesync(self, message: Any, now_ns: int) -> None:
+        if message.tc1 == 0:
+            self._tell(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
+        else:
+            self._boot.answer(message.ts1, message.tc1, now_ns)
+
+    def _hear_system_time(self, message: Any, now_ns: int) -> None:
+        before = self._boot.reboots
+        self._boot.hear(codec.stamp_ns(message), now_ns)
+        if self._boot.reboots != before:
+            self._inputs.ask_again()
+        unix_ns = message.time_unix_usec * _US_NS
+        dated = codec.is_date(unix_ns)
+        self.impossible_dates += unix_ns > 0 and not dated
+        self._unix_ahead_ns = unix_ns - now_ns if dated else None
+
+    def _speak(self, now_ns: int) -> None:
+        """What is due of ourselves: HEARTBEAT, TIMESYNC, and requests of messages that do not come."""
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
+            kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+            self._tell(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        if now_ns - self._heartbeat_ns > _GONE_NS:
+            return
+        if now_ns >= self._next_timesync_ns:
+            self._next_timesync_ns = now_ns + _TIMESYNC_NS
+            asked_ns = self._boot.ask(self._clock.now_ns())
+            self._tell(mavlink.MAVLink_timesync_message(0, asked_ns))
+        for number, period_us in self._inputs.requests(now_ns, self._autopilot):
+            self._tell(_request(self._config.system, number, period_us))
+
+
+def _request(system: int, number: int, period_us: int) -> Any:
+    """SET_MESSAGE_INTERVAL."""
+    command, autopilot = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_COMP_ID_AUTOPILOT1
+    return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, period_us, 0, 0, 0, 0, 0)

@@ -1,0 +1,299 @@
+"""Vision in a process of its own: what it does to itself, by crash or hang, never reaches the estimator.
+
+The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
+counted. A process that dies, or does not answer in time, is started anew, each time a little later. While it compiles a kernel it
+says so, and is given the time for that: a compilation that is cut off begins again in the next process, and would never end.
+"""
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
+from estimator.frontend.workers import SPAWNED
+from estimator.map_files.picture_file import PictureFile
+from estimator.publish import Pace
+from estimator.service.base.clock import SECOND_NS, Clock, Stamps
+from estimator.service.base.ports import Arrival, Screen
+from estimator.strict_toml import ConfigError
+from logs.wire.codec import Encoded, decode_vision_request, encode
+from logs.wire.decoding import LANDMARK_FIX_TOPIC
+from logs.wire.stamps import stamp_of
+from models.messages import Vec3
+
+_GIVES_WAY: Final = 5  # to the loop, which has little to do but at once
+_START_S: Final = 300.0  # to load everything, without what has to be compiled
+_COMPILE_S: Final = 120.0  # for one kernel, on a small computer with other work to do,
+_ALL_COMPILED_S: Final = 1800.0  # and for all that come before one answer
+_FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
+_GOOD_ANSWERS: Final = 50  # in a row, until the back-off begins anew: seconds of sight, not one answer between two failures
+_IDLE_S: Final = 0.05
+_WAITING: Final = 8  # pictures
+
+
+class Compiling(NamedTuple):
+    """From the process: it compiles this kernel now, and everything waits; "": it is done, seconds later."""
+
+    kernel: str
+    seconds: float = 0.0
+
+
+def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None) -> None:
+    """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
+    why it cannot see.
+
+    A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn. Before its answer there may
+    be any number of Compiling.
+    """
+    _give_way()
+    from estimator.frontend.files import load_sight  # noqa: PLC0415
+    from estimator.service.base.compilation import listen  # noqa: PLC0415  (numba is slow to import)
+    from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415  (OpenCV is loaded in this process only)
+
+    try:
+        sight = load_sight(rig_file, map_file, origin, picture)
+    except ConfigError as error:
+        pipe.send(str(error))
+        return
+    with suppress(BrokenPipeError):
+        listen(lambda kernel, seconds: pipe.send(Compiling(kernel, seconds)))
+        warm_up()
+        pipe.send((sight.time_offset_ns,))
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            asked = pipe.recv()
+            if isinstance(asked, str):
+                pipe.send((sight.draw(asked),))
+            else:
+                data, left, right = asked
+                pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
+
+
+def _give_way() -> None:
+    """Go behind the daemon, whose nice value and real-time priority this process was born with.
+
+    Never real-time: vision can use a whole core for long, and what Linux takes from a real-time process that does (50 ms of each
+    second, `sched_rt_runtime_us`) it takes from every other one on that core, the daemon among them.
+    """
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(_GIVES_WAY)
+
+
+class VisionWorker:
+    """put() takes pictures from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
+
+    def __init__(
+        self,
+        files: tuple[Path, Path | None, Vec3 | None, PictureFile | None],
+        config: VisionConfig,
+        sides: dict[str, str],
+        clock: Clock,
+        stamps: Stamps,
+        track: Track,
+        tell: Callable[[Encoded], None],
+        screen: Screen | None = None,
+        overlay_hz: float = 0.0,
+    ) -> None:
+        """files: cameras, map, origin, picture; sides: topic -> "left" or "right"; screen: where it is drawn, if watched."""
+        self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
+        self._files, self._config, self._sides = files, config, sides
+        self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
+        self._shots: deque[Shot] = deque(maxlen=_WAITING)
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._offset_ns = self._run = 0
+        self._warm = False  # the process has warmed up
+        self._backoff_s = _FIRST_BACKOFF_S
+        self._state = "starting"
+        self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = self._drawn = 0
+        self._good = self._compiled = 0
+        self._latency_s = self._compiled_s = 0.0
+        self._compiling = ""
+        self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
+        self._thread.start()
+
+    def put(self, arrival: Arrival) -> None:
+        """A picture; the oldest that waits is dropped when there are too many."""
+        topic, schema, data, arrived_ns, _ = arrival
+        stamp_ns = stamp_of(data)
+        t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
+        if stamp_ns is None or t_ns is None:
+            self._unplaced += 1
+            return
+        self._dropped += len(self._shots) == _WAITING
+        self._shots.append(Shot(topic, schema, data, stamp_ns, t_ns, arrived_ns))
+        self._wake.set()
+
+    def close(self) -> None:
+        """Stop thread and process."""
+        self._stopping.set()
+        self._wake.set()
+        if self._process is not None:
+            self._process.kill()  # it would keep the thread waiting
+        self._thread.join()
+        self._stop_process()
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        return {
+            "state": self._state,
+            "pairs": self._pairs,
+            "answers": self._answers,
+            "fixes": self._fixes,
+            "dropped_pictures": self._dropped,
+            "pictures_of_unknown_time": self._unplaced,
+            "overlays": self._drawn,
+            "restarts": self._run,
+            "compiling": self._compiling,
+            "compiled_in_flight": self._compiled,
+            "compiled_in_flight_s": round(self._compiled_s, 1),
+            "latency_ms": round(1e3 * self._latency_s, 1),
+        }
+
+    # --- the thread -----------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        pairing = Pairing(self._config)
+        while not self._stopping.is_set():
+            try:
+                if self._process is not None or self._start():
+                    self._turn(pairing)
+            except Exception as error:  # a defect of ours costs a picture and a restart, not the sight for the rest of the flight
+                self._restart(f"{type(error).__name__}: {error}")
+
+    def _turn(self, pairing: Pairing) -> None:
+        """Wait for pictures; ask about the newest pair. A process that has died meanwhile is not waited for until one comes."""
+        self._wake.wait(_IDLE_S)
+        self._wake.clear()
+        if self._process is not None and not self._process.is_alive():
+            self._restart("has died")
+            return
+        pairs = pairing.overdue(self._clock.now_ns())
+        while self._shots:
+            shot = self._shots.popleft()
+            pairs += pairing.put(self._sides[shot.topic], shot._replace(t_ns=shot.t_ns + self._offset_ns))
+        if pairs:
+            self._pairs += len(pairs)
+            self._dropped += 2 * (len(pairs) - 1)
+            self._ask(pairs[-1])
+
+    def _ask(self, pair: Pair) -> None:
+        """One request and its answer."""
+        asked_ns = self._clock.now_ns()
+        request = self._track.request(pair, asked_ns, self._run)
+        if request is None:
+            self._state = "waiting for an estimate"
+            return
+        (message,) = encode(request)
+        self._tell(message)
+        answers: list[Encoded] | None = self._exchange((message.data, pair.left, pair.right), self._patience_s())
+        if answers is None:
+            self._restart("does not answer")
+            return
+        for answer in answers:
+            self._tell(answer)
+        self._state = "seeing"
+        self._answers += 1
+        self._good += 1
+        if self._good >= _GOOD_ANSWERS:
+            self._backoff_s = _FIRST_BACKOFF_S
+        self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
+        self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
+        if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
+            self._draw(self._screen)
+
+    def _draw(self, screen: Screen) -> None:
+        """The picture just answered for, with the map drawn in; the answer is out already."""
+        drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, self._patience_s())
+        if drawn is None:
+            self._restart("does not draw")
+            return
+        (picture,) = drawn
+        if picture is not None:
+            self._drawn += 1
+            screen.show(picture)
+
+    def _patience_s(self) -> float:
+        """timeout_s; twice as long after each restart: what takes long once comes to its end."""
+        return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
+
+    def _exchange(self, question: Any, patience_s: float) -> Any:
+        """What the process says to that; None where it is dead, or was killed because it took too long, even to listen.
+
+        The patience begins anew with each kernel that it begins to compile, or is done with, up to a limit for all.
+        """
+        assert self._process is not None
+        assert self._pipe is not None
+        late, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
+        try:
+            if question is not None:
+                self._pipe.send(question)
+            while isinstance(said := self._pipe.recv(), Compiling):
+                late.cancel()
+                allowed_s = _COMPILE_S if said.kernel else patience_s
+                late = self._killed_in(min(allowed_s, max(end_s - time.monotonic(), 0.0)))
+                self._note(said)
+            return said
+        except (EOFError, OSError):
+            return None
+        finally:
+            late.cancel()
+
+    def _killed_in(self, seconds: float) -> threading.Timer:
+        """Kills the process then, unless it is cancelled."""
+        assert self._process is not None
+        late = threading.Timer(seconds, self._process.kill)
+        late.start()
+        return late
+
+    def _note(self, compiling: Compiling) -> None:
+        """A kernel that is compiled when pictures have come is missing in the warm-up: it is counted, and seen in the status."""
+        self._compiling = compiling.kernel
+        if self._warm:
+            self._compiled += not compiling.kernel
+            self._compiled_s += compiling.seconds
+
+    def _start(self) -> bool:
+        """Start the process and wait until it can see."""
+        self._pipe, theirs = SPAWNED.Pipe()
+        process = SPAWNED.Process(target=serve, args=(theirs, *self._files), name="landfix-vision")
+        process.start()
+        self._process = process  # not before: close() kills it, and what has not begun cannot be killed
+        theirs.close()
+        if self._stopping.is_set():
+            return False
+        ready = self._exchange(None, _START_S) or "does not start"
+        if isinstance(ready, str):
+            self._restart(ready)
+            return False
+        (self._offset_ns,), self._state, self._warm = ready, "ready", True
+        self._shots.clear()
+        return True
+
+    def _restart(self, why: str) -> None:
+        """The process goes; the next one starts after a pause that doubles each time."""
+        self._stop_process()
+        if self._stopping.is_set():
+            return
+        self._state = why
+        self._run += 1
+        self._good = 0
+        self._stopping.wait(self._backoff_s)
+        self._backoff_s = min(2.0 * self._backoff_s, _LONGEST_BACKOFF_S)
+
+    def _stop_process(self) -> None:
+        if self._pipe is not None:
+            self._pipe.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.join(timeout=1.0)
+        self._process = self._pipe = None
+        self._warm, self._compiling = False, ""

@@ -1,0 +1,128 @@
+"""PX4's zenoh module as an Outbox: vehicle_visual_odometry all the time, aux_global_position when a fix entered.
+
+PX4 uses timestamp_sample as it comes, in us since its own start, and nothing on this way translates it: so we learn its clock
+from what it publishes itself (fmu/out/...) and send nothing before that.
+"""
+
+import struct
+from collections.abc import Sequence
+from typing import Any, Final
+
+import zenoh
+
+from estimator.publish import Pace
+from estimator.service.autopilot import px4_messages as px4
+from estimator.service.autopilot.clock import AutopilotClock
+from estimator.service.autopilot.output_policy import Handover, Px4Config, is_sound, newest
+from estimator.service.base.clock import SECOND_NS, Clock
+from estimator.service.zenoh.keys import rmw_key
+from logs.wire.codec import Encoded
+from models.frames import Origin
+from models.messages import Estimate, Output
+from models.state import X
+
+_TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
+_SENT: Final = struct.Struct("<8xQ17x")  # of the attachment, us
+_US: Final = 1_000
+_STALE_NS: Final = 60 * SECOND_NS
+
+
+class Px4Link:
+    """An Outbox on the bus's session."""
+
+    def __init__(
+        self,
+        config: Px4Config,
+        session: zenoh.Session,
+        domain: int,
+        clock: Clock,
+        handover: Handover,
+        odometry_hz: float,
+        geoid_m: float,
+    ) -> None:
+        self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
+        self._pace = Pace(odometry_hz)
+        self._boot, self._heard_ns = AutopilotClock(), 0
+        self._fix_waits = False
+        self.sent_odometry = self.sent_fixes = self.unsent = self.out_of_range = 0
+        fix_type = px4.AUX_GLOBAL_POSITION if config.release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
+        drop: Any = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
+        keys = {
+            topic: rmw_key(domain, f"fmu/in/{topic}", schema, px4.type_hash(schema))
+            for topic, schema in (("vehicle_visual_odometry", px4.VEHICLE_ODOMETRY), ("aux_global_position", fix_type))
+        }
+        self._odometry, self._fix = (session.declare_publisher(key, **drop) for key in keys.values())
+        self._subscriber = session.declare_subscriber(f"{domain}/fmu/out/**", self._hear)
+
+    def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
+        """Tell PX4 what it may know."""
+        self._fix_waits |= self._handover.note(outputs)
+        estimate = newest(outputs)
+        if estimate is None:
+            return
+        now_ns = self._clock.now_ns()
+        offset = self._boot.offset
+        sent_ns, sample_ns = offset.theirs(now_ns), offset.theirs(estimate.t_ns)
+        if sent_ns is None or sample_ns is None or now_ns - self._heard_ns > _STALE_NS or sample_ns < 0:
+            return
+        if not is_sound(estimate):
+            self.out_of_range += 1
+            return
+        try:
+            if self._config.odometry and self._pace.due(estimate.t_ns):
+                quality = self._handover.quality(estimate)
+                data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, quality)
+                self.sent_odometry += self._put(self._odometry, data)
+            if self._fix_waits:
+                self._fix_waits = False
+                self._tell_fix(estimate, sent_ns // _US, sample_ns // _US)
+        except zenoh.ZError:
+            self.unsent += 1
+
+    def close(self) -> None:
+        """The session is the bus's to close."""
+
+    def report(self) -> dict[str, Any]:
+        """For the status."""
+        ahead_ns = self._boot.offset.ahead_ns
+        return {
+            "clock_ahead_s": "unknown" if ahead_ns is None else f"{ahead_ns * 1e-9:.6f}",
+            "reboots": self._boot.reboots,
+            "wild_stamps": self._boot.wild,
+            "odometry": self.sent_odometry,
+            "fixes": self.sent_fixes,
+            "unsent": self.unsent,
+            "out_of_range": self.out_of_range,
+        }
+
+    def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
+        origin = Origin.of(estimate.origin)
+        if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
+            return
+        lla = origin.to_geodetic(estimate.nav[X.P])
+        if self._config.release == "1.18":
+            data = px4.aux_global_position(estimate, lla, self._geoid_m, sent_us, sample_us, self._config.slot)
+        else:
+            data = px4.vehicle_global_position(estimate, lla, self._geoid_m, sent_us, sample_us)
+        self.sent_fixes += self._put(self._fix, data)
+
+    def _put(self, publisher: zenoh.Publisher, data: bytes | None) -> bool:
+        """Whether it went out; a message that no bytes can hold is counted and forgotten. Raises ZError."""
+        if data is None:
+            self.out_of_range += 1
+            return False
+        publisher.put(data)
+        return True
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        """Something of PX4's: what time is it there? The attachment is stamped later, so it comes quicker."""
+        arrived_ns = self._clock.now_ns()
+        attachment, payload = sample.attachment, sample.payload.to_bytes()
+        if attachment is not None and len(attachment) == _SENT.size:
+            (sent_us,) = _SENT.unpack(attachment.to_bytes())
+        elif len(payload) >= _TIMESTAMP.size:
+            (sent_us,) = _TIMESTAMP.unpack_from(payload)
+        else:
+            return
+        if self._boot.t_ns(sent_us * _US, arrived_ns) is not None:
+            self._heard_ns = arrived_ns

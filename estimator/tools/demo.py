@@ -1,0 +1,123 @@
+"""The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
+
+GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
+"""
+
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import msgspec
+
+from estimator.config import Config, load
+from estimator.replay import simulate as simulated
+from estimator.replay.replay import replay
+from estimator.replay.summary import ReplaySummary
+from logs.evaluation.evaluate import find_outages
+from logs.evaluation.records import Evaluation
+from logs.report.write import Written, compose, gather
+from models.sim.scenario import simulate
+from models.sim.scenario_file import loads
+
+SCENARIO = "demo.toml"
+_CHECKOUT = Path("examples/scenarios") / SCENARIO  # a wheel has it beside this file instead
+
+_OUTAGE_S = 5.0  # longer without a fix is an outage
+
+Progress = Callable[[float], None]
+
+
+class DemoResult(msgspec.Struct, frozen=True):
+    """What was written, and what came of it."""
+
+    folder: str
+    log: str
+    config: str
+    estimate: str
+    picture: str
+    overlay: str  # "": there was no fix to draw
+    report: str
+    replay: ReplaySummary
+    evaluation: Evaluation
+
+
+def scenario_text() -> str:
+    """The scenario of the demonstration: from the installed package, or from examples/ of a source folder."""
+    packaged = resources.files("estimator.tools") / SCENARIO
+    return (packaged if packaged.is_file() else Path(__file__).parents[2] / _CHECKOUT).read_text(encoding="utf-8")
+
+
+def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scenario: str | None = None) -> DemoResult:
+    """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
+    _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5))
+    summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85))
+    written = _report(folder, _part(progress, 0.85, 1.0))
+    return DemoResult(
+        folder=str(folder),
+        log=str(log),
+        config=str(config),
+        estimate=str(estimate),
+        picture=str(folder / "demo.png"),
+        overlay=overlay,
+        report=written.report,
+        replay=summary,
+        evaluation=written.evaluation,
+    )
+
+
+def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> None:
+    """input.mcap and demo.toml; with cameras in the scenario map.geojson and rig.yaml too."""
+    from estimator.replay import flight_pictures  # noqa: PLC0415  (slow to import, and not always needed)
+
+    plan = loads(scenario, SCENARIO)
+    simulation = simulate(plan, seed)
+    text, pictures = simulation.config_toml, None
+    if plan.cameras:
+        pictures = flight_pictures.plan(plan.cameras, simulation, seed)
+        pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
+        text = flight_pictures.configuration(simulation, "map.geojson", "rig.yaml")
+    (folder / "demo.toml").write_text(text, encoding="utf-8")
+    simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
+
+
+def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:
+    """estimate.mcap, from pictures where there are any, and then overlay.png."""
+    log, estimate, sheet = folder / "input.mcap", folder / "estimate.mcap", folder / "overlay.png"
+    rig_file, map_file = config.rig.file, config.map.landmarks
+    if rig_file is None or map_file is None:
+        return replay(log, estimate, config, progress), ""
+    from calib.files.formats import load_rig  # noqa: PLC0415
+    from estimator.frontend.processor import Sight  # noqa: PLC0415
+    from estimator.frontend.replay_pictures import SightReplay  # noqa: PLC0415
+    from estimator.map_files import store as map_store  # noqa: PLC0415
+    from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
+
+    rig, landmarks = load_rig(folder / rig_file), map_store.load(folder / map_file)
+    sight = SightReplay(Sight(rig, landmarks), config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    summary = replay(log, estimate, config, progress, sight)
+    drawn = write_sheet(estimate, sheet, rig, landmarks)
+    return summary, str(sheet) if drawn else ""
+
+
+def _report(folder: Path, progress: Progress) -> Written:
+    """What it was worth: demo.png and report.html."""
+    from estimator.tools.overlay.gallery import illustrations  # noqa: PLC0415
+    from logs.evaluation import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
+
+    estimate = folder / "estimate.mcap"
+    evidence, gathered = gather(estimate, progress=progress)
+    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
+    figure = plots.overview(evidence, outages["all"])
+    gps_off_s = (outages["/gnss"][0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
+    figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
+    figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
+    figure.savefig(folder / "demo.png")
+    report, illustrate = folder / "report.html", illustrations(estimate)
+    return compose(evidence, gathered, str(estimate), report, outage_s=_OUTAGE_S, illustrate=illustrate)
+
+
+def _part(progress: Progress, begin: float, end: float) -> Progress:
+    """Progress of one stage as its share of the whole."""
+    return lambda fraction: progress(begin + (end - begin) * fraction)

@@ -1,0 +1,190 @@
+"""Is a log fit for a replay with a configuration? Topics, rates, stamps, delays, units and axes of the IMU, absolute sources."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from estimator.config import Config
+from estimator.tools.doctor.machine import Check, judge
+from logs.store.reader import LogError, LogReader
+from models.frames import GRAVITY
+from models.messages import ATTITUDE_TOPIC, Array, ImuSample, Input, Unusable
+
+_SCHEMAS = {  # what a topic must carry to feed an input
+    "imu": "sensor_msgs/msg/Imu",
+    "gnss": "sensor_msgs/msg/NavSatFix",
+    "gnss_velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "pose_fix": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "baro": "sensor_msgs/msg/FluidPressure",
+}
+_LOWEST_IMU_RATE_HZ = 40.0
+_IMU_GAP_S = 0.1
+_LATEST_S = 6.0  # measurements later than this are too old for the default history
+_STILL_WINDOW_S = 1.0
+_GRAVITY_BAND = (9.3, 10.3)  # m/s^2, mean over the stillest second
+_FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
+_SWIFT_RAD_S = 3.0
+
+
+class _Topic:
+    """What one topic brought."""
+
+    def __init__(self, schema: str) -> None:
+        self.schema = schema
+        self.stamps: list[int] = []
+        self.arrivals: list[int] = []
+        self.bad: list[str] = []
+
+    def add(self, message: Input) -> None:
+        if isinstance(message, Unusable):
+            self.bad.append(message.detail)
+        else:
+            self.stamps.append(message.t_ns)
+            self.arrivals.append(message.arrived_ns)
+
+
+def log(path: Path, config: Config, progress: Callable[[float], None] | None = None) -> list[Check]:
+    """All checks of one log."""
+    topics: dict[str, _Topic] = {}
+    imu: dict[str, list[tuple[float, ...]]] = {}
+    decoder = config.decoder()
+    try:
+        with LogReader(path) as reader:
+            for count, record in enumerate(reader):
+                topic = topics.setdefault(record.topic, _Topic(record.schema))
+                message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
+                if message is not None:
+                    topic.add(message)
+                if isinstance(message, ImuSample):
+                    imu.setdefault(message.topic, []).append((*message.gyro_b, *message.accel_b))
+                if progress and count % 2000 == 0:
+                    progress(reader.fraction)
+            torn, skipped = reader.torn, reader.skipped_chunks
+    except LogError as error:
+        return [
+            judge("log", str(error), fail=True, advice="landfix recover may save the whole records" if path.is_file() else "")
+        ]
+    found = (
+        f"{path}: {len(topics)} topics"
+        + (", torn at its end" if torn else "")
+        + (f", {skipped} chunks damaged" if skipped else "")
+    )
+    checks = [judge("log", found, warn=torn or skipped > 0, advice="landfix recover BROKEN.mcap -o WHOLE.mcap")]
+    checks += _inputs(topics, config)
+    for name, topic in sorted(topics.items()):
+        if topic.stamps or topic.bad:
+            checks += _stream(name, topic)
+    for name, rows in sorted(imu.items()):
+        checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9, config.imu.axes)
+    return checks
+
+
+def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
+    """Is there an IMU, and something absolute to correct it?"""
+    checks = []
+    for name, schema in _SCHEMAS.items():
+        wanted: tuple[str, ...] = getattr(config.inputs, name)
+        present = [t for t in wanted if t in topics]
+        of_type = [t for t, v in topics.items() if v.schema == schema and t != ATTITUDE_TOPIC]  # that has no position
+        others = sorted(t for t in of_type if t not in wanted and not t.startswith("/landfix/"))
+        found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
+        advice = (
+            f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"
+        )
+        missing = not present and (name == "imu" or bool(others))
+        checks.append(judge(f"inputs.{name}", found, fail=missing and name == "imu", warn=missing, advice=advice))
+    absolute = [t for name in ("gnss", "pose_fix") for t in getattr(config.inputs, name) if t in topics]
+    absolute += [t for t in ("/landfix/fix",) if t in topics]
+    advice = "IMU alone drifts within seconds: name a GNSS or pose topic in [inputs]"
+    checks.append(judge("absolute source", ", ".join(absolute) or "none", fail=not absolute, advice=advice))
+    return checks
+
+
+def _stream(name: str, topic: _Topic) -> list[Check]:
+    """Rate, order of stamps, delay from validity to arrival, messages that could not be read."""
+    checks = []
+    if topic.bad:
+        found = f"{len(topic.bad)} of {len(topic.bad) + len(topic.stamps)} unusable, the first: {topic.bad[0]}"
+        checks.append(judge(f"{name} content", found, fail=not topic.stamps, warn=True, advice="see what writes this topic"))
+    if not topic.stamps:
+        return checks
+    t, arrived = np.array(topic.stamps), np.array(topic.arrivals)
+    span = (t.max() - t.min()) * 1e-9
+    rate = f"{(len(t) - 1) / span:.1f} Hz" if span > 0 else "one stamp"
+    backward, delay = int(np.count_nonzero(np.diff(t) < 0)), (arrived - t) * 1e-9
+    late, early = int(np.count_nonzero(delay > _LATEST_S)), int(np.count_nonzero(delay < -1e-3))
+    order = f"{backward} backward steps" if backward else "in order"
+    imu = topic.schema == _SCHEMAS["imu"]
+    checks.append(
+        judge(f"{name} stamps", f"{len(t)} at {rate}, {order}", warn=imu and backward > 0, advice="IMU stamps must grow")
+    )
+    found = f"median {np.median(delay) * 1e3:.1f} ms, 99 % below {np.quantile(delay, 0.99) * 1e3:.1f} ms"
+    trouble = f", {late} later than {_LATEST_S:.0f} s" * (late > 0) + f", {early} before their stamp" * (early > 0)
+    advice = "the sender's clock is off, or header.stamp is not the time of validity"
+    checks.append(judge(f"{name} delay", found + trouble, fail=early + late > len(t) // 2, warn=early + late > 0, advice=advice))
+    return checks
+
+
+def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
+    """Rate, gaps, units by the length of gravity and the fastest turn, axes by the direction of gravity."""
+    finite = np.isfinite(samples).all(axis=1)
+    bad = int(np.count_nonzero(~finite))
+    samples, t_s = samples[finite], t_s[finite]
+    steps = np.diff(t_s)
+    steps = steps[steps > 0]
+    if len(steps) == 0:
+        return [
+            judge(
+                f"{name} samples", f"{len(samples)} usable", fail=True, advice="an IMU stream has many samples and growing stamps"
+            )
+        ]
+    rate, gaps = 1.0 / float(np.median(steps)), int(np.count_nonzero(steps > _IMU_GAP_S))
+    found = f"{rate:.0f} Hz, {gaps} gaps over {_IMU_GAP_S} s, {bad} samples not finite"
+    trouble = rate < _LOWEST_IMU_RATE_HZ or gaps > 0 or bad > 0
+    checks = [judge(f"{name} samples", found, warn=trouble, advice="landfix wants 100 Hz or more without gaps")]
+    still = _stillest(samples, max(2, round(rate * _STILL_WINDOW_S)))
+    checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
+    checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
+    checks.append(_axes(name, still[3:], axes))
+    return checks
+
+
+def _stillest(samples: Array, width: int) -> Array:
+    """Mean of gyro and accel (6,) over the window in which the gyro and the accel vary least."""
+    windows = samples[: len(samples) // width * width].reshape(-1, width, 6) if len(samples) >= width else samples[None]
+    spread = windows.std(axis=1)
+    score = spread[:, :3].sum(axis=1) + spread[:, 3:].sum(axis=1) / GRAVITY
+    mean: Array = windows[int(np.argmin(score))].mean(axis=0)
+    return mean
+
+
+def _gravity(name: str, length: float) -> Check:
+    low, high = _GRAVITY_BAND
+    if 0.9 < length < 1.1:
+        advice = "looks like g: landfix wants m/s^2"
+    elif length < 1.0:
+        advice = "gravity is missing: landfix wants specific force as the accelerometer measures it"
+    else:
+        advice = "wrong scale, or the vehicle was never still"
+    found = f"{length:.2f} m/s^2 in its stillest second"
+    return judge(f"{name} gravity", found, fail=not 0.5 * low < length < 2 * high, warn=not low < length < high, advice=advice)
+
+
+def _turn_rate(name: str, rate: Array) -> Check:
+    """No vehicle but a spinning one turns at 3 rad/s (170 deg/s) on average."""
+    fastest, mean = float(rate.max()), float(rate.mean())
+    wrong = fastest > _FASTEST_RAD_S or mean > _SWIFT_RAD_S
+    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s"
+    return judge(f"{name} turn rate", found, fail=wrong, advice="looks like deg/s: landfix wants rad/s")
+
+
+def _axes(name: str, f_b: Array, axes: str) -> Check:
+    """At rest and level f_b = (0, 0, -g) in FRD; another direction means other axes or a mounting rotation."""
+    tilt_deg = float(np.degrees(np.arccos(np.clip(-f_b[2] / max(np.linalg.norm(f_b), 1e-9), -1.0, 1.0))))
+    if tilt_deg > 135.0:
+        advice = f'the other convention fits: set [imu] axes = "{"frd" if axes == "flu" else "flu"}"'
+    else:
+        advice = "set [imu] mounting_rpy_deg, unless the vehicle really stood or flew that way"
+    found = f"gravity {tilt_deg:.0f} degrees from body down, as configured"
+    return judge(f"{name} axes", found, fail=tilt_deg > 135.0, warn=tilt_deg > 45.0, advice=advice)

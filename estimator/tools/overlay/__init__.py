@@ -1,0 +1,4 @@
+"""The map drawn into recorded pictures: video, contact sheet, residuals along a log, the pictures of a report.
+
+Begin with `log` and `video`. May import estimator.config and what is below it.
+"""

@@ -1,0 +1,73 @@
+"""Where the cameras and the map of a log come from: named by the caller, attached to the log, or files beside it."""
+
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from calib.errors import CalibrationError
+from calib.files.formats import load_rig
+from estimator.config import Config, ConfigError, parse, read
+from estimator.map_files import store as map_store
+from estimator.publish import CONFIG_ATTACHMENT
+from logs.store.reader import Attachment
+from models.camera import StereoRig
+from models.maps.landmarks import LandmarkMap
+from models.maps.table import Defaults, MapError
+
+_MISSING = {  # by the names of attachments of landfix run
+    "calibration": "neither holds nor names a calibration of its cameras; give one with --rig FILE",
+    "map": "neither holds nor names a map of landmarks; give one with --map FILE",
+}
+
+
+class Scenery(NamedTuple):
+    """The cameras, and what stands around."""
+
+    rig: StereoRig
+    landmarks: LandmarkMap
+
+
+def configuration(log: Path, attachments: list[Attachment], given: Path | None) -> Config:
+    """What the flight was configured with: the file given, else what is attached to the log, else the defaults."""
+    if given is not None:
+        return read(given)
+    text = next((a.data for a in attachments if a.name == CONFIG_ATTACHMENT), b"")
+    return parse(text.decode("utf-8", "replace"), f"{log}, {CONFIG_ATTACHMENT}")
+
+
+def scenery(
+    log: Path, attachments: list[Attachment], given: Path | None, rig_file: Path | None = None, map_file: Path | None = None
+) -> Scenery:
+    """Cameras and map: the files named, else those of the given configuration, else those attached to the log, else those that
+    the attached configuration names, if they lie beside the log.
+
+    Raises ConfigError, one line that says what is missing or wrong.
+    """
+    config = configuration(log, attachments, given)
+    with tempfile.TemporaryDirectory() as unpacked:
+        attached = {kind: _unpacked(kind, attachments, Path(unpacked)) for kind in _MISSING}
+        named = {kind: (given or log).parent / file for kind, file in config.files().items()}
+        paths: dict[str, Path] = {}
+        for kind, wanted in (("calibration", rig_file), ("map", map_file)):
+            order = (named.get(kind), attached[kind]) if given else (attached[kind], named.get(kind))
+            path = wanted or order[0] or order[1]
+            if path is None:
+                raise ConfigError(f"{log}: {_MISSING[kind]}")
+            paths[kind] = path
+        try:
+            landmarks = map_store.load(paths["map"], Defaults(origin=config.map.origin))
+            return Scenery(load_rig(paths["calibration"]), landmarks)
+        except (CalibrationError, MapError, ValueError) as error:
+            raise ConfigError(str(error).replace(f"{unpacked}/", f"{log}, ")) from None
+        except OSError as error:
+            raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def _unpacked(kind: str, attachments: list[Attachment], folder: Path) -> Path | None:
+    """The attached file of that kind, written into the folder."""
+    for attachment in attachments:
+        if attachment.name.partition("/")[0] == kind:
+            path = folder / Path(attachment.name).name
+            path.write_bytes(attachment.data)
+            return path
+    return None

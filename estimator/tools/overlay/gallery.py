@@ -1,0 +1,122 @@
+"""What vision adds to a report: pictures of fixes and of looks that gave none, and the landmarks around the flight."""
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from estimator.strict_toml import ConfigError
+from estimator.tools.overlay.files import Scenery, scenery
+from estimator.tools.overlay.sheet import draw_from, find_pictures, spread
+from logs.evaluation.evidence import Evidence
+from logs.report.gather import FIX_TOPIC, Gathered, Look
+from logs.report.page import Illustrations, Shot
+from logs.report.write import Illustrate
+from logs.wire.pictures import Picture
+from models.maps.landmarks import Landmark
+from models.messages import AidStatus, PictureName, Reason
+
+_FIXES, _REFUSALS = 6, 6  # pictures of each
+_WIDTH_PX: Final = 640
+_QUALITY: Final = 80  # of the JPEG files
+_MARGIN_M: Final = 50.0
+
+
+class _Choice(NamedTuple):
+    """A look whose picture is shown, and what the estimator made of its fix."""
+
+    t_ns: int
+    look: Look
+    picture: PictureName
+    aid: AidStatus | None
+
+
+def illustrations(log: Path, config: Path | None = None, rig: Path | None = None, map_file: Path | None = None) -> Illustrate:
+    """What logs.report.write.write asks for. Files as landfix overlay finds them; where there are none, no map is drawn in."""
+
+    def illustrate(evidence: Evidence, gathered: Gathered) -> Illustrations:
+        chosen = _choose(evidence, gathered)
+        around, note = _scenery(log, evidence, config, rig, map_file)
+        if not chosen:
+            return Illustrations(_landmarks(around, evidence), (), note)
+        pictures, _ = find_pictures(log, {choice.picture for choice in chosen})
+        shots = [_shot(choice, pictures[choice.picture], around) for choice in chosen if choice.picture in pictures]
+        return Illustrations(_landmarks(around, evidence), shots, note)
+
+    return illustrate
+
+
+def _scenery(
+    log: Path, evidence: Evidence, config: Path | None, rig: Path | None, map_file: Path | None
+) -> tuple[Scenery | None, str]:
+    """Cameras and map, or why there are none. What the caller named must be there."""
+    try:
+        return scenery(log, list(evidence.attachments), config, rig, map_file), ""
+    except ConfigError as error:
+        if config or rig or map_file:
+            raise
+        return None, f"Without the map drawn in: {error}"
+
+
+def _choose(evidence: Evidence, gathered: Gathered) -> list[_Choice]:
+    """Looks evenly over the flight: fixes, and refusals of each kind, what the estimator refused among them."""
+    aids = {aid.t_ns: aid for aid in evidence.aids if aid.topic == FIX_TOPIC}
+    fixes, refusals = list[_Choice](), dict[str, list[_Choice]]()
+    for t_ns, look in sorted(gathered.looks.items()):
+        if look.request is None or look.request.left is None or (look.fix is None and look.report is None):
+            continue
+        choice = _Choice(t_ns, look, look.request.left, aids.get(t_ns))
+        refused_as = _refusal(choice)
+        if refused_as:
+            refusals.setdefault(refused_as, []).append(choice)
+        else:
+            fixes.append(choice)
+    each = -(-_REFUSALS // len(refusals)) if refusals else 0
+    refused = [choice for kind in refusals.values() for choice in spread(kind, each)]
+    return [*spread(fixes, _FIXES), *sorted(refused, key=lambda choice: choice.t_ns)]
+
+
+def _refusal(choice: _Choice) -> str:
+    """Why there is no fix, or it was not used; "" where it was."""
+    if choice.look.fix is None:
+        return choice.look.report.outcome if choice.look.report else "no fix"
+    return choice.aid.reason if choice.aid and choice.aid.reason not in {Reason.FUSED, Reason.ALIGNING} else ""
+
+
+def _shot(choice: _Choice, picture: Picture, around: Scenery | None) -> Shot:
+    look = choice.look
+    pose = look.fix or look.request
+    canvas = picture if picture.dtype == np.uint8 else cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
+    if around is not None and pose is not None:
+        canvas = draw_from(pose, canvas, around.rig, around.landmarks, look.fix.landmarks if look.fix else ())
+    if canvas.shape[1] > _WIDTH_PX:
+        canvas = cv2.resize(
+            canvas, (_WIDTH_PX, round(canvas.shape[0] * _WIDTH_PX / canvas.shape[1])), interpolation=cv2.INTER_AREA
+        )
+    _, file = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    refusal = _refusal(choice)
+    return Shot(choice.t_ns, (refusal or "fused").replace("_", " "), _words(choice), file.tobytes(), not refusal)
+
+
+def _words(choice: _Choice) -> str:
+    """What it rests on, or what was in the way."""
+    fix, report, aid = choice.look.fix, choice.look.report, choice.aid
+    if fix is None:
+        why = (report.detail or report.outcome.replace("_", " ")) if report else ""
+        found = f"{report.regions} regions, {report.candidates} candidates" if report else ""
+        return f"{why} ({found})" if found else why
+    many = f"{len(fix.landmarks)} landmark{'s' if len(fix.landmarks) > 1 else ''}"
+    gate = f", {aid.test_ratio:.2g} of the gate" if aid and aid.innovation else ""
+    detail = f", {aid.detail}" if aid and aid.detail else ""
+    return f"{many} ({', '.join(fix.landmarks[:6])}), fit {fix.residual_px:.2f} px{gate}{detail}"
+
+
+def _landmarks(around: Scenery | None, evidence: Evidence) -> list[Landmark]:
+    """Those around the flight."""
+    if around is None:
+        return []
+    p = evidence.estimate.p[np.isfinite(evidence.estimate.p).all(axis=1), :2]
+    low, high = p.min(axis=0), p.max(axis=0)
+    east, north = (0.5 * (low + high)).tolist()
+    return around.landmarks.near(north, east, 0.5 * float(np.linalg.norm(high - low)) + _MARGIN_M)

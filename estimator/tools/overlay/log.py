@@ -1,0 +1,138 @@
+"""What an overlay needs of a log: the estimate at each exposure, what vision identified there, and the pictures one by one."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from estimator.frontend.residuals import View
+from logs.evaluation.evaluate import LONGEST_STEP_NS
+from logs.evaluation.evidence import ODOMETRY_TOPIC
+from logs.evaluation.trajectory import decode, interpolate
+from logs.store.reader import Attachment, LogError, LogReader, Record
+from logs.wire import axes, schemas
+from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
+from logs.wire.pictures import PictureError, decode_picture
+from logs.wire.stamps import stamp_of
+from models import so3
+from models.messages import LandmarkFix, PictureName, vec3
+from models.radius import horizontal_radius
+from vision.image.rectify import Image
+
+FIX_TOPIC: Final = "/landfix/fix"
+HEALTH_TOPIC: Final = "/landfix/health"
+_PICTURES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
+_PROGRESS_EVERY: Final = 2000  # records
+_SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, and a turn of 10 rad/s^2 is off by 0.1 px
+
+
+@dataclass(slots=True)
+class Flight:
+    """A log without its pictures' pixels.
+
+    odometry: thinned; stamps_ns: of the pictures of each topic, in order; exposures_ns: of those that vision was asked about, on
+    the estimate's clock; identified: landmarks of the fixes, by exposure; modes: what began when.
+    """
+
+    path: Path
+    odometry: list[tuple[bytes, int]] = field(default_factory=list)
+    stamps_ns: dict[str, list[int]] = field(default_factory=dict)
+    exposures_ns: dict[PictureName, int] = field(default_factory=dict)
+    identified: dict[int, frozenset[str]] = field(default_factory=dict)
+    modes: list[tuple[int, str]] = field(default_factory=list)
+    attachments: list[Attachment] = field(default_factory=list)
+    _kept_ns: int = -_SPACING_NS
+
+    @property
+    def used(self) -> frozenset[str]:
+        """Landmarks that some fix identified."""
+        return frozenset[str]().union(*self.identified.values())
+
+    def take(self, record: Record) -> None:
+        """Keep what is needed of a record."""
+        if record.topic == ODOMETRY_TOPIC:
+            stamp_ns = stamp_of(record.data) or 0
+            if not 0 <= stamp_ns - self._kept_ns < _SPACING_NS:
+                self.odometry.append((record.data, record.log_time_ns))
+                self._kept_ns = stamp_ns
+        elif record.schema in _PICTURES:
+            self.stamps_ns.setdefault(record.topic, []).append(stamp_of(record.data) or 0)
+        elif record.topic == VISION_REQUEST_TOPIC:
+            request = decode_vision_request(record.data, record.log_time_ns)
+            self.exposures_ns |= {name: request.t_ns for name in (request.left, request.right) if name is not None}
+        elif record.topic == FIX_TOPIC:
+            fix = Decoder().decode(record.topic, record.schema, record.data, record.log_time_ns)
+            if isinstance(fix, LandmarkFix):
+                self.identified[fix.t_ns] = frozenset(fix.landmarks)
+        elif record.topic == HEALTH_TOPIC:
+            message: Any = schemas.STORE.deserialize_cdr(record.data, record.schema)
+            values = {pair.key: pair.value for status in message.status for pair in status.values}
+            self.modes.append((stamp_of(record.data) or 0, values.get("mode", "")))
+
+    def topic_of(self, topics: Sequence[str]) -> str:
+        """The one of the topics that has pictures. Raises LogError where there are none, or no estimate to draw from."""
+        if not self.odometry:
+            raise LogError(
+                f"{self.path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {self.path} -o estimate.mcap"
+            )
+        found = [topic for topic in topics if topic in self.stamps_ns]
+        if not found:
+            others = f"; it holds pictures on {', '.join(sorted(self.stamps_ns))}" if self.stamps_ns else ""
+            raise LogError(f"{self.path}: holds no pictures on {', '.join(topics)}{others}")
+        return found[0]
+
+
+def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flight:
+    """The Flight of a log. Raises LogError for a file that is no log."""
+    flight = Flight(path)
+    with LogReader(path) as reader:
+        for count, record in enumerate(reader):
+            flight.take(record)
+            if count % _PROGRESS_EVERY == 0:
+                progress(reader.fraction)
+        flight.attachments = reader.attachments
+    return flight
+
+
+def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
+    """The estimate at the exposure of each picture of the topic in order; None where there is none.
+
+    The exposure is what vision was told; of a picture that it was not asked about it is the stamp and the offset seen last, at
+    first the rig's.
+    """
+    offset_ns, exposures = round(time_offset_s * 1e9), []
+    for stamp_ns in flight.stamps_ns[topic]:
+        exposures.append(flight.exposures_ns.get(PictureName(topic, stamp_ns), stamp_ns + offset_ns))
+        offset_ns = exposures[-1] - stamp_ns
+    estimate = decode(schemas.ODOMETRY, [data for data, _ in flight.odometry], [arrived for _, arrived in flight.odometry])
+    at, told = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
+    radius = horizontal_radius(at.covariance[:, :2, :2])
+    began, names = [t for t, _ in flight.modes], [name for _, name in flight.modes]
+    found: list[View | None] = [None] * len(exposures)
+    for row, k in enumerate(np.flatnonzero(told).tolist()):
+        t_ns, q = exposures[k], at.q_wxyz[row]
+        if np.isfinite(at.p[row]).all() and np.isfinite(q).all() and np.isfinite(at.covariance[row]).all():
+            R_nb = so3.matrix(np.array(axes.attitude((q[0], q[1], q[2], q[3]))))
+            last = bisect_right(began, t_ns) - 1
+            mode = names[last] if last >= 0 else ""
+            p_n, covariance = np.array(axes.world(vec3(at.p[row]))), axes.world_covariance(at.covariance[row])
+            seen = flight.identified.get(t_ns, frozenset())
+            found[k] = View(t_ns, p_n, R_nb, covariance, float(radius[row]), mode, seen)
+    return found
+
+
+def pictures(flight: Flight, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, Image | None]]:
+    """Number and pixels of the wanted pictures of a topic, one after the other; None for one that cannot be read."""
+    last = max(wanted, default=-1)
+    with LogReader(flight.path) as reader:
+        for number, record in enumerate(record for record in reader if record.topic == topic and record.schema in _PICTURES):
+            if number > last:
+                return
+            if number in wanted:
+                try:
+                    yield number, decode_picture(record.schema, record.data)
+                except PictureError:
+                    yield number, None

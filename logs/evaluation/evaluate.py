@@ -1,0 +1,335 @@
+"""How good was the estimate in a log? Everything that can be said, with a truth or without, as one record.
+
+    evaluation = evaluate(Path("estimate.mcap"))
+    logs.evaluation.table.print_table(evaluation)         # for a person
+    msgspec.json.encode(evaluation)                       # for a program
+
+An estimate is compared at the truth's own stamps: it is interpolated between its neighbours, the truth never is, so a gap in the
+truth is a gap in the comparison. Stamps that the estimate does not cover are left out and counted.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+
+from logs.evaluation import metrics
+from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
+from logs.evaluation.metrics import Mask, Stats, Times
+from logs.evaluation.records import Accuracy, AidSummary, Evaluation, Honesty, Outage, Percentiles, RelativeError, ResetRow
+from logs.evaluation.trajectory import Trajectory, interpolate, nearest
+from models.messages import AidStatus, Array, Reason
+from models.radius import horizontal_radius
+
+ABSOLUTE_KINDS: Final = frozenset({"gnss_position", "pose"})  # measurements that say where, not only how fast or how high
+LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a longer hole
+_ALL_SOURCES: Final = "all"
+_SHORTEST_OUTAGE_NS: Final = 2_000_000_000
+_NOT_GIVEN_M2: Final = 9e4
+_RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Estimate and truth at the n stamps that both tell; errors are true minus estimated.
+
+    p_error: (n, 3) m, p_covariance: (n, 3, 3) estimate's and truth's together; theta_error: (n, 3) rad about the axes of map and
+    v_error: (n, 3) m/s along the axes of the body, nan where the truth does not tell; left_out: truth stamps without estimate.
+    """
+
+    estimate: Trajectory
+    truth: Trajectory
+    p_error: Array
+    p_covariance: Array
+    theta_error: Array
+    v_error: Array
+    left_out: int
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def __getitem__(self, rows: Mask) -> Self:
+        return type(self)(
+            self.estimate[rows], self.truth[rows], self.p_error[rows], self.p_covariance[rows],
+            self.theta_error[rows], self.v_error[rows], self.left_out,
+        )  # fmt: skip
+
+    @property
+    def t_ns(self) -> Times:
+        """The common stamps, (n,)."""
+        return self.truth.t_ns
+
+
+def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
+    """The estimate at the truth's stamps, and its errors there. Estimates that are not finite do not count."""
+    estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1) & estimate.has_attitude)]
+    at, told = interpolate(estimate, truth.t_ns, LONGEST_STEP_NS)
+    inside = truth[told]
+    theta_error, attitude = np.full((len(inside), 3), np.nan), inside.has_attitude
+    if attitude.any():
+        theta_error[attitude] = metrics.attitude_error(at.q_wxyz[attitude], inside.q_wxyz[attitude])
+    return Comparison(
+        estimate=at,
+        truth=inside,
+        p_error=inside.p - at.p,
+        p_covariance=at.covariance[:, :3, :3] + _known(inside.covariance[:, :3, :3]),
+        theta_error=theta_error,
+        v_error=inside.v_body - at.v_body,
+        left_out=int(np.count_nonzero(~told)),
+    )
+
+
+def _known(covariance: Array) -> Array:
+    """The truth's own covariance, zero where it tells none."""
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    told = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
+    return np.where(np.reshape(told, (-1, 1, 1)), covariance, 0.0)
+
+
+def find_outages(
+    aids: Iterable[AidStatus], health: Iterable[HealthPoint], estimate: Trajectory, longer_than_s: float | None = None
+) -> dict[str, list[tuple[int, int]]]:
+    """Spans without absolute information, of all sources together ("all") and of each topic where there are several.
+
+    A span runs from the validity of the newest absolute measurement fused to the arrival of a newer one. It is an outage where
+    it is longer than 3 x the median of such waits (interval and delay), and than 2 s; or than longer_than_s. Without AidStatus
+    the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate counts as
+    information: it was aligned by some.
+    """
+    aids, health = tuple(aids), tuple(health)
+    if not aids and not health:
+        return {_ALL_SOURCES: []}
+    start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
+    points: dict[str, list[tuple[int, int]]] = {_ALL_SOURCES: []}
+    for aid in aids:
+        if aid.kind in ABSOLUTE_KINDS and aid.reason is Reason.FUSED:
+            points[_ALL_SOURCES].append((aid.t_ns, aid.arrived_ns))
+            points.setdefault(aid.topic, []).append((aid.t_ns, aid.arrived_ns))
+    if not points[_ALL_SOURCES]:
+        ages = ((h.t_ns, h.absolute_age_s) for h in health)
+        points[_ALL_SOURCES] = [(t - round(1e9 * age), t) for t, age in ages if np.isfinite(age)]
+    if len(points) == 2:
+        points = {_ALL_SOURCES: points[_ALL_SOURCES]}
+    outages = {}
+    for source, seen in points.items():
+        valid, arrived = np.array([*seen, (start, start)], np.int64).T
+        waited = np.diff(metrics.waits(valid, arrived))
+        usual = np.median(waited) if len(waited) else 0.0
+        threshold = max(_SHORTEST_OUTAGE_NS, 3.0 * usual) if longer_than_s is None else 1e9 * longer_than_s
+        outages[source] = metrics.gaps(valid, arrived, end, round(threshold))
+    return outages
+
+
+def evaluate(
+    path: Path,
+    truth_topic: str = TRUTH_TOPIC,
+    *,
+    burn_in_s: float = 0.0,
+    outage_s: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Evaluation:
+    """Evaluate /landfix/odometry of a log against a truth in it; without a truth, all that needs none.
+
+    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix (a receiver the estimator did not hear);
+    burn_in_s: this long after the first estimate nothing is compared; outage_s: see find_outages.
+    Raises LogError for a file that is no log, holds no estimate, or no truth on a topic that was asked for.
+    """
+    return assess(read(path, truth_topic, progress), str(path), burn_in_s, outage_s)
+
+
+def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: float | None = None) -> Evaluation:
+    """The Evaluation of what was read."""
+    estimate, truth = evidence.estimate, evidence.truth
+    outages = find_outages(evidence.aids, evidence.health, estimate, outage_s)
+    start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
+    comparison = compare(estimate, truth)
+    comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
+    aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[_ALL_SOURCES], estimate))
+    compared = len(comparison) > 0
+    path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
+    without = sum(b - a for a, b in outages[_ALL_SOURCES]) * 1e-9
+    return Evaluation(
+        log=name,
+        duration_s=(end - start) * 1e-9,
+        estimates=len(estimate),
+        distance_m=float(metrics.path_length(path)[-1]) if len(path) else 0.0,
+        truth_samples=len(truth),
+        compared=len(comparison),
+        without_estimate=comparison.left_out,
+        without_truth=_count_far(truth, estimate),
+        modes=_mode_shares(evidence.health, end),
+        without_absolute_s=without,
+        accuracy=_accuracy(comparison, aided) if compared else None,
+        honesty=_honesty(comparison, aided) if compared else None,
+        outages=tuple(_outage(source, span, comparison, start) for source, spans in outages.items() for span in spans),
+        aids=_aid_summaries(evidence.aids),
+        latency_s=_latency(evidence),
+        resets=tuple(
+            ResetRow(
+                (j.t_ns - start) * 1e-9, j.counter, _norm(j.delta_p), _norm(j.delta_v), float(np.rad2deg(_norm(j.delta_theta)))
+            )
+            for j in evidence.resets
+        ),
+        notes=_notes(evidence, comparison),
+    )
+
+
+def _with_jumps(outages: list[tuple[int, int]], estimate: Trajectory) -> list[tuple[int, int]]:
+    """Outages and the two estimates behind each: what is interpolated over the jump at its end is not aided yet."""
+    step = int(np.median(np.diff(estimate.t_ns))) if len(estimate) > 1 else 0
+    return [(start, end + 2 * step) for start, end in outages]
+
+
+def _norm(v: Iterable[float]) -> float:
+    return float(np.linalg.norm(list(v)))
+
+
+def _count_far(truth: Trajectory, estimate: Trajectory) -> int:
+    """Estimates with no truth near them: farther away than the truth's usual step (and 10 ms)."""
+    if not len(truth):
+        return len(estimate)
+    step = int(np.median(np.diff(truth.t_ns))) if len(truth) > 1 else 0
+    _, near = nearest(truth.t_ns, estimate.t_ns, max(step, 10_000_000))
+    return int(np.count_nonzero(~near))
+
+
+def _mode_shares(health: tuple[HealthPoint, ...], end_ns: int) -> dict[str, float]:
+    """Share of time in each mode, from one Health to the next."""
+    total: Counter[str] = Counter()
+    for here, until in zip(health, [*(h.t_ns for h in health), end_ns][1:], strict=True):
+        total[here.mode] += max(0, until - here.t_ns)
+    return {mode: ns / total.total() for mode, ns in total.items()} if total.total() else {}
+
+
+def _accuracy(c: Comparison, aided: Mask) -> Accuracy:
+    p_est, p_true = c.estimate.p, c.truth.p
+    attitude = c.truth.has_attitude
+    theta_deg, velocity = np.rad2deg(c.theta_error), np.isfinite(c.v_error).all(axis=1)
+    return Accuracy(
+        position_m=metrics.stats(c.p_error),
+        horizontal_m=metrics.stats(c.p_error[:, :2]),
+        vertical_m=metrics.stats(c.p_error[:, 2]),
+        aided_position_m=metrics.stats(c.p_error[aided]),
+        yaw_aligned_m=metrics.ate(p_est, p_true, "yaw"),
+        se3_aligned_m=metrics.ate(p_est, p_true, "se3"),
+        sim3_aligned_m=metrics.ate(p_est, p_true, "sim3"),
+        sim3_scale=metrics.align(p_est, p_true, "sim3").scale,
+        attitude_deg=metrics.stats(theta_deg[attitude]),
+        aided_attitude_deg=metrics.stats(theta_deg[attitude & aided]),
+        tilt_deg=metrics.stats(theta_deg[attitude, :2]),
+        heading_deg=metrics.stats(theta_deg[attitude, 2]),
+        velocity_m_s=metrics.stats(c.truth.v[velocity] - c.estimate.v[velocity]),
+        relative=_relative(c[attitude]),
+    )
+
+
+def _relative(c: Comparison) -> tuple[RelativeError, ...]:
+    t = (c.t_ns - c.t_ns[0]) * 1e-9 if len(c) else np.empty(0)
+    path = metrics.path_length(c.truth.p)
+    poses = (c.estimate.p, c.estimate.q_wxyz, c.truth.p, c.truth.q_wxyz)
+    spans = [(f"{s:g} s", t, s) for s in _RELATIVE_S] + [(f"{d:g} m", path, d) for d in _RELATIVE_M]
+    errors = ((name, metrics.rpe(*poses, metrics.pairs_apart(x, delta, 0.1 * delta))) for name, x, delta in spans)
+    return tuple(RelativeError(name, p, _degrees(turn)) for name, (p, turn) in errors if p.n)
+
+
+def _degrees(s: Stats) -> Stats:
+    factor = 180.0 / np.pi
+    return Stats(factor * s.rmse, factor * s.mean, factor * s.median, factor * s.max, s.n)
+
+
+def _honesty(c: Comparison, aided: Mask) -> Honesty:
+    nees_p = metrics.nees(c.p_error, c.p_covariance)
+    attitude, velocity = c.truth.has_attitude, np.asarray(np.isfinite(c.v_error).all(axis=1))
+    pose_error, pose_covariance = np.hstack([c.p_error, c.theta_error]), c.estimate.covariance.copy()
+    pose_covariance[:, :3, :3] = c.p_covariance
+    radius = horizontal_radius(c.p_covariance[:, :2, :2])
+    horizontal = np.linalg.norm(c.p_error[:, :2], axis=1)
+    return Honesty(
+        position=metrics.consistency(nees_p, 3),
+        position_aided=metrics.consistency(nees_p[aided], 3),
+        position_outages=metrics.consistency(nees_p[~aided], 3),
+        attitude=metrics.consistency(metrics.nees(c.theta_error[attitude], c.estimate.covariance[attitude, 3:, 3:]), 3),
+        velocity=metrics.consistency(metrics.nees(c.v_error[velocity], c.estimate.v_covariance[velocity]), 3),
+        pose=metrics.consistency(metrics.nees(pose_error[attitude], pose_covariance[attitude]), 6),
+        radius95_covered=float(np.mean(horizontal <= radius)),
+        radius95_median_m=float(np.median(radius)),
+        radius95_max_m=float(np.max(radius)),
+    )
+
+
+def _outage(source: str, span: tuple[int, int], comparison: Comparison, start: int) -> Outage:
+    c = comparison[metrics.within(comparison.t_ns, [span])]
+    attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.truth.has_attitude], axis=1))
+    nees_p = metrics.nees(c.p_error, c.p_covariance)
+    radius = horizontal_radius(c.p_covariance[-1:, :2, :2])
+    return Outage(
+        source=source,
+        start_s=(span[0] - start) * 1e-9,
+        duration_s=(span[1] - span[0]) * 1e-9,
+        drift=metrics.drift(c.p_error, c.truth.p) if len(c) else None,
+        attitude_rmse_deg=float(np.sqrt(np.mean(attitude**2))) if len(attitude) else None,
+        attitude_end_deg=float(attitude[-1]) if len(attitude) else None,
+        nees_position=float(nees_p.mean() / 3) if len(c) else None,
+        radius95_end_m=float(radius[0]) if len(c) else None,
+    )
+
+
+def _aid_summaries(aids: tuple[AidStatus, ...]) -> tuple[AidSummary, ...]:
+    by_source: dict[tuple[str, str], list[AidStatus]] = {}
+    for aid in aids:
+        by_source.setdefault((aid.topic, aid.kind), []).append(aid)
+    return tuple(_aid_summary(topic, kind, group) for (topic, kind), group in sorted(by_source.items()))
+
+
+def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
+    """NIS is of the fused: a gated one says that it did not fit, and by how much it did not is no statistic of the filter."""
+    fused = [a for a in group if a.reason is Reason.FUSED and a.innovation]
+    squares, dof = 0.0, 0
+    for size in {len(a.innovation) for a in fused}:
+        same = [a for a in fused if len(a.innovation) == size]
+        squares += float(metrics.nis(np.array([a.innovation for a in same]), np.array([a.innovation_sigma for a in same])).sum())
+        dof += size * len(same)
+    return AidSummary(
+        topic=topic,
+        kind=kind,
+        reasons=dict(Counter(a.reason.value for a in group).most_common()),
+        revised=sum(a.revision > 0 for a in group),
+        nis=squares / dof if dof else None,
+        test_ratio=_percentiles([a.test_ratio for a in fused]),
+        delay_s=_percentiles([a.delay_s for a in group]),
+    )
+
+
+def _latency(evidence: Evidence) -> dict[str, Percentiles]:
+    """Arrival - validity of the estimate, s: what a listener to /landfix/odometry sees."""
+    late = _percentiles(((evidence.estimate.arrived_ns - evidence.estimate.t_ns) * 1e-9).astype(float))
+    return {"/landfix/odometry": late} if late else {}
+
+
+def _percentiles(values: Array | list[float]) -> Percentiles | None:
+    if not len(values):
+        return None
+    p50, p95, p99, most = (float(x) for x in np.percentile(np.asarray(values, float), [50, 95, 99, 100]))
+    return Percentiles(p50, p95, p99, most)
+
+
+def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
+    """What a reader of the figures must know."""
+    estimate = evidence.estimate
+    broken = np.count_nonzero(~np.isfinite(estimate.p).all(axis=1) | ~estimate.has_attitude)
+    no_promise = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
+    notes = {
+        "the log is torn: read to its last whole record": evidence.torn,
+        f"{evidence.unreadable} messages could not be read": evidence.unreadable > 0,
+        f"{broken} estimates are not finite": broken > 0,
+        f"{no_promise} position covariances are not positive definite: their NEES is infinite": no_promise > 0,
+        "no truth: nothing can be said about errors": not len(evidence.truth),
+        "the truth and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
+        "the truth has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
+        "no /landfix/aid_status: outages are found from the health alone": bool(evidence.health) and not evidence.aids,
+        "neither /landfix/aid_status nor /landfix/health: outages are not known": not evidence.health and not evidence.aids,
+    }
+    return tuple(text for text, holds in notes.items() if holds)

@@ -1,0 +1,261 @@
+"""Everything a log tells about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from logs.evaluation.metrics import Mask, Times
+from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode, decode_geodetic, from_rows
+from logs.store.reader import Attachment, LogError, LogReader, Record
+from logs.wire import schemas
+from logs.wire.codec import decode_aid_status
+from models.frames import Origin
+from models.messages import AidStatus, Array, Reason, Vec3
+
+ODOMETRY_TOPIC: Final = "/landfix/odometry"
+TRUTH_TOPIC: Final = "/truth"
+_AID_TOPIC, _HEALTH_TOPIC = "/landfix/aid_status", "/landfix/health"
+_RESET_TOPIC, _GLOBAL_TOPIC = "/landfix/reset", "/landfix/global"
+_FIX_TYPES: Final = (schemas.POSE_FIX, schemas.LANDMARK_FIX, schemas.NAV_SAT_FIX)
+_PROGRESS_EVERY: Final = 5000  # records
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class HealthPoint:
+    """What evaluation needs of a Health: mode, and seconds since an absolute position was fused."""
+
+    t_ns: int
+    mode: str
+    absolute_age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A Reset as on the wire, in the axes of map."""
+
+    t_ns: int
+    counter: int
+    delta_p: Vec3
+    delta_v: Vec3
+    delta_theta: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Positions that one topic measured, (n, 3) m in map, and which of them were used: fused, or for the alignment."""
+
+    t_ns: Times
+    p: Array
+    used: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A log, as far as it concerns evaluation.
+
+    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense;
+    origin: where map lies on Earth, as far as the log tells; every: of so many estimates one was kept;
+    attachments, metadata, skipped_chunks: as the reader tells them.
+    """
+
+    estimate: Trajectory
+    truth: Trajectory
+    aids: tuple[AidStatus, ...]
+    health: tuple[HealthPoint, ...]
+    resets: tuple[Jump, ...]
+    fixes: dict[str, Fixes]
+    torn: bool
+    unreadable: int
+    origin: Origin | None
+    every: int
+    attachments: tuple[Attachment, ...]
+    metadata: dict[str, dict[str, str]]
+    skipped_chunks: int
+
+
+class _Sheaf:
+    """Messages of one topic, as bytes, with their arrivals: all, or of the first, every 2nd, 4th, ... so that `most` suffice."""
+
+    __slots__ = ("_most", "_seen", "arrived_ns", "data", "every", "schema", "unreadable")
+
+    def __init__(self, schema: str, most: int | None = None) -> None:
+        self.schema = schema
+        self.data: list[bytes] = []
+        self.arrived_ns: list[int] = []
+        self.unreadable = 0
+        self.every, self._seen, self._most = 1, 0, most
+
+    def add(self, data: bytes, arrived_ns: int) -> None:
+        """The next message."""
+        if self._seen % self.every == 0:
+            self.data.append(data)
+            self.arrived_ns.append(arrived_ns)
+        self._seen += 1
+        if self._most is not None and len(self.data) > self._most:
+            self.every *= 2
+            del self.data[1::2], self.arrived_ns[1::2]
+
+    def parsed(self, parse: Callable[[bytes], T]) -> Iterator[tuple[int, T]]:
+        """Arrival and content of each message; one that cannot be parsed is counted and left out."""
+        self.unreadable = 0
+        for arrived_ns, data in zip(self.arrived_ns, self.data, strict=True):
+            try:
+                yield arrived_ns, parse(data)
+            except Exception:  # whatever bytes from outside trip over
+                self.unreadable += 1
+
+    def messages(self) -> Iterator[tuple[int, Any]]:
+        """Arrival and content of each message, as an object of its type."""
+        return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
+
+
+def read(
+    path: Path,
+    truth_topic: str = TRUTH_TOPIC,
+    progress: Callable[[float], None] | None = None,
+    *,
+    most: int | None = None,
+    see: Callable[[Record], None] | None = None,
+) -> Evidence:
+    """The Evidence of a log. progress is told the fraction done.
+
+    most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
+    Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
+    """
+    own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, truth_topic}
+    poses = {ODOMETRY_TOPIC, truth_topic}
+    sheaves: dict[str, _Sheaf] = {}
+    with LogReader(path) as reader:
+        for count, record in enumerate(reader):
+            if record.topic in own or record.schema in _FIX_TYPES:
+                if record.topic not in sheaves:
+                    sheaves[record.topic] = _Sheaf(record.schema, most if record.topic in poses else None)
+                sheaves[record.topic].add(record.data, record.log_time_ns)
+            if see:
+                see(record)
+            if progress and count % _PROGRESS_EVERY == 0:
+                progress(reader.fraction)
+        torn, skipped_chunks = reader.torn, reader.skipped_chunks
+        attachments, metadata = tuple(reader.attachments), reader.metadata
+    if ODOMETRY_TOPIC not in sheaves:
+        lacks = f"holds no {ODOMETRY_TOPIC}{' before it is torn' if torn else ''}"
+        raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
+    estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
+    if not len(estimate):
+        raise LogError(f"{path}: no message of {ODOMETRY_TOPIC} is whole")
+    if not np.isfinite(estimate.p).all(axis=1).any():
+        raise LogError(f"{path}: none of its {len(estimate)} estimates is a number")
+    origin = _origin(estimate, sheaves.get(_GLOBAL_TOPIC, _Sheaf("")))
+    aids = _aids(sheaves.get(_AID_TOPIC, _Sheaf("")))
+    return Evidence(
+        estimate=estimate,
+        truth=_truth(path, truth_topic, sheaves.get(truth_topic), origin),
+        aids=aids,
+        health=_health(sheaves.get(_HEALTH_TOPIC, _Sheaf(""))),
+        resets=_resets(sheaves.get(_RESET_TOPIC, _Sheaf(""))),
+        fixes=_fixes({t: s for t, s in sheaves.items() if t not in own and s.schema in _FIX_TYPES}, aids, origin),
+        torn=torn,
+        unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
+        origin=origin,
+        every=sheaves[ODOMETRY_TOPIC].every,
+        attachments=attachments,
+        metadata=metadata,
+        skipped_chunks=skipped_chunks,
+    )
+
+
+def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) -> Trajectory:
+    """The truth of a topic that gives poses or geodetic positions; rows without a finite position are left out."""
+    if sheaf is None:
+        if topic != TRUTH_TOPIC:
+            raise LogError(f"{path}: holds no {topic}; name a topic that does hold a reference with --truth")
+        return from_rows(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 7)))
+    truth = _positions(sheaf, origin)
+    if truth is None:
+        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} tells no position"
+        raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
+    return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
+
+
+def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
+    """Where the messages of a topic say the body (or antenna) was; None where they do not say it."""
+    if sheaf.schema in POSE_TYPES:
+        return decode(sheaf.schema, sheaf.data, sheaf.arrived_ns)
+    if sheaf.schema == schemas.NAV_SAT_FIX and origin is not None:
+        return decode_geodetic(sheaf.data, sheaf.arrived_ns, origin)
+    if sheaf.schema == schemas.LANDMARK_FIX:
+        places = [(arrived, _t_ns(m), m.pose.pose.position) for arrived, m in sheaf.messages()]
+        arrived_ns, t_ns = (np.array([place[k] for place in places], np.int64) for k in (0, 1))
+        return from_rows(t_ns, arrived_ns, np.array([(p.x, p.y, p.z) for _, _, p in places]).reshape(-1, 3))
+    return None
+
+
+def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
+    """Where map lies on Earth, from one estimate told both in map and as latitude and longitude.
+
+    The origin is the place from which p leads to that latitude and longitude, found by iteration: the axes of map turn with it.
+    """
+    for _, fix in sheaf.messages():
+        row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
+        if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():
+            east, north, up = (float(x) for x in estimate.p[row])
+            place = origin = np.array([fix.latitude, fix.longitude, fix.altitude])
+            for _ in range(5):
+                told = Origin(*map(float, origin)).to_geodetic((north, east, -up))
+                origin = origin + (place - told)
+            return Origin(*map(float, origin))
+    return None
+
+
+def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
+    """The last decision on each measurement, in order of validity."""
+    last: dict[tuple[str, str, int, int], AidStatus] = {}
+    for _, status in sheaf.parsed(decode_aid_status):
+        key = (status.topic, status.kind, status.t_ns, status.arrived_ns)
+        if key not in last or status.revision >= last[key].revision:
+            last[key] = status
+    return tuple(sorted(last.values(), key=lambda s: (s.t_ns, s.arrived_ns, s.topic, s.kind)))
+
+
+def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
+    points = []
+    for _, message in sheaf.messages():
+        values = {pair.key: pair.value for status in message.status for pair in status.values}
+        points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
+    return tuple(points)
+
+
+def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
+    jumps = []
+    for _, m in sheaf.messages():
+        delta_p, delta_v, delta_theta = ((v.x, v.y, v.z) for v in (m.delta_position, m.delta_velocity, m.delta_rotation))
+        jumps.append(Jump(_t_ns(m), int(m.counter), delta_p, delta_v, delta_theta))
+    return tuple(jumps)
+
+
+def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
+    """The fixes of the topics on which a decision was made, with that decision.
+
+    Found by arrival: the validity of a fix is its stamp less the delay that the estimator was told of.
+    """
+    used: dict[str, set[int]] = {}
+    for status in aids:
+        arrivals = used.setdefault(status.topic, set())
+        if status.reason in {Reason.FUSED, Reason.ALIGNING}:
+            arrivals.add(status.arrived_ns)
+    fixes = {}
+    for topic, sheaf in sheaves.items():
+        positions = _positions(sheaf, origin) if topic in used else None
+        if positions is not None:
+            was_used = np.array([t in used[topic] for t in positions.arrived_ns.tolist()], bool)
+            fixes[topic] = Fixes(positions.t_ns, positions.p, was_used)
+    return fixes
+
+
+def _t_ns(message: Any) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)

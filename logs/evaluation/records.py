@@ -1,0 +1,127 @@
+"""What an evaluation says: records that become JSON as they are (nan as null)."""
+
+import msgspec
+
+from logs.evaluation.metrics import Consistency, Drift, Stats
+
+
+class RelativeError(msgspec.Struct, frozen=True):
+    """Relative pose error over a time or a distance ("10 s", "100 m")."""
+
+    over: str
+    translation_m: Stats
+    rotation_deg: Stats
+
+
+class Accuracy(msgspec.Struct, frozen=True):
+    """Errors against the truth. position_m is the ATE without alignment: the map frame is part of what is promised.
+
+    aided_*: outside outages; *_aligned_m: ATE after the best yaw and shift, rigid motion, similarity; tilt_deg, heading_deg:
+    attitude error about the horizontal axes and the vertical one. Stats with n = 0 where the truth does not tell.
+    """
+
+    position_m: Stats
+    horizontal_m: Stats
+    vertical_m: Stats
+    aided_position_m: Stats
+    yaw_aligned_m: Stats
+    se3_aligned_m: Stats
+    sim3_aligned_m: Stats
+    sim3_scale: float
+    attitude_deg: Stats
+    aided_attitude_deg: Stats
+    tilt_deg: Stats
+    heading_deg: Stats
+    velocity_m_s: Stats
+    relative: tuple[RelativeError, ...]
+
+
+class Honesty(msgspec.Struct, frozen=True):
+    """Do the covariances tell the errors? NEES of each part; share of time inside the 95 % horizontal radius, and that radius."""
+
+    position: Consistency
+    position_aided: Consistency
+    position_outages: Consistency
+    attitude: Consistency
+    velocity: Consistency
+    pose: Consistency
+    radius95_covered: float
+    radius95_median_m: float
+    radius95_max_m: float
+
+
+class Outage(msgspec.Struct, frozen=True):
+    """A span without absolute information of a source (a topic, or "all"); start_s from the first estimate.
+
+    drift and what follows are None where no truth tells; nees_position: mean of NEES / 3; radius95_end_m: promised at the end.
+    """
+
+    source: str
+    start_s: float
+    duration_s: float
+    drift: Drift | None
+    attitude_rmse_deg: float | None
+    attitude_end_deg: float | None
+    nees_position: float | None
+    radius95_end_m: float | None
+
+
+class Percentiles(msgspec.Struct, frozen=True):
+    """Median, 95 %, 99 % and maximum."""
+
+    p50: float
+    p95: float
+    p99: float
+    max: float
+
+
+class AidSummary(msgspec.Struct, frozen=True):
+    """What became of one source's measurements of one kind.
+
+    reasons: reason -> measurements, most frequent first; revised: decisions that changed later; nis: mean of the squared
+    standardised innovations of the fused (1 if their sigmas are right); test_ratio: of the fused, 1 is the gate.
+    """
+
+    topic: str
+    kind: str
+    reasons: dict[str, int]
+    revised: int
+    nis: float | None
+    test_ratio: Percentiles | None
+    delay_s: Percentiles | None
+
+
+class ResetRow(msgspec.Struct, frozen=True):
+    """A jump of the estimate, t_s from the first one."""
+
+    t_s: float
+    counter: int
+    position_m: float
+    velocity_m_s: float
+    attitude_deg: float
+
+
+class Evaluation(msgspec.Struct, frozen=True):
+    """All of it.
+
+    distance_m: along the truth, or the estimate where there is none; compared: truth samples that an estimate covers;
+    without_estimate: those that none covers; without_truth: estimates with no truth near; modes: share of time in each.
+    """
+
+    log: str
+    duration_s: float
+    estimates: int
+    distance_m: float
+    truth_samples: int
+    compared: int
+    without_estimate: int
+    without_truth: int
+    modes: dict[str, float]
+    without_absolute_s: float
+    accuracy: Accuracy | None
+    honesty: Honesty | None
+    outages: tuple[Outage, ...]
+    aids: tuple[AidSummary, ...]
+    latency_s: dict[str, Percentiles]
+    resets: tuple[ResetRow, ...]
+    notes: tuple[str, ...]

@@ -1,0 +1,186 @@
+"""What the page's script draws: plots over time, bars, strips of states, the map. Records that become JSON as they are."""
+
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from logs.report.buckets import Buckets
+from models.messages import Array
+
+Colour = Literal["black", "blue", "green", "vermillion", "sky", "orange", "purple", "grey"]
+Numbers = list[float | None]
+
+
+class Line(msgspec.Struct, frozen=True, tag="line"):
+    """Extremes per span of time; turn: the period of an angle, 0 for what is none."""
+
+    name: str
+    colour: Colour
+    start: float
+    step: float
+    low: Numbers
+    high: Numbers
+    turn: float = 0.0
+
+
+class Band(msgspec.Struct, frozen=True, tag="band"):
+    """An area from low to high per span of time."""
+
+    name: str
+    colour: Colour
+    start: float
+    step: float
+    low: Numbers
+    high: Numbers
+
+
+class Points(msgspec.Struct, frozen=True, tag="points"):
+    """Single events; text: what is told of each where the pointer is near."""
+
+    name: str
+    colour: Colour
+    shape: Literal["dot", "cross", "tick", "top"]  # tick: along the lower edge, top: along the upper one
+    t: Numbers
+    y: Numbers
+    text: list[str]
+
+
+class Level(msgspec.Struct, frozen=True):
+    """A horizontal line that means something."""
+
+    y: float
+    name: str
+
+
+class TimeChart(msgspec.Struct, frozen=True, tag="time"):
+    """A plot over time, seconds since the first estimate. asinh: linear within +-linear, logarithmic beyond."""
+
+    title: str
+    unit: str
+    parts: list[Line | Band | Points]
+    levels: list[Level] = []
+    scale: Literal["linear", "log", "asinh"] = "linear"
+    linear: float = 1.0
+    height: int = 190
+
+
+class Stay(msgspec.Struct, frozen=True):
+    """A state from start to end."""
+
+    start: float
+    end: float
+    colour: Colour
+    text: str
+
+
+class StripChart(msgspec.Struct, frozen=True, tag="strip"):
+    """States over time, one row each."""
+
+    title: str
+    rows: dict[str, list[Stay]]
+
+
+class BarChart(msgspec.Struct, frozen=True, tag="bars"):
+    """Counts between edges, both logarithmic."""
+
+    title: str
+    unit: str
+    edges: Numbers
+    counts: list[int]
+    colour: Colour = "blue"
+
+
+class Path(msgspec.Struct, frozen=True):
+    """A line on the map."""
+
+    name: str
+    colour: Colour
+    x: Numbers
+    y: Numbers
+    t: Numbers
+
+
+class Ellipse(msgspec.Struct, frozen=True):
+    """Semi-axes a, b; a points from east to north by turn_deg."""
+
+    x: float
+    y: float
+    a: float
+    b: float
+    turn_deg: float
+    text: str
+
+
+class Place(msgspec.Struct, frozen=True):
+    """A landmark's outline."""
+
+    name: str
+    used: bool
+    x: Numbers
+    y: Numbers
+
+
+class Marks(msgspec.Struct, frozen=True):
+    """Points on the map."""
+
+    name: str
+    colour: Colour
+    shape: Literal["dot", "cross", "ring"]
+    x: Numbers
+    y: Numbers
+    text: list[str]
+
+
+class MapChart(msgspec.Struct, frozen=True, tag="map"):
+    """From above: east to the right, north up, metres; box: west, south, east, north of what is shown at first."""
+
+    title: str
+    paths: list[Path]
+    ellipses: list[Ellipse]
+    places: list[Place]
+    marks: list[Marks]
+    box: tuple[float, float, float, float]
+
+
+Chart = TimeChart | StripChart | BarChart | MapChart
+
+
+class Span(msgspec.Struct, frozen=True):
+    """A shade behind every plot over time."""
+
+    start: float
+    end: float
+    name: str
+
+
+class Drawing(msgspec.Struct, frozen=True):
+    """All that is drawn: charts by name, shades, and the time they all show at first."""
+
+    charts: dict[str, Chart]
+    spans: list[Span]
+    begin: float
+    end: float
+
+
+def short(values: Array, digits: int = 5) -> Numbers:
+    """Numbers as a page needs them: so many digits, None where there is none."""
+    return [float(f"{x:.{digits}g}") if np.isfinite(x) else None for x in np.asarray(values, float).tolist()]
+
+
+def line(name: str, colour: Colour, of: Buckets, column: int, start_ns: int, turn: float = 0.0) -> Line:
+    """One signal of some."""
+    low, high = short(of.low[:, column]), short(of.high[:, column])
+    return Line(name, colour, _start(of, start_ns), of.step_ns * 1e-9, low, high, turn)
+
+
+def band(name: str, colour: Colour, of: Buckets, column: int, half: int | Array, start_ns: int) -> Band:
+    """The band of half a width (a column, or an array) about a signal."""
+    width = of.high[:, half] if isinstance(half, int) else half
+    low, high = short(of.low[:, column] - width), short(of.high[:, column] + width)
+    return Band(name, colour, _start(of, start_ns), of.step_ns * 1e-9, low, high)
+
+
+def _start(of: Buckets, start_ns: int) -> float:
+    """Middle of the first span."""
+    return (of.start_ns + of.step_ns // 2 - start_ns) * 1e-9

@@ -1,0 +1,192 @@
+"""The flight in words: what it was, and a verdict with its reasons."""
+
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from logs.evaluation.evidence import Evidence
+from logs.evaluation.metrics import Consistency
+from logs.evaluation.records import AidSummary, Evaluation
+from logs.report.gather import Gathered
+from models.messages import Mode, Reason
+from models.radius import horizontal_radius
+from models.web_page import BAD, GOOD, USABLE
+
+_MANY_REFUSED: Final = 0.2
+_NIS_BAND: Final = (0.3, 2.0)  # of the mean over a flight; outside, sigmas are wrong by more than 1.4 or 1.8
+_LATE_S: Final = 0.15  # what an autopilot still takes for an estimate of now
+_FEW: Final = 20
+_JUMP_M: Final = 1.0
+_NOT_JUDGED: Final = {Reason.ALIGNING, Reason.THINNED, Reason.DUPLICATE, Reason.PROBATION, Reason.NO_FIX}
+
+
+class Level(IntEnum):
+    """Of one finding, and of the flight: its worst."""
+
+    FINE = 0
+    LOOK = 1
+    WRONG = 2
+
+    @property
+    def colour(self) -> str:
+        """Class of the page."""
+        return (GOOD, USABLE, BAD)[self]
+
+    @property
+    def word(self) -> str:
+        """What it comes to, of a flight."""
+        return ("nothing speaks against this estimate", "look closer", "do not rely on this estimate")[self]
+
+
+class Finding(NamedTuple):
+    """One reason."""
+
+    level: Level
+    text: str
+
+
+def summary(e: Evaluation, gathered: Gathered) -> str:
+    """Two or three sentences."""
+    modes = ", ".join(f"{share:.0%} {mode.replace('_', ' ')}" for mode, share in sorted(e.modes.items(), key=lambda m: -m[1]))
+    outages = sum(o.source == "all" for o in e.outages)
+    words = [f"The estimate covers {duration(e.duration_s)} and {e.distance_m:.0f} m ({gathered.estimates} estimates)."]
+    if modes:
+        words.append(f"Mode: {modes}.")
+    if outages:
+        longest = max(o.duration_s for o in e.outages if o.source == "all")
+        several = f"{outages} times, {duration(e.without_absolute_s)} in all, {longest:.1f} s at the longest"
+        words.append(f"It was without an absolute fix {several if outages > 1 else f'once, for {duration(longest)}'}.")
+    elif e.aids or e.modes:
+        words.append("It was never without absolute fixes for long.")
+    if e.accuracy:
+        a = e.accuracy
+        errors = f"Against the truth the position error was {a.position_m.rmse:.2f} m (RMS), {a.position_m.max:.2f} m at most"
+        aided = f"; {a.aided_position_m.rmse:.2f} m outside outages" if outages and a.aided_position_m.n else ""
+        attitude = f"; attitude {a.attitude_deg.rmse:.2f}° RMS" if a.attitude_deg.n else ""
+        words.append(f"{errors}{aided}{attitude}.")
+    else:
+        words.append("There is no truth in the log, so errors are not known; what follows is what the estimator says of itself.")
+    return " ".join(words)
+
+
+def duration(s: float) -> str:
+    """As a person says it."""
+    return f"{s:.1f} s" if s < 120.0 else f"{s / 60.0:.1f} min" if s < 7200.0 else f"{s / 3600.0:.1f} h"
+
+
+def findings(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
+    """What speaks for the estimate and against it, the worst first."""
+    found = [
+        *_honesty(e),
+        *_behaviour(e, gathered),
+        *_jumps(evidence),
+        *(f for aid in e.aids for f in _source(aid)),
+        *_vision(gathered),
+        *_log(e, evidence, gathered),
+    ]
+    return sorted(found, key=lambda f: -f.level)
+
+
+def _honesty(e: Evaluation) -> list[Finding]:
+    if e.honesty is None:
+        return []
+    covered = e.honesty.radius95_covered
+    level = Level.FINE if covered >= 0.9 else Level.LOOK if covered >= 0.75 else Level.WRONG
+    found = [Finding(level, f"the error was inside the promised 95 % radius {covered:.0%} of the time")]
+    for name, c in (("position", e.honesty.position), ("attitude", e.honesty.attitude), ("velocity", e.honesty.velocity)):
+        found += _too_sure(name, c)
+    return found
+
+
+def _too_sure(name: str, c: Consistency) -> list[Finding]:
+    """Where the mean squared error is beyond what the covariance promises."""
+    if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
+        return []
+    if np.isinf(c.mean):
+        return [Finding(Level.WRONG, f"{name} covariances are at times not positive definite: nothing is promised there")]
+    level = Level.WRONG if c.mean > max(4.0, 2.0 * c.band[1]) else Level.LOOK
+    return [
+        Finding(
+            level,
+            f"{name} errors are {np.sqrt(c.mean):.2g} times what the covariance says (NEES {c.mean:.2g} per degree of freedom)",
+        )
+    ]
+
+
+def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
+    found = []
+    if (coasting := e.modes.get(Mode.COASTING, 0.0)) > 0.0:
+        found.append(
+            Finding(Level.LOOK, f"the IMU was silent {coasting:.1%} of the time: the estimate went on at constant velocity")
+        )
+    if gathered.counts.get("internal"):
+        found.append(
+            Finding(Level.WRONG, f"{gathered.counts['internal']} internal errors: defects of the estimator, please report them")
+        )
+    if (late := e.latency_s.get("/landfix/odometry")) and late.p99 > _LATE_S:
+        found.append(Finding(Level.LOOK, f"1 % of the estimates arrived later than {1e3 * late.p99:.0f} ms after their stamp"))
+    return found
+
+
+def _jumps(evidence: Evidence) -> list[Finding]:
+    """Jumps that matter; one within the radius promised before it is what was promised."""
+    estimate, start_ns = evidence.estimate, int(evidence.estimate.t_ns[0])
+    jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in evidence.resets]
+    jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]
+    if not jumps:
+        return []
+    before = np.maximum(np.searchsorted(estimate.t_ns, [j.t_ns for _, j in jumps]) - 1, 0)
+    radius = horizontal_radius(estimate.covariance[before, :2, :2])
+    beyond = [length_m > r for (length_m, _), r in zip(jumps, radius.tolist(), strict=True)]
+    k = max(range(len(jumps)), key=lambda k: (beyond[k], jumps[k][0]))
+    (length_m, most), many = jumps[k], "once" if len(jumps) == 1 else f"{len(jumps)} times"
+    at = f"{length_m:.1f} m at {(most.t_ns - start_ns) * 1e-9:.1f} s, where the promised 95 % radius was {radius[k]:.1f} m"
+    return [Finding(Level.LOOK if any(beyond) else Level.FINE, f"the position jumped by more than {_JUMP_M:g} m {many}: {at}")]
+
+
+def refusals(aid: AidSummary) -> dict[str, int]:
+    """Measurements that were judged and not fused, by reason."""
+    return {reason: n for reason, n in aid.reasons.items() if reason not in _NOT_JUDGED and reason != Reason.FUSED}
+
+
+def _source(aid: AidSummary) -> list[Finding]:
+    fused, refused = aid.reasons.get("fused", 0), refusals(aid)
+    total = fused + sum(refused.values())
+    found = []
+    if sum(refused.values()) > _MANY_REFUSED * total:
+        reasons = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in refused.items())
+        found.append(Finding(Level.LOOK, f"{aid.topic}: of {total} {aid.kind} measurements {reasons}"))
+    if aid.nis is not None and fused >= _FEW and not _NIS_BAND[0] <= aid.nis <= _NIS_BAND[1]:
+        small = aid.nis < 1.0
+        meaning = "smaller than its noise and the covariance say" if small else "larger than its noise and the covariance say"
+        found.append(
+            Finding(
+                Level.FINE if small else Level.LOOK,
+                f"{aid.topic}: innovations of {aid.kind} are {meaning} (NIS {aid.nis:.2f} per degree of freedom)",
+            )
+        )
+    return found
+
+
+def _vision(gathered: Gathered) -> list[Finding]:
+    reports = [look.report for look in gathered.looks.values() if look.report]
+    if len(reports) < _FEW:
+        return []
+    fixed = sum(r.outcome == "fixed" for r in reports)
+    level = Level.FINE if fixed else Level.LOOK
+    return [Finding(level, f"vision found its place in {fixed} of {len(reports)} pairs of pictures")]
+
+
+def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
+    found = [Finding(Level.LOOK, note) for note in e.notes if not note.startswith(("no truth", "the truth has no attitude"))]
+    if evidence.skipped_chunks:
+        found.append(Finding(Level.LOOK, f"{evidence.skipped_chunks} damaged places in the log were skipped"))
+    if gathered.unreadable:
+        found.append(
+            Finding(Level.LOOK, f"unreadable messages: {', '.join(f'{n} on {t}' for t, n in gathered.unreadable.items())}")
+        )
+    for key, value in gathered.daemon.items():
+        if key.endswith(("lost_inputs", "internal_errors", "unbelieved_stamps")) and value not in {"0", ""}:
+            found.append(Finding(Level.LOOK, f"the daemon tells of {key.replace('_', ' ')}: {value}"))
+    return found

@@ -1,0 +1,117 @@
+"""The parts of a rotated log read as one: what was recorded into several files is one flight."""
+
+import re
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final, Self
+
+from mcap.records import Schema
+
+from logs.store.reader import Attachment, LogError, LogReader, Record
+from logs.store.recorder import METADATA_NAME
+
+PART: Final = "part"  # key of the metadata record: the number of the file, from 0 on
+_NUMBERED: Final = re.compile(r"(.*)-\d{3,}\.mcap")  # as landfix run names them
+_FEW: Final = 5  # are named one by one
+_RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save of a damaged part, beside it
+
+
+class PartsReader:
+    """To its user a LogReader of all parts, in the order in which they were recorded, whatever order they are given in.
+
+    source: a file, a folder with the parts of one flight, or files. Raises LogError. As with a LogReader, the attributes are
+    complete once the iteration is.
+    """
+
+    def __init__(self, source: Path | Sequence[Path]) -> None:
+        with ExitStack() as stack:
+            opened = [(path, stack.enter_context(LogReader(path))) for path in _without_copies(files_of(source))]
+            begins = {path: next((r.log_time_ns for r in reader), 0) for path, reader in opened} if len(opened) > 1 else {}
+            opened.sort(key=lambda part: begins.get(part[0], 0))
+            self._names, self._parts = [path.name for path, _ in opened], [reader for _, reader in opened]
+            _refuse_twins({path: _number(reader) for path, reader in opened})
+            self._files = stack.pop_all()
+        self._sizes = [path.stat().st_size for path, _ in opened]
+        self._current = 0
+        self.schemas: Mapping[str, Schema] = ChainMap(*(part.schemas for part in self._parts))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._files.close()
+
+    def __iter__(self) -> Iterator[Record]:
+        for k, part in enumerate(self._parts):
+            self._current = k
+            yield from part
+
+    @property
+    def torn(self) -> list[str]:
+        """The parts that lack their proper end, by name."""
+        return [name for name, part in zip(self._names, self._parts, strict=True) if part.torn]
+
+    @property
+    def skipped_chunks(self) -> int:
+        """Damaged places, each at least one chunk."""
+        return sum(part.skipped_chunks for part in self._parts)
+
+    @property
+    def fraction(self) -> float:
+        """How much of all files has been read, 0 to 1."""
+        read = sum(self._sizes[: self._current]) + self._parts[self._current].fraction * self._sizes[self._current]
+        return read / sum(self._sizes)
+
+    @property
+    def attachments(self) -> list[Attachment]:
+        """The files kept in the log, in order; every part has them, and what is the same is told once."""
+        return list(dict.fromkeys(a for part in self._parts for a in part.attachments))
+
+    @property
+    def missing(self) -> str:
+        """What the flight had before or between these parts, as "part 0", "parts 1, 2"; "": nothing that is known of."""
+        there = {number for part in self._parts if (number := _number(part)) is not None}
+        missing = [k for k in range(max(there, default=0)) if k not in there]
+        if len(missing) > _FEW:
+            return f"{len(missing)} of the parts {missing[0]} to {missing[-1]}"
+        return ("part " if len(missing) == 1 else "parts ") + ", ".join(map(str, missing)) if missing else ""
+
+
+def files_of(source: Path | Sequence[Path]) -> list[Path]:
+    """The files named, or those of the flight in a folder. Raises LogError where it holds none, or several flights."""
+    if not isinstance(source, Path):
+        return list(source)
+    if not source.is_dir():
+        return [source]
+    flights: dict[str, list[Path]] = {}
+    for path in sorted(source.glob("*.mcap")):
+        if numbered := _NUMBERED.fullmatch(path.name):
+            flights.setdefault(numbered[1], []).append(path)
+    if not flights:
+        raise LogError(f"{source}: holds no parts of a flight (NAME-000.mcap, NAME-001.mcap ...)")
+    if len(flights) > 1:
+        raise LogError(f"{source}: holds {len(flights)} flights ({', '.join(flights)}); name the files of one")
+    return next(iter(flights.values()))
+
+
+def _without_copies(files: Sequence[Path]) -> list[Path]:
+    """Of a damaged part and what was recovered of it, which is the same again, only the first."""
+    return [f for f in files if not (f.stem.endswith(_RECOVERED) and f.with_stem(f.stem.removesuffix(_RECOVERED)) in files)]
+
+
+def _number(part: LogReader) -> int | None:
+    """Which part of its flight it is, as far as read; None: it does not say."""
+    number = part.metadata.get(METADATA_NAME, {}).get(PART, "")
+    return int(number) if number.isdecimal() else None
+
+
+def _refuse_twins(numbers: Mapping[Path, int | None]) -> None:
+    seen: dict[int, Path] = {}
+    for path, number in numbers.items():
+        if number is None:
+            continue
+        if number in seen:
+            raise LogError(f"{seen[number]} and {path}: are both part {number}, so of two flights; name the parts of one")
+        seen[number] = path

@@ -1,0 +1,106 @@
+"""Reading a log: its CDR messages in the order they arrived, to the last whole record of a torn file."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import msgspec
+from mcap.records import Schema
+
+from logs.store.records import LogError, RecordFile
+from logs.wire.schemas import missing_end
+
+__all__ = ["Attachment", "LogError", "LogReader", "Record", "check_output"]
+
+
+class Record(msgspec.Struct, frozen=True, eq=False, gc=False):
+    """One logged message: schema is its type's name, log_time_ns the time it arrived."""
+
+    topic: str
+    schema: str
+    log_time_ns: int
+    data: bytes
+
+
+class Attachment(NamedTuple):
+    """A file kept in the log."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+def check_output(out: Path, *inputs: Path) -> None:
+    """Raises LogError, before any work, where `out` would overwrite one of the inputs or its folder is not there."""
+    if not out.parent.is_dir():
+        raise LogError(f"{out}: cannot be written ({out.parent} is no folder)")
+    if out.exists() and any(source.exists() and out.samefile(source) for source in inputs):
+        raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
+
+
+class LogReader:
+    """Iterates over the messages of an MCAP log; a context manager. Raises LogError for a file that is no MCAP log.
+
+    The attributes are complete once the iteration is: torn (no proper end), skipped_chunks (damaged places, each at least one
+    chunk lost), attachments, metadata, foreign (topics left out, for they are not CDR, and what they are).
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._file = RecordFile(path)
+        self.foreign: dict[str, str] = {}
+        self._schemas: dict[str, Schema] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __iter__(self) -> Iterator[Record]:
+        names: dict[int, tuple[str, str, bytes] | None] = {}
+        for channel, _, log_time_ns, _, data in self._file:
+            if channel not in names:
+                names[channel] = self._names(channel)
+            if (name := names[channel]) is not None:
+                yield Record(name[0], name[1], log_time_ns, data + name[2])
+
+    @property
+    def torn(self) -> bool:
+        """Whether the file lacks its proper end: the writer was cut off, or is still writing."""
+        return self._file.torn
+
+    @property
+    def skipped_chunks(self) -> int:
+        """Damaged places, each at least one chunk."""
+        return self._file.skipped_chunks
+
+    @property
+    def fraction(self) -> float:
+        """How much of the file has been read, 0 to 1."""
+        return self._file.fraction
+
+    @property
+    def attachments(self) -> list[Attachment]:
+        """The files kept in the log, in order."""
+        return [Attachment(a.name, a.media_type, a.data) for a in self._file.attachments]
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The metadata records by name; of several with one name the last."""
+        return {m.name: m.metadata for m in self._file.metadata}
+
+    @property
+    def schemas(self) -> dict[str, Schema]:
+        """Definitions of the types read so far, by name; a Recorder that copies messages of foreign types needs them."""
+        return self._schemas
+
+    def _names(self, channel_id: int) -> tuple[str, str, bytes] | None:
+        """Topic and type of a channel, and what completes messages of an older version of the type; None if it is not CDR."""
+        channel = self._file.channels[channel_id]
+        schema = self._file.schemas.get(channel.schema_id)
+        if channel.message_encoding != "cdr" or schema is None:
+            self.foreign[channel.topic] = channel.message_encoding if schema else f"{channel.message_encoding} without a schema"
+            return None
+        self._schemas[schema.name] = schema
+        return channel.topic, schema.name, missing_end(schema.name, schema.data)

@@ -1,0 +1,246 @@
+"""MCAP records off a file that may be cut or damaged: everything that is whole, in file order, and never an exception.
+
+A record is opcode (1 byte), length (8 bytes) and content, so a cut ends the reading at the last whole record. A chunk that
+fails its CRC, or declares more content than logs.store.chunks allows, is left out. Where the framing itself is damaged, reading
+goes on at the next compressed chunk that can be found, until more bytes have been tried in vain than _VAIN_RATIO times the size
+of the file: so the work is linear in that size.
+Format: https://mcap.dev/spec.
+"""
+
+import contextlib
+import mmap
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC as MAGIC
+
+from logs.store.chunks import MOST_RATIO, SPARE_BYTES, TooLargeError, content_of
+
+RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
+"""Channel, sequence, log time, publish time, data."""
+
+_FRAME: Final = struct.Struct("<BQ")  # opcode, length
+_MESSAGE: Final = struct.Struct("<9xHIQQ")  # behind the frame: channel, sequence, log time, publish time
+_MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
+_CHUNK_START: Final = re.compile(rb"\x06.{36}(?:\x03\0\0\0lz4|\x04\0\0\0zstd)", re.DOTALL)  # opcode to name of the compression
+_FOOTER_SIZE: Final = 29  # bytes, frame included
+_CONTENT: Final = {
+    Opcode.HEADER: Header.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.ATTACHMENT: Attachment.read,
+    Opcode.METADATA: Metadata.read,
+    Opcode.STATISTICS: Statistics.read,
+}
+_VAIN_RATIO: Final = 4
+_NOTES: Final = {
+    b"": "is empty",
+    b"#ROSBAG ": "is a ROS 1 bag; convert it to MCAP (rosbags-convert)",
+    b"SQLite f": "is an SQLite bag; convert it to MCAP (ros2 bag convert, rosbags-convert)",
+}
+
+
+class LogError(Exception):
+    """A log cannot be opened, read or written; the message is one line for the user."""
+
+
+class RecordFile:
+    """The messages of an MCAP file; what else was in it stands in the attributes once the messages are through.
+
+    profile: of the header, "" where it is lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damaged places,
+    each at least one chunk; orphans: messages in whole chunks, but of a channel whose definition was lost; expected: the number
+    of messages its writer counted, None where that is lost.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        try:
+            self._file = self.path.open("rb")
+        except IsADirectoryError:
+            raise LogError(f"{path}: is a directory; name the .mcap file inside it") from None
+        except OSError as error:
+            raise LogError(f"{path}: {(error.strerror or 'cannot be opened').lower()}") from None
+        self.size = os.fstat(self._file.fileno()).st_size
+        start = self._file.read(len(MAGIC))
+        if start != MAGIC:
+            self._file.close()
+            raise LogError(f"{path}: {_NOTES.get(start, 'is not an MCAP file, or its first bytes are damaged')}")
+        self._reset()
+        for opcode, content, position in self._frames():
+            if opcode == Opcode.HEADER:
+                self._unchunked(opcode, content, position)
+            break
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    @property
+    def fraction(self) -> float:
+        """How much of the file has been read, 0 to 1."""
+        return self._file.tell() / self.size
+
+    def __iter__(self) -> Iterator[RawMessage]:
+        """The messages of every whole record, in file order. Raises LogError where there are none, and a chunk was too large."""
+        self._reset()
+        count = 0
+        for opcode, content, start in self._frames():
+            if opcode == Opcode.CHUNK:
+                messages = self._chunk(content, start)
+            elif opcode == Opcode.MESSAGE or opcode in _CONTENT:
+                messages = self._unchunked(opcode, content, start)
+            else:
+                continue
+            count += len(messages)
+            yield from messages
+        if self._too_large and not count:
+            raise LogError(f"{self.path}: {self._too_large}")
+
+    def _reset(self) -> None:
+        self.profile = ""
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.attachments: list[Attachment] = []
+        self.metadata: list[Metadata] = []
+        self.torn = True
+        self.skipped_chunks = 0
+        self.orphans = 0
+        self.expected: int | None = None
+        self._whole = len(MAGIC)  # up to here everything was understood
+        self._damaged = False  # the last chunk was
+        self._chunked = False
+        self._too_large = ""  # why the first chunk that was too large was left out
+        self._decompressed = self._in_vain = 0  # bytes; of chunks that were damaged
+
+    def _frames(self) -> Iterator[tuple[int, bytes, int]]:
+        """(opcode, content, position) of each record up to the footer; over damage to the next chunk."""
+        start = len(MAGIC)
+        while True:
+            self._file.seek(start)
+            frame = self._file.read(_FRAME.size)
+            opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 0)
+            end = start + _FRAME.size + length
+            early_footer = opcode == Opcode.FOOTER and end + len(MAGIC) != self.size
+            if opcode == 0 or end > self.size or early_footer:
+                found = self._next_chunk(self._whole)
+                if found is None:
+                    return
+                if not self._damaged:
+                    self._skip(found)
+                start, self._whole = found, found + 1
+                continue
+            yield opcode, self._file.read(length), start
+            if opcode == Opcode.FOOTER:
+                self.torn = self._file.read() != MAGIC
+                return
+            start = end
+
+    def _next_chunk(self, start: int) -> int | None:
+        """Where, from start on, a whole compressed chunk may begin; None: nowhere, or enough has been tried."""
+        if self._in_vain > _VAIN_RATIO * self.size:
+            return None
+        with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as view:
+            for match in _CHUNK_START.finditer(view, start):
+                _, length = _FRAME.unpack_from(view, match.start())
+                if match.start() + _FRAME.size + length <= self.size:
+                    return match.start()
+        return None
+
+    def _chunk(self, content: bytes, start: int) -> list[RawMessage]:
+        """The messages of a chunk; none of them when it is damaged."""
+        try:
+            fields = _stream(content)
+            chunk = Chunk.read(fields)
+            messages = self._block(content_of(chunk, SPARE_BYTES + MOST_RATIO * start - self._decompressed))
+        except Exception as error:  # each decompressor has exceptions of its own
+            if isinstance(error, TooLargeError):
+                self._too_large = self._too_large or str(error)
+            self._in_vain += len(content)
+            self._skip(start)
+            self._damaged = True
+            return []
+        self._decompressed += chunk.uncompressed_size
+        self._whole = start + _FRAME.size + fields.count  # by the chunk's own account: the record's length may be what is wrong
+        self._damaged, self._chunked = False, True
+        return messages
+
+    def _unchunked(self, opcode: int, content: bytes, start: int) -> list[RawMessage]:
+        """The message a record outside of chunks is, if it is one."""
+        try:
+            if opcode == Opcode.ATTACHMENT and zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little") != 0:
+                raise ValueError("attachment fails its CRC")
+            if opcode == Opcode.MESSAGE and self._chunked:
+                raise ValueError("a message that no CRC covers, in a file of chunks")
+            return self._block(_FRAME.pack(opcode, len(content)) + content)
+        except (McapError, ValueError, struct.error):
+            self._skip(start)
+            return []
+
+    def _block(self, block: bytes) -> list[RawMessage]:
+        """The messages of a run of records; what else is among them is noted. Raises ValueError where they do not fit."""
+        messages: list[RawMessage] = []
+        at, end = 0, len(block)
+        frame, message, known = _FRAME.unpack_from, _MESSAGE.unpack_from, self.channels
+        while at < end:
+            opcode, length = frame(block, at)
+            after = at + _FRAME.size + length
+            if after > end:
+                raise ValueError("record longer than its chunk")
+            if opcode == _MESSAGE_OPCODE:
+                channel, sequence, log_time, publish_time = message(block, at)
+                if channel in known:
+                    messages.append((channel, sequence, log_time, publish_time, block[at + 31 : after]))
+                else:
+                    self.orphans += 1
+            elif opcode in _CONTENT:
+                self._note(_CONTENT[Opcode(opcode)](_stream(block[at + _FRAME.size : after])))
+            at = after
+        return messages
+
+    def _note(self, record: McapRecord) -> None:
+        match record:
+            case Channel():
+                self.channels.setdefault(record.id, record)
+            case Schema():
+                self.schemas.setdefault(record.id, record)
+            case Attachment():
+                self.attachments.append(record)
+            case Metadata():
+                self.metadata.append(record)
+            case Header():
+                self.profile = record.profile
+            case Statistics():
+                self.expected = record.message_count
+            case _:
+                pass
+
+    def _skip(self, start: int) -> None:
+        """Count a damaged place; definitions lost with the first one are looked up in the summary, which repeats them."""
+        self._whole = start + 1
+        self.skipped_chunks += 1
+        if self.skipped_chunks == 1:
+            with contextlib.suppress(McapError, ValueError, struct.error):  # the summary may be damaged too
+                self._block(self._summary())
+
+    def _summary(self) -> bytes:
+        """The records of the summary section, nothing where there is none."""
+        file, end = self._file.fileno(), self.size - len(MAGIC)
+        footer = os.pread(file, _FOOTER_SIZE, max(0, end - _FOOTER_SIZE))
+        if footer[:1] != bytes([Opcode.FOOTER]) or len(footer) < _FOOTER_SIZE:
+            return b""
+        start = Footer.read(_stream(footer[_FRAME.size :])).summary_start
+        return os.pread(file, end - start, start) if 0 < start < end else b""
+
+
+def _stream(content: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(content))

@@ -1,0 +1,42 @@
+"""Wire <-> records, the one door: ROS 2 CDR in ENU / FLU outside, models.messages in NED / FRD inside.
+
+header.stamp is the time of validity; the time of arrival (MCAP's log time) comes from whoever received the bytes. Bytes that
+are no message of the expected type become an Unusable; strange *values* (NaN, a zero covariance, a quaternion that is not of
+unit length) pass through as they came, for the estimator to judge.
+"""
+
+from logs.wire.axes import ImuMounting
+from logs.wire.decoding import (
+    CHECKPOINT_TOPIC,
+    TICK_TOPIC,
+    Decoder,
+    Odometry,
+    Topics,
+    decode_aid_status,
+    decode_odometry,
+    decode_vision_request,
+    is_own_transform,
+)
+from logs.wire.encoding import VISION_REQUEST_TOPIC, Encoded, encode, encode_input, encode_slow, encode_truth
+from logs.wire.schemas import SCHEMAS, type_hash
+
+__all__ = [
+    "CHECKPOINT_TOPIC",
+    "SCHEMAS",
+    "TICK_TOPIC",
+    "VISION_REQUEST_TOPIC",
+    "Decoder",
+    "Encoded",
+    "ImuMounting",
+    "Odometry",
+    "Topics",
+    "decode_aid_status",
+    "decode_odometry",
+    "decode_vision_request",
+    "encode",
+    "encode_input",
+    "encode_slow",
+    "encode_truth",
+    "is_own_transform",
+    "type_hash",
+]

@@ -1,0 +1,294 @@
+"""Wire -> records: what arrives under the configured topics, turned into NED / FRD."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Self, TypeAlias
+
+import msgspec
+import numpy as np
+
+from logs.wire import axes, cdr_fast, schemas
+from logs.wire.axes import ImuMounting
+from logs.wire.schemas import STORE
+from models import so3
+from models.messages import (
+    AidStatus,
+    Array,
+    AttitudePrior,
+    Baro,
+    Checkpoint,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Input,
+    LandmarkFix,
+    LastGnss,
+    PictureName,
+    PoseFix,
+    Quat,
+    Reason,
+    Tick,
+    Unusable,
+    Vec3,
+    VisionRequest,
+    vec3,
+)
+from models.state import E
+
+LANDMARK_FIX_TOPIC: Final = "/landfix/fix"
+CHECKPOINT_TOPIC: Final = "/landfix/checkpoint"
+TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the time it tells
+
+_COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
+_SECOND_NS: Final = 1_000_000_000
+
+
+class Topics(msgspec.Struct, frozen=True):
+    """Which topics feed which input."""
+
+    imu: tuple[str, ...] = ("/imu",)
+    gnss: tuple[str, ...] = ("/gnss",)
+    gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
+    baro: tuple[str, ...] = ()  # off until configured
+    attitude: tuple[str, ...] = ()  # off until configured
+    pose_fix: tuple[str, ...] = ("/pose_fix",)
+    left_image: tuple[str, ...] = ("/left/image",)
+    right_image: tuple[str, ...] = ("/right/image",)
+
+    @classmethod
+    def of(cls, inputs: Mapping[str, str | Sequence[str]]) -> Self:
+        """From the config's [inputs]: a topic or a list of topics each, defaults for those left out."""
+        return cls(**{name: (given,) if isinstance(given, str) else tuple(given) for name, given in inputs.items()})
+
+
+class Odometry(msgspec.Struct, frozen=True, eq=False):
+    """A nav_msgs/msg/Odometry read back: pose in n, velocity in n, angular rate in b (rad/s).
+
+    pose_covariance: (6, 6), x y z rx ry rz about the axes of n; twist_covariance: (6, 6), velocity and rate along b.
+    """
+
+    t_ns: int
+    p_n: Vec3
+    v_n: Vec3
+    q_nb_wxyz: Quat
+    gyro_b: Vec3
+    pose_covariance: Array
+    twist_covariance: Array
+
+
+_Convert: TypeAlias = Callable[[str, Any, int], Input]
+
+
+class Decoder:
+    """Turns arriving messages into inputs of the estimator. Raises ValueError when one topic is to feed two inputs."""
+
+    def __init__(self, topics: Topics | None = None, mounting: ImuMounting | None = None) -> None:
+        topics, mounting = topics or Topics(), mounting or ImuMounting()
+        self._turned = mounting.is_turned
+        self._mounting = mounting.matrix()
+        self._yz_sign = -1.0 if mounting.axes == "flu" else 1.0
+        self._known: dict[str, tuple[str, _Convert]] = {}
+        self._route(topics.imu, schemas.IMU, self._general_imu)
+        self._route(topics.gnss, schemas.NAV_SAT_FIX, _gnss)
+        self._route(topics.gnss_velocity, schemas.TWIST, _gnss_velocity)
+        self._route(topics.baro, schemas.PRESSURE, _baro)
+        self._route(topics.attitude, schemas.POSE_FIX, _attitude)
+        self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
+        self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)
+        self._route((TICK_TOPIC,), schemas.HEADER, _tick)
+        self._route((CHECKPOINT_TOPIC,), schemas.CHECKPOINT, _checkpoint)
+
+    def decode(self, topic: str, schema: str, data: bytes, arrived_ns: int) -> Input | None:
+        """The input a message is; None for a topic that feeds none; Unusable for torn or foreign bytes. Never raises."""
+        known = self._known.get(topic)
+        if known is None:
+            return None
+        expected, convert = known
+        if schema != expected and schema.replace("/", "/msg/", 1) != expected:
+            return Unusable(arrived_ns, arrived_ns, topic, f"is {schema}, not {expected}")
+        try:
+            if expected is schemas.IMU and (fast := cdr_fast.imu(data)) is not None:
+                return self._imu(topic, arrived_ns, *fast)
+            return convert(topic, STORE.deserialize_cdr(data, expected), arrived_ns)
+        except Exception as error:  # bytes from outside: whatever they trip over, the flight goes on
+            return Unusable(arrived_ns, arrived_ns, topic, f"{type(error).__name__}: {error}")
+
+    @property
+    def types(self) -> dict[str, str]:
+        """What is read: topic -> type."""
+        return {topic: schema for topic, (schema, _) in self._known.items()}
+
+    def _route(self, topics: tuple[str, ...], schema: str, convert: _Convert) -> None:
+        for topic in topics:
+            if topic in self._known:
+                raise ValueError(f"topic {topic} cannot feed two inputs ({self._known[topic][0]} and {schema})")
+            self._known[topic] = schema, convert
+
+    def _imu(self, topic: str, arrived_ns: int, t_ns: int, gyro: Vec3, accel: Vec3) -> ImuSample:
+        if self._turned:
+            return ImuSample(t_ns, arrived_ns, vec3(self._mounting @ gyro), vec3(self._mounting @ accel), topic)
+        s = self._yz_sign
+        gyro_b, accel_b = (gyro[0], s * gyro[1], s * gyro[2]), (accel[0], s * accel[1], s * accel[2])
+        return ImuSample(t_ns, arrived_ns, gyro_b, accel_b, topic)
+
+    def _general_imu(self, topic: str, message: Any, arrived_ns: int) -> ImuSample:
+        gyro, accel = _vector(message.angular_velocity), _vector(message.linear_acceleration)
+        return self._imu(topic, arrived_ns, _t_ns(message.header.stamp), gyro, accel)
+
+
+def decode_odometry(data: bytes) -> Odometry:
+    """Our own output, or a truth, read back into NED / FRD. Raises ValueError for bytes that are no Odometry."""
+    message = _deserialize(data, schemas.ODOMETRY)
+    p_n, q_nb_wxyz, pose_covariance = _pose(message.pose)
+    v_b = axes.body(_vector(message.twist.twist.linear))
+    return Odometry(
+        t_ns=_t_ns(message.header.stamp),
+        p_n=p_n,
+        v_n=vec3(so3.matrix(np.array(q_nb_wxyz)) @ v_b),
+        q_nb_wxyz=q_nb_wxyz,
+        gyro_b=axes.body(_vector(message.twist.twist.angular)),
+        pose_covariance=pose_covariance,
+        twist_covariance=axes.body_covariance(message.twist.covariance.reshape(6, 6)),
+    )
+
+
+def decode_aid_status(data: bytes) -> AidStatus:
+    """Our own /landfix/aid_status read back. Raises ValueError for bytes that are no AidStatus."""
+    message = _deserialize(data, schemas.AID_STATUS)
+    return AidStatus(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=_t_ns(message.arrived),
+        topic=message.topic,
+        kind=message.kind,
+        reason=Reason(message.reason),
+        revision=message.revision,
+        innovation=tuple(message.innovation.tolist()),
+        innovation_sigma=tuple(message.innovation_sigma.tolist()),
+        test_ratio=message.test_ratio,
+        delay_s=message.delay_s,
+        replayed=message.replayed,
+        detail=message.detail,
+    )
+
+
+def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
+    """Read back. Raises ValueError for bytes that are no VisionRequest."""
+    message = _deserialize(data, schemas.VISION_REQUEST)
+    p_n, q_nb_wxyz, covariance = _pose(message.pose)
+    named = ((message.left_topic, message.left_stamp), (message.right_topic, message.right_stamp))
+    left, right = (PictureName(topic, _t_ns(stamp)) if topic else None for topic, stamp in named)
+    return VisionRequest(_t_ns(message.header.stamp), arrived_ns, p_n, q_nb_wxyz, covariance, left, right, int(message.run))
+
+
+def is_own_transform(data: bytes) -> bool:
+    """Whether a /tf message is one of our own outputs, map -> base_link alone, which a replay must not take for an input."""
+    try:
+        (transform,) = _deserialize(data, schemas.TF).transforms
+    except ValueError:  # no TFMessage, or not of one transform
+        return False
+    return (transform.header.frame_id, transform.child_frame_id) == ("map", "base_link")
+
+
+def _deserialize(data: bytes, schema: str) -> Any:
+    try:
+        return STORE.deserialize_cdr(data, schema)
+    except Exception as error:  # whatever bytes from outside trip over, they are not of this type
+        raise ValueError(str(error)) from error
+
+
+def _gnss(topic: str, message: Any, arrived_ns: int) -> GnssFix:
+    known = message.position_covariance_type != _COVARIANCE_UNKNOWN
+    return GnssFix(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        lat_deg=message.latitude,
+        lon_deg=message.longitude,
+        alt_m=message.altitude,
+        covariance_n=axes.world_covariance(message.position_covariance.reshape(3, 3)) if known else None,
+        status=message.status.status,
+        topic=topic,
+    )
+
+
+def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
+    """An all-zero covariance, or -1 in its first element (REP-145's sign for unknown), is none."""
+    covariance = message.twist.covariance.reshape(6, 6)[:3, :3]
+    known = covariance.any() and covariance[0, 0] != -1.0
+    return GnssVelocity(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        v_n=axes.world(_vector(message.twist.twist.linear)),
+        covariance_n=axes.world_covariance(covariance) if known else None,
+        topic=topic,
+    )
+
+
+def _baro(topic: str, message: Any, arrived_ns: int) -> Baro:
+    return Baro(_t_ns(message.header.stamp), arrived_ns, message.fluid_pressure, message.variance, topic)
+
+
+def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:
+    """Of a pose the rotation; its position is not looked at."""
+    _, q_nb_wxyz, covariance = _pose(message.pose)
+    return AttitudePrior(_t_ns(message.header.stamp), arrived_ns, q_nb_wxyz, covariance[3:, 3:], topic)
+
+
+def _pose_fix(topic: str, message: Any, arrived_ns: int) -> PoseFix:
+    p_n, q_nb_wxyz, covariance = _pose(message.pose)
+    return PoseFix(_t_ns(message.header.stamp), arrived_ns, p_n, q_nb_wxyz, covariance, topic=topic)
+
+
+def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
+    p_n, q_nb_wxyz, covariance = _pose(message.pose)
+    common, rig = message.covariance_common.reshape(6, 6), message.covariance_rig.reshape(6, 6)
+    errors, names, directions = message.landmark_errors, tuple(message.landmarks), message.directions
+    return LandmarkFix(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        p_n=p_n,
+        q_nb_wxyz=q_nb_wxyz,
+        covariance=covariance,
+        covariance_common=axes.world_covariance(common) if common.any() else None,
+        landmarks=names,
+        similarity=message.similarity,
+        residual_px=message.residual_px,
+        landmark_errors=axes.world_rows(errors.reshape(len(names), 6, -1)) if len(errors) and names else None,
+        covariance_rig=axes.world_covariance(rig) if rig.any() else None,
+        directions=axes.world_columns(directions.reshape(-1, 6)) if len(directions) else None,
+        readings=message.readings if len(message.readings) else None,
+        topic=topic,
+    )
+
+
+def _tick(topic: str, message: Any, arrived_ns: int) -> Tick:
+    return Tick(_t_ns(message.stamp), arrived_ns, topic)
+
+
+def _checkpoint(topic: str, message: Any, arrived_ns: int) -> Checkpoint:
+    return Checkpoint(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        nav=message.nav,
+        covariance=message.covariance.reshape(E.SIZE, E.SIZE),
+        last_absolute_ns=message.last_absolute_ns,
+        reset_counter=message.reset_counter,
+        origin=vec3(message.origin) if len(message.origin) else None,
+        last_gnss=LastGnss(*message.last_gnss.tolist()) if len(message.last_gnss) else None,
+        topic=topic,
+    )
+
+
+def _pose(message: Any) -> tuple[Vec3, Quat, Array]:
+    """p_n, q_nb_wxyz and the (6, 6) covariance in the axes of n of a geometry_msgs/msg/PoseWithCovariance in map."""
+    q = message.pose.orientation
+    covariance = axes.world_covariance(message.covariance.reshape(6, 6))
+    return axes.world(_vector(message.pose.position)), axes.attitude((q.w, q.x, q.y, q.z)), covariance
+
+
+def _vector(message: Any) -> Vec3:
+    return message.x, message.y, message.z
+
+
+def _t_ns(stamp: Any) -> int:
+    if stamp.nanosec >= _SECOND_NS:
+        raise ValueError(f"stamp.nanosec = {stamp.nanosec} is a second or more")
+    return int(stamp.sec * _SECOND_NS + stamp.nanosec)

@@ -1,0 +1,139 @@
+"""landfix locate on a rendered pair, from files."""
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from calib.files.formats import save_rig
+from estimator.cli import app
+from models import so3
+from models.frames import Origin
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.render import render_pair
+from vision.synthetic.scenes import WorldSpec, make_world
+
+P_N, EULER = np.array([0.0, 0.0, -80.0]), (0.04, -0.03, 0.7)
+
+
+def run(*args: object) -> Result:
+    return CliRunner().invoke(app, ["locate", *map(str, args)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """left.png, right.png, rig.yaml, map.geojson, prior.txt (5 m off)."""
+    out = tmp_path_factory.mktemp("locate")
+    spec = WorldSpec("lookalikes", painted=1.0, area_m=240.0, sigma_m=0.2, height_sigma_m=0.1, outline_sigma_m=0.05)
+    scene = make_world(2, spec)
+    left, right = render_pair(
+        scene.world, scene.rig, P_N, so3.matrix(so3.from_euler(*EULER)), Conditions(), np.random.default_rng(1)
+    )
+    cv2.imwrite(str(out / "left.png"), left)
+    cv2.imwrite(str(out / "right.png"), right)
+    save_rig(out / "rig.yaml", scene.rig_believed)
+    (out / "map.geojson").write_bytes(scene.map.to_geojson())
+    place = scene.map.frame.to_geodetic(P_N + np.array([4.0, -3.0, 2.0]))
+    angles = (math.degrees(a) + e for a, e in zip(EULER, (0.5, -0.5, 1.0), strict=True))
+    (out / "prior.txt").write_text(",".join(f"{x:.9f}" for x in (*place, *angles)))
+    return out
+
+
+def options(folder: Path) -> list[object]:
+    return ["--rig", folder / "rig.yaml", "--map", folder / "map.geojson", "--prior", (folder / "prior.txt").read_text()]
+
+
+def test_a_pair_is_located_and_drawn(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "seen.png"
+    result = run(folder / "left.png", folder / "right.png", *options(folder), "--prior-sigma", "5,1", "--json", "-o", out)
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["outcome"] == "fixed"
+    truth = Origin(*make_world(2, WorldSpec("lookalikes")).map.origin).to_geodetic(P_N)
+    joint, fix = answer["with_prior"], answer["fix"]
+    assert math.hypot((joint["lat_deg"] - truth[0]) * 111_200.0, (joint["lon_deg"] - truth[1]) * 75_000.0) < 1.0
+    assert joint["alt_m"] == pytest.approx(truth[2], abs=1.0)
+    assert joint["yaw_deg"] == pytest.approx(math.degrees(EULER[2]), abs=1.0)
+    assert max(joint["sigma_north_east_down_m"]) <= max(fix["sigma_north_east_down_m"]) + 1e-9
+    assert len(fix["landmarks"]) == [r["state"] for r in answer["regions"]].count("identified")
+    picture = cv2.imread(str(out))
+    assert picture is not None
+    assert picture.shape == (480, 640, 3)
+    assert (picture != cv2.imread(str(folder / "left.png"))).any()
+
+
+def test_one_picture_is_located_for_a_person(folder: Path) -> None:
+    result = run(folder / "left.png", *options(folder), "--prior-sigma", "5,1")
+    assert result.exit_code == 0, result.output
+    assert "identified" in result.stdout
+    assert "latitude" in result.stdout
+    assert "right camera not used: missing" in result.stderr
+
+
+def test_a_fix_may_be_asked_to_be_good_enough(folder: Path) -> None:
+    """What is asked is what fix and prior promise together, in the worst direction."""
+    given = [folder / "left.png", folder / "right.png", *options(folder), "--prior-sigma", "5,1", "--json"]
+    joint = json.loads(run(*given).stdout)["with_prior"]
+    worst = math.sqrt(7.814728 * np.linalg.eigvalsh(np.array(joint["covariance"])[:3, :3])[-1])
+    assert joint["within_m"] == pytest.approx(worst, rel=1e-6)
+    assert run(*given, "--within", 1.01 * worst).exit_code == 0
+    refused = run(*given, "--within", 0.99 * worst)
+    assert refused.exit_code == 1
+    assert json.loads(refused.stdout)["outcome"] == "fixed"
+    assert refused.stderr.startswith(f"landfix: no fix good to {0.99 * worst:g} m: with the prior it is good to {worst:.2f} m")
+
+
+def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> None:
+    black, out = tmp_path / "black.png", tmp_path / "seen.png"
+    cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
+    result = run(black, black, *options(folder), "--json", "-o", out)
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["outcome"] == "no_picture"
+    assert result.stderr == "landfix: no fix: no_picture: left: black; right: black\n"
+    assert out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--prior", "1,2,3"], "--prior '1,2,3' must be 6 numbers"),
+        (["--prior", "a,b,c,d,e,f"], "must be 6 numbers"),
+        (["--prior", "99,8,500,0,0,0"], "no place on Earth"),
+        (["--prior-sigma", "0,1"], "must be positive"),
+        (["--prior-sigma", "nan,1"], "must be 2 numbers"),
+        (["--prior-sigma", "1e200,1"], "at most 10000000 m and 180 degrees"),
+        (["--within", "0"], "--within 0 must be above 0"),
+        (["--within", "nan"], "--within nan must be above 0"),
+    ],
+)
+def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> None:
+    result = run(folder / "left.png", *options(folder), *given)
+    assert result.exit_code == 2
+    assert said in " ".join(result.stderr.replace("│", " ").split())
+
+
+def test_of_a_torn_picture_nobody_else_speaks(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """libpng writes to the process' stderr, where no logger reaches it."""
+    (tmp_path / "torn.png").write_bytes((folder / "left.png").read_bytes()[:20_000])
+    run(tmp_path / "torn.png", folder / "right.png", *options(folder))
+    assert "libpng" not in capfd.readouterr().err
+
+
+def test_a_missing_or_bad_file_is_one_line(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.geojson").write_text("{}")
+    (tmp_path / "bad.png").write_bytes(b"nothing")
+    bad_map = [*options(folder)[:2], "--map", tmp_path / "bad.geojson", *options(folder)[4:]]
+    for args in (
+        [folder / "none.png", *options(folder)],
+        [tmp_path / "bad.png", *options(folder)],
+        [folder / "left.png", *bad_map],
+    ):
+        result = run(*args)
+        assert result.exit_code == 1
+        assert result.stderr.startswith("landfix: ")
+        assert result.stderr.count("\n") == 1
+        assert "internal error" not in result.stderr

@@ -1,0 +1,61 @@
+"""Vision's process with something slow in its looks: a kernel that takes seconds to compile, or answers that take long."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+from numba.extending import overload
+
+from estimator.frontend.processor import Sight
+from estimator.service.vision import warm_up as vision_warm_up
+from estimator.service.vision.worker import serve
+
+SECONDS = 6.0  # longer than the patience of the tests' workers, shorter than twice that
+
+
+def compiles_once(*args: Any) -> None:
+    """The first look calls a kernel that nobody has compiled and that is in no cache."""
+    _serve(_kernel_that_takes(SECONDS), *args)
+
+
+def hangs_in_the_compiler(*args: Any) -> None:
+    """The same, and it never ends."""
+    _serve(_kernel_that_takes(3600.0), *args)
+
+
+def every_other_look_is_slow(*args: Any) -> None:
+    """Looks 2, 4, 6 ... take longer than the first patience, and nothing is compiled."""
+    looks = iter(range(1, 1000))
+    _serve(lambda: time.sleep(0.0 if next(looks) % 2 else SECONDS), *args)
+
+
+def _serve(first: Callable[[], object], *args: Any) -> None:
+    look, warm_up = Sight.look, vision_warm_up.warm_up
+
+    def slow(*asked: Any) -> Any:
+        first()
+        return look(*asked)
+
+    def then_slow() -> None:
+        warm_up()
+        Sight.look = slow  # type: ignore[assignment, method-assign]
+
+    vision_warm_up.warm_up = then_slow
+    serve(*args)
+
+
+def _kernel_that_takes(seconds: float) -> Callable[[], object]:
+    def wait() -> int:
+        return 0
+
+    @overload(wait)
+    def _typed() -> Callable[[], int]:
+        time.sleep(seconds)
+        return lambda: 0
+
+    @njit
+    def kernel() -> int:
+        return wait()
+
+    return kernel  # type: ignore[return-value]

@@ -1,0 +1,342 @@
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rich.console import Console
+
+from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
+from logs.evaluation.evidence import HealthPoint, read
+from logs.evaluation.metrics import nees
+from logs.evaluation.records import Evaluation, Honesty
+from logs.evaluation.table import print_table
+from logs.evaluation.trajectory import decode
+from logs.store.reader import LogError, LogReader
+from logs.wire import schemas
+from logs.wire.codec import encode, encode_input, encode_truth
+from models.messages import AidStatus, GnssFix, Reason
+from tests.logs import flight_log
+from tests.logs.flight_log import EPOCH_NS, Flight, geodetic, rewritten, truth_at
+
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("evaluate") / "honest.mcap"
+    flight_log.write(path, Flight())
+    return path
+
+
+@pytest.fixture(scope="module")
+def honest(log: Path) -> Evaluation:
+    return evaluate(log)
+
+
+def test_extent(honest: Evaluation) -> None:
+    assert honest.duration_s == pytest.approx(120.0)
+    assert (honest.estimates, honest.truth_samples, honest.compared, honest.without_estimate, honest.without_truth) == (
+        3001,
+        3001,
+        3001,
+        0,
+        0,
+    )
+    assert honest.distance_m == pytest.approx(605.0, abs=2.0)  # 120 s at 5 m/s and a little up and down
+    assert honest.notes == ()
+
+
+def test_accuracy_is_what_the_filter_of_the_log_has(honest: Evaluation) -> None:
+    a = honest.accuracy
+    assert a is not None
+    assert 0.3 < a.aided_position_m.rmse < 0.5  # sigma of 0.14 to 0.25 m an axis
+    assert a.position_m.rmse > 1.3 * a.aided_position_m.rmse
+    assert a.position_m.rmse**2 == pytest.approx(a.horizontal_m.rmse**2 + a.vertical_m.rmse**2)
+    assert a.attitude_deg.rmse**2 == pytest.approx(a.tilt_deg.rmse**2 + a.heading_deg.rmse**2)
+    assert a.sim3_aligned_m.rmse <= a.se3_aligned_m.rmse <= a.yaw_aligned_m.rmse
+    assert a.sim3_scale == pytest.approx(1.0, abs=0.02)
+    assert [r.over for r in a.relative] == ["1 s", "10 s", "10 m", "100 m"]
+
+
+def steadily_aided(path: Path, error_scale: float) -> Honesty:
+    flight_log.write(path, Flight(outages=(), error_scale=error_scale))
+    honesty = evaluate(path).honesty
+    assert honesty is not None
+    return honesty
+
+
+def test_an_honest_estimate_is_called_so(tmp_path: Path) -> None:
+    h = steadily_aided(tmp_path / "honest.mcap", 1.0)
+    assert [h.position.dof, h.attitude.dof, h.velocity.dof, h.pose.dof] == [3, 3, 3, 6]
+    for c in (h.position, h.position_aided, h.attitude, h.velocity, h.pose):
+        assert c.consistent
+        assert 0.8 < c.mean < 1.25
+        assert 0.9 < c.covered < 0.99
+        assert 0.9 < c.inside < 0.99
+    assert h.position_outages.n == 0
+    assert 0.9 < h.radius95_covered < 0.99
+
+
+def test_errors_half_as_large_again_are_not(tmp_path: Path) -> None:
+    h = steadily_aided(tmp_path / "sure.mcap", 1.5)
+    for c in (h.position, h.position_aided, h.attitude, h.velocity, h.pose):
+        assert not c.consistent
+        assert c.mean > 1.8
+        assert c.covered < 0.88
+    assert h.radius95_covered < 0.88
+
+
+def test_outages_and_their_drift(log: Path, honest: Evaluation) -> None:
+    assert [o.source for o in honest.outages] == ["all", "all"]  # one source only: not told twice
+    first, second = honest.outages
+    assert [first.start_s, first.duration_s] == pytest.approx([20.0, 10.0])
+    assert second.start_s + second.duration_s == pytest.approx(90.0)
+    assert honest.without_absolute_s == pytest.approx(first.duration_s + second.duration_s)
+    assert second.drift is not None
+    assert second.drift.distance_m == pytest.approx(161.0, abs=1.0)
+    assert second.drift.end_percent == pytest.approx(100 * second.drift.end_m / second.drift.distance_m)
+    assert second.radius95_end_m == pytest.approx(2.4477 * np.sqrt(0.3**2 * 32), rel=0.03)  # 32 s of random walk
+    evidence = read(log)
+    c = compare(evidence.estimate, evidence.truth)
+    c = c[(c.t_ns > EPOCH_NS + 58 * S) & (c.t_ns < EPOCH_NS + 90 * S)]
+    assert second.nees_position == pytest.approx(nees(c.p_error, c.p_covariance).mean() / 3)
+    assert second.attitude_end_deg == pytest.approx(np.rad2deg(np.linalg.norm(c.theta_error[-1])))
+
+
+def test_modes_aids_latency_and_resets(honest: Evaluation) -> None:
+    assert honest.modes == {"aided": pytest.approx(0.69, abs=0.01), "dead_reckoning": pytest.approx(0.31, abs=0.01)}
+    (aid,) = honest.aids
+    assert (aid.topic, aid.kind, list(aid.reasons)) == ("/pose_fix", "pose", ["fused", "gated"])
+    assert aid.reasons["gated"] == pytest.approx(sum(aid.reasons.values()) / 10, abs=2)
+    assert aid.nis == pytest.approx(1.0, abs=0.15)
+    assert aid.test_ratio is not None
+    assert aid.test_ratio.max == 0.4
+    assert aid.delay_s is not None
+    assert aid.delay_s.p50 == 0.25
+    assert honest.latency_s["/landfix/odometry"].p95 == pytest.approx(0.004, abs=1e-6)
+    (reset,) = honest.resets
+    assert msgspec.structs.astuple(reset) == pytest.approx((1.0, 1, 5.0, 2.0, 1.0))
+
+
+def test_burn_in_is_not_compared(log: Path) -> None:
+    assert evaluate(log, burn_in_s=100.0).compared == 501
+
+
+def test_without_truth_all_that_needs_none(log: Path, tmp_path: Path) -> None:
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",)))
+    assert (e.accuracy, e.honesty, e.compared, e.without_truth) == (None, None, 0, 3001)
+    assert [o.drift for o in e.outages] == [None, None]
+    assert [o.duration_s for o in e.outages] == pytest.approx([10.0, 32.0])
+    assert e.distance_m > 600
+    assert e.aids
+    assert "no truth: nothing can be said about errors" in e.notes
+
+
+def test_without_aid_status_the_health_tells_the_outages(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/landfix/aid_status",)))
+    assert [o.duration_s for o in e.outages] == pytest.approx([o.duration_s for o in honest.outages], abs=0.3)
+    assert e.notes == ("no /landfix/aid_status: outages are found from the health alone",)
+
+
+def test_gaps_in_the_truth_are_not_filled(log: Path, tmp_path: Path) -> None:
+    """GIVEN 10 s without truth, and truth before and behind the estimate, THEN nothing is compared there, and it is counted."""
+    with LogReader(log) as reader:
+        kept = [r for r in reader if r.topic == "/truth" and not 40 * S < r.log_time_ns - EPOCH_NS < 50 * S]
+    early = [encode_truth(EPOCH_NS - k * S, *truth_at(0.0)) for k in (1, 2, 3)]
+    extra = [(r.topic, r.schema, r.data, r.log_time_ns) for r in kept] + [(*e, EPOCH_NS) for e in early]
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",), extra=tuple(extra)))
+    assert (e.truth_samples, e.compared, e.without_estimate) == (len(kept) + 3, len(kept), 3)
+    assert e.without_truth == pytest.approx(250, abs=3)
+
+
+def test_truth_of_another_rate_meets_an_interpolated_estimate(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+    """GIVEN truth at 7 Hz, between the estimate's stamps, THEN the errors are those of the full comparison."""
+    stamps = [EPOCH_NS + k * S // 7 for k in range(1, 830)]
+    truth = tuple((*encode_truth(t, *truth_at((t - EPOCH_NS) * 1e-9)), t) for t in stamps)
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",), extra=truth))
+    assert e.compared == len(truth)
+    assert e.accuracy is not None
+    assert honest.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(honest.accuracy.position_m.rmse, rel=0.03)
+    assert e.accuracy.attitude_deg.rmse == pytest.approx(honest.accuracy.attitude_deg.rmse, rel=0.05)
+
+
+def test_a_hidden_gnss_receiver_serves_as_truth(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+    """GIVEN 5 Hz GNSS of 1 m noise on a topic of its own, THEN its noise is not held against the estimate."""
+    rng = np.random.default_rng(3)
+    fixes = []
+    for k in range(600):
+        t_ns = EPOCH_NS + k * S // 5
+        p = truth_at(k * 0.2)[0] + rng.normal(size=3)
+        fixes.append((*encode_input(GnssFix(t_ns, t_ns, *geodetic(p), np.eye(3), topic="/gnss_hidden")), t_ns))
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=tuple(fixes)), "/gnss_hidden")
+    assert e.compared == 600
+    assert e.accuracy is not None
+    assert e.honesty is not None
+    assert honest.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(np.hypot(honest.accuracy.position_m.rmse, np.sqrt(3.0)), rel=0.08)
+    assert e.accuracy.attitude_deg.n == 0
+    assert e.honesty.position.mean == pytest.approx(1.0, abs=0.15)
+    assert e.notes == ("the truth has no attitude",)
+
+
+def test_the_first_message_with_a_stamp_counts(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+    """GIVEN all stamps published again with the truth itself, THEN no error gets smaller."""
+    with LogReader(log) as reader:
+        again = tuple(("/landfix/odometry", r.schema, r.data, r.log_time_ns) for r in reader if r.topic == "/truth")
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=again))
+    assert e.accuracy == honest.accuracy
+
+
+def test_only_the_last_decision_on_a_measurement_counts(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+    gated = next(a for a in read(log).aids if a.reason is Reason.GATED)
+    revised = msgspec.structs.replace(gated, reason=Reason.FUSED, revision=1)
+    extra = tuple((*encode(revised)[0], t) for t in (EPOCH_NS + 121 * S,))
+    (aid,) = evaluate(rewritten(log, tmp_path / "x.mcap", extra=extra)).aids
+    assert aid.revised == 1
+    assert aid.reasons["gated"] == honest.aids[0].reasons["gated"] - 1
+    assert sum(aid.reasons.values()) == sum(honest.aids[0].reasons.values())
+
+
+def test_fixes_are_told_from_each_other(log: Path) -> None:
+    fixes = read(log).fixes["/pose_fix"]
+    truth = np.array([truth_at((t - EPOCH_NS) * 1e-9)[0] for t in fixes.t_ns.tolist()])[:, [1, 0, 2]] * [1, 1, -1]
+    wrong = np.linalg.norm(fixes.p - truth, axis=1) > 5
+    assert wrong.sum() == 8
+    np.testing.assert_array_equal(fixes.used, ~wrong)
+
+
+def aid(t_s: float, topic: str = "/a", kind: str = "pose", reason: Reason = Reason.FUSED, late_s: float = 0.0) -> AidStatus:
+    t_ns = EPOCH_NS + round(t_s * S)
+    return AidStatus(t_ns, t_ns + round(late_s * S), topic, kind, reason)
+
+
+def seconds(spans: list[tuple[int, int]]) -> list[tuple[float, float]]:
+    return [((a - EPOCH_NS) / S, (b - EPOCH_NS) / S) for a, b in spans]
+
+
+def test_outages_are_told_by_source_and_of_all() -> None:
+    """GIVEN /a silent over 10-20 s and /b over 15-40 s, THEN each has its outage and both together 15-20 s."""
+    estimate = decode(schemas.ODOMETRY, [encode_truth(EPOCH_NS + k * S, *truth_at(k)).data for k in range(41)], [0] * 41)
+    a = [aid(t) for t in range(41) if not 10 < t < 20]
+    b = [aid(t, "/b", "gnss_position") for t in range(41) if not 15 < t < 40]
+    velocity = [aid(t, "/c", "gnss_velocity") for t in range(41)]
+    gated = [aid(17, reason=Reason.GATED)]
+    outages = {name: seconds(spans) for name, spans in find_outages(a + b + velocity + gated, [], estimate).items()}
+    assert outages == {"all": [(15.0, 20.0)], "/a": [(10.0, 20.0)], "/b": [(15.0, 40.0)]}
+    assert seconds(find_outages(a + b, [], estimate, longer_than_s=6.0)["all"]) == []
+    late = [aid(t, late_s=1.5) for t in range(41) if not 10 < t < 20]
+    assert seconds(find_outages(late, [], estimate)["all"]) == [(10.0, 21.5)]
+    assert seconds(find_outages(gated, [], estimate)["all"]) == [(0.0, 40.0)]
+    assert seconds(find_outages([], [], estimate)["all"]) == []  # nothing tells
+    health = [HealthPoint(EPOCH_NS + t * S, "aided", max(0.0, t - 30.0)) for t in range(41)]
+    assert seconds(find_outages([], health, estimate)["all"]) == [(30.0, 40.0)]
+
+
+def test_velocity_errors_are_judged_along_the_body(log: Path) -> None:
+    evidence = read(log)
+    c = compare(evidence.estimate, evidence.truth)
+    np.testing.assert_allclose(c.v_error, c.truth.v_body - c.estimate.v_body)
+    assert np.abs(c.v_error).max() < 2.0
+
+
+def test_nothing_is_compared_where_the_estimate_is_silent_or_not_finite(log: Path) -> None:
+    """GIVEN an estimate silent for 1 s from 40 s and not finite at 50 s, THEN the hole is left out, the short one bridged."""
+    evidence = read(log)
+    t = (evidence.estimate.t_ns - EPOCH_NS) / S
+    estimate = evidence.estimate[(t <= 40) | (t >= 41)]
+    estimate.p[estimate.t_ns == EPOCH_NS + 50 * S] = np.nan
+    c = compare(estimate, evidence.truth)
+    assert c.left_out == 24
+    assert np.isfinite(c.p_error).all()
+    assert EPOCH_NS + 50 * S in c.t_ns
+
+
+def test_the_jump_at_the_end_of_an_outage_is_not_called_aided(log: Path) -> None:
+    """GIVEN a fix between two estimates, THEN a truth between it and the second, where both are mixed, is not aided."""
+    evidence = read(log)
+    aids = tuple(msgspec.structs.replace(a, t_ns=a.t_ns - S // 100, arrived_ns=a.arrived_ns - S // 100) for a in evidence.aids)
+    truth = evidence.truth[2247:2248]  # at 89.88 s
+    for t_s, aided in ((89.995, 0), (91.0, 1)):
+        moved = replace(truth, t_ns=np.array([EPOCH_NS + round(t_s * S)]))
+        accuracy = assess(replace(evidence, aids=aids, truth=moved), "log").accuracy
+        assert accuracy is not None
+        assert (accuracy.position_m.n, accuracy.aided_position_m.n) == (1, aided)
+
+
+def test_an_estimate_that_is_not_finite_is_left_out_and_told(log: Path, tmp_path: Path) -> None:
+    nan = encode_truth(EPOCH_NS + 10_000_000, (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    extra = (("/landfix/odometry", nan.schema, nan.data, EPOCH_NS + 121 * S),)
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=extra))
+    assert e.accuracy is not None
+    assert np.isfinite(e.accuracy.position_m.rmse)
+    assert e.notes == ("1 estimates are not finite",)
+
+
+def test_bad_files_and_topics_give_one_clear_line(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="landfix replay"):
+        evaluate(rewritten(log, tmp_path / "no_estimate.mcap", without=("/landfix/odometry",)))
+    with pytest.raises(LogError, match="holds no /nothing"):
+        evaluate(log, "/nothing")
+    with pytest.raises(LogError, match="/landfix/aid_status cannot serve as truth"):
+        evaluate(log, "/landfix/aid_status")
+    with pytest.raises(LogError):
+        evaluate(tmp_path / "absent.mcap")
+
+
+def test_messages_that_make_no_sense_are_counted(log: Path, tmp_path: Path) -> None:
+    types = {"aid_status": schemas.AID_STATUS, "health": schemas.DIAGNOSTICS, "odometry": schemas.ODOMETRY}
+    junk = tuple((f"/landfix/{name}", schema, b"\0\1\0\0junk", EPOCH_NS + 121 * S) for name, schema in types.items())
+    e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=junk))
+    assert e.estimates == 3001
+    assert e.notes == ("2 messages could not be read",)
+
+
+def test_a_torn_log_is_evaluated_as_far_as_it_goes(log: Path, tmp_path: Path) -> None:
+    data = log.read_bytes()
+    (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
+    e = evaluate(tmp_path / "torn.mcap")
+    assert 0 < e.estimates < 3001
+    assert e.notes[0] == "the log is torn: read to its last whole record"
+
+
+def test_json_holds_all_of_it(honest: Evaluation) -> None:
+    text = msgspec.json.encode(honest)
+    assert b"NaN" not in text
+    back = msgspec.json.decode(text)
+    assert back["accuracy"]["position_m"]["rmse"] == pytest.approx(honest.accuracy.position_m.rmse if honest.accuracy else None)
+    assert back["honesty"]["position"]["dof"] == 3
+    assert len(back["outages"]) == 2
+
+
+def test_the_table_tells_what_the_record_holds(honest: Evaluation) -> None:
+    out = io.StringIO()
+    print_table(honest, Console(file=out, width=80, no_color=True))
+    text = out.getvalue()
+    for word in ("3001 estimates", "Accuracy", "aligned, SE(3)", "Consistency", "Outages", "/pose_fix", "gated 8", "Resets"):
+        assert word in text
+    assert "…" not in text  # everything fits a narrow terminal
+
+
+def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
+    out = io.StringIO()
+    print_table(evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",))), Console(file=out, width=80))
+    assert "note: no truth" in out.getvalue()
+
+
+@pytest.mark.parametrize(("sequence", "rmse_m", "median_deg"), [("V1_02_medium", 0.06, 1.8), ("MH_04_difficult", 0.17, 0.8)])
+def test_a_real_flight_with_nothing_but_poses(
+    landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
+) -> None:
+    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README tells."""
+    flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
+    e = evaluate(tmp_path / "vision.mcap")
+    assert e.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(rmse_m, abs=0.006)
+    assert e.accuracy.attitude_deg.median == pytest.approx(median_deg, abs=0.1)
+    assert e.accuracy.se3_aligned_m.rmse <= e.accuracy.position_m.rmse
+    assert (e.modes, e.aids, e.resets, e.outages) == ({}, (), (), ())
+    assert e.notes == ("neither /landfix/aid_status nor /landfix/health: outages are not known",)
+    assert e.compared > 0.9 * e.duration_s * 200

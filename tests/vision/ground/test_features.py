@@ -1,0 +1,85 @@
+"""Recognition by features of a map's picture."""
+
+import cv2
+import numpy as np
+import pytest
+
+from models import so3
+from models.messages import Array
+from tests.vision.ground import scene
+from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
+
+_WIDE = np.array([60.0, 60.0, 15.0, 0.03, 0.03, 0.2])
+
+
+def _case(seed: int, season: int = 0) -> tuple[Array, Array, Prior, Image, FeatureMap]:
+    rng = np.random.default_rng(seed)
+    ground = scene.drawing(seed)
+    p_n, R_nb, prior = scene.flight(rng, _WIDE)
+    known = FeatureMap.of(scene.map_picture(scene.drawing(seed, season)))
+    return p_n, R_nb, prior, scene.shot(ground, p_n, R_nb, rng), known
+
+
+def test_it_needs_no_good_prior_and_its_covariance_is_true() -> None:
+    squared = []
+    for seed in range(8):
+        p_n, R_nb, prior, image, known = _case(seed)
+        found = recognise(scene.RIG, image, prior, known)
+        assert isinstance(found, Recognised)
+        assert found.inliers >= FeatureConfig().least
+        assert np.linalg.norm(found.pose.joint_p_n - p_n) < 1.5
+        squared.append(scene.chi_square(found.pose, p_n, R_nb))
+    assert max(squared) < 27.9
+    assert 0.25 < np.mean(squared) / 6.0 < 1.5
+
+
+def test_the_same_answer_whatever_random_numbers_were_drawn_before() -> None:
+    *_, prior, image, known = _case(1)
+    answers = []
+    for seed in (1, 2):
+        cv2.setRNGSeed(seed)
+        found = recognise(scene.RIG, image, prior, known)
+        assert isinstance(found, Recognised)
+        answers.append((found.pose.p_n.tobytes(), found.pose.covariance.tobytes(), found.matched))
+    assert answers[0] == answers[1]
+
+
+def test_another_ground_is_no_place() -> None:
+    for seed in range(6):
+        _, _, prior, image, _ = _case(seed)
+        assert isinstance(
+            recognise(scene.RIG, image, prior, FeatureMap.of(scene.map_picture(scene.drawing(seed + 1)))), NotRecognised
+        )
+
+
+def test_it_says_why_not() -> None:
+    _, _, prior, image, known = _case(2)
+    blank = recognise(scene.RIG, np.full_like(image, 100), prior, known)
+    far = recognise(scene.RIG, image, Prior(prior.p_n + np.array([5000.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance), known)
+    up = so3.multiply(so3.from_euler(np.pi, 0.0, 0.0), prior.q_nb_wxyz)
+    sky = recognise(scene.RIG, image, Prior(prior.p_n, up, prior.covariance), known)
+    few = recognise(scene.RIG, image, prior, known, FeatureConfig(least=2000))
+    reasons = [one.reason for one in (blank, far, sky, few) if isinstance(one, NotRecognised)]
+    assert reasons == ["no_features", "no_features", "no_ground", "no_features"]
+
+
+def test_inliers_in_one_corner_are_no_fix() -> None:
+    _, _, prior, image, known = _case(3)
+    corner = np.full_like(image, 100)
+    corner[:110, :130] = image[:110, :130]
+    found = recognise(scene.RIG, corner, prior, known, FeatureConfig(least=8))
+    assert isinstance(found, NotRecognised)
+
+
+@pytest.mark.parametrize("reduction", [2, 6])
+def test_pixels_of_other_size(reduction: int) -> None:
+    """A map twice as fine as the camera, and one much coarser."""
+    rng = np.random.default_rng(4)
+    ground = scene.drawing(4)
+    p_n, R_nb, prior = scene.flight(rng, _WIDE)
+    known = FeatureMap.of(scene.map_picture(ground, reduction))
+    found = recognise(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, known)
+    assert isinstance(found, Recognised)
+    assert np.linalg.norm(found.pose.joint_p_n - p_n) < 1.5

@@ -1,0 +1,59 @@
+"""A georeferenced picture: places, heights, and grey values without aliasing."""
+
+import numpy as np
+import pytest
+
+from vision.ground.picture import GroundPicture, Heights, pyramid, sample
+
+AFFINE = np.array([[0.1, -0.5, 40.0], [0.5, 0.1, -30.0]])
+
+
+def test_pixels_and_places_are_inverse_to_each_other() -> None:
+    picture = GroundPicture("x", np.zeros((60, 80), np.uint8), AFFINE, Heights.level(3.0))
+    px = np.array([[0.0, 0.0], [79.0, 59.0], [12.3, 45.6]])
+    place = px @ AFFINE[:, :2].T + AFFINE[:, 2]
+    np.testing.assert_allclose(picture.to_pixels(place), px, atol=1e-9)
+    assert picture.pixel_m == pytest.approx(np.sqrt(0.26))
+    np.testing.assert_allclose(picture.points(place)[:, 2], 3.0)
+    outside = np.array([[-0.1, 5.0], [5.0, 59.1]]) @ AFFINE[:, :2].T + AFFINE[:, 2]
+    assert picture.contains(place).all()
+    assert not picture.contains(outside).any()
+
+
+def test_heights_are_bilinear_and_end_at_the_border() -> None:
+    down = np.array([[0.0, 10.0, 20.0], [4.0, 14.0, 24.0]])
+    heights = Heights(down, np.array([[0.0, 2.0, 0.0], [2.0, 0.0, 0.0]]), 1.0)  # u is east, v is north, 2 m apart
+    place = np.array([[0.0, 1.0], [1.0, 3.0], [9.0, 9.0], [-5.0, -5.0]])
+    np.testing.assert_allclose(heights.at(place), [5.0, 17.0, 24.0, 0.0])
+
+
+def test_a_georeference_without_area_is_refused() -> None:
+    with pytest.raises(ValueError, match="x: its georeference"):
+        GroundPicture("x", np.zeros((9, 9), np.uint8), np.zeros((2, 3)), Heights.level(0.0))
+
+
+def test_values_are_taken_where_they_are_and_beyond_the_border_the_borders() -> None:
+    v, u = np.indices((200, 300))
+    levels = pyramid((u * 0.5 + v * 0.4).astype(np.uint8))
+    px = np.array([[[10.0, 20.0], [250.5, 150.25]], [[-50.0, 100.0], [np.nan, 0.0]]])
+    np.testing.assert_allclose(sample(levels, px, 1.0), [[13.0, 185.2], [40.0, 0.0]], atol=1.0)
+    u_far, v_far = np.meshgrid(np.arange(50.0, 250.0, 4.0), np.arange(40.0, 160.0, 4.0))
+    coarse = sample(levels, np.stack((u_far, v_far), axis=-1), 4.0)
+    np.testing.assert_allclose(coarse[3:-3, 3:-3], (0.5 * u_far + 0.4 * v_far)[3:-3, 3:-3], atol=1.0)
+
+
+def test_fine_stripes_do_not_alias() -> None:
+    stripes = np.where(np.indices((512, 512)).sum(axis=0) % 3 == 0, 250, 5).astype(np.uint8)
+    at = np.arange(20.0, 480.0, 5.0)
+    values = sample(pyramid(stripes), np.stack(np.meshgrid(at, at), axis=-1), 5.0)
+    assert values.std() < 8.0
+
+
+def test_only_the_part_in_view_of_a_large_picture_is_touched() -> None:
+    """A picture wider than OpenCV's remap takes."""
+    wide = np.zeros((64, 40_000), np.uint8)
+    wide[:, 39_990:] = 200
+    px = np.stack(np.meshgrid(np.arange(39_980.0, 39_999.0), np.arange(10.0, 20.0)), axis=-1)
+    values = sample((wide,), px, 1.0)
+    assert values[0, 0] == 0.0
+    assert values[0, -1] == 200.0

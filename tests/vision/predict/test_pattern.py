@@ -1,0 +1,155 @@
+"""All outlines as one pattern, from far above: where they are though no roof has one colour, and no when in doubt."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models import so3
+from models.camera import CameraModel, StereoRig
+from models.maps.landmarks import Landmark, LandmarkMap
+from vision.identify.identify import Prior
+from vision.pipeline import LandmarkPipeline, PipelineConfig
+from vision.pose.sensitivity import eyes
+from vision.predict import pattern
+from vision.predict.coarse_search import CoarseConfig
+from vision.predict.motion import motion
+from vision.records.pictures import Pictures
+from vision.records.reports import Result, nothing
+
+SIZE, HEIGHT_M = 300, 2000.0  # 0.5 m a pixel
+DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+CAMERA = CameraModel(SIZE, SIZE, 4000.0, 4000.0, 149.5, 149.5)
+RIG = StereoRig(CAMERA, CAMERA, np.eye(3), np.array([-1.0, 0.0, 0.0]), DOWN, np.zeros(3))
+TRUTH = np.array([0.0, 0.0, -HEIGHT_M])
+OFF = np.array([9.0, -6.0, 0.0])  # of the prior, m
+VILLAGE = (
+    (-30.0, -28.0, 12.0, 8.0),
+    (-22.0, 20.0, 9.0, 9.0),
+    (5.0, -8.0, 16.0, 7.0),
+    (28.0, 25.0, 10.0, 8.0),
+    (24.0, -33.0, 8.0, 12.0),
+)
+ROW = tuple((-30.0 + 12.0 * k, 0.0, 6.0, 9.0) for k in range(6))
+Boxes = tuple[tuple[float, float, float, float], ...]  # north, east of the middle, sizes
+
+
+def mark(name: str, box: tuple[float, float, float, float]) -> Landmark:
+    north, east, a, b = box
+    corners = [
+        (north - a / 2, east - b / 2),
+        (north - a / 2, east + b / 2),
+        (north + a / 2, east + b / 2),
+        (north + a / 2, east - b / 2),
+    ]
+    return Landmark.of(name, np.array(corners), sigma_m=0.3)
+
+
+def drawn(boxes: Boxes) -> Pictures:
+    """Each roof has a bright and a dark half on a ground between them, as hipped ones have in the sun."""
+    picture = 110.0 + 12.0 * np.random.default_rng(5).normal(size=(SIZE, SIZE))
+    for north, east, a, b in boxes:
+        top, left, rows, columns = (round(x) for x in (149.5 - 2 * north - a, 149.5 + 2 * east - b, 2 * a, 2 * b))
+        picture[top : top + rows // 2, left : left + columns] += 45.0
+        picture[top + rows // 2 : top + rows, left : left + columns] -= 45.0
+    image: NDArray[np.uint8] = np.asarray(np.clip(picture, 0, 255), dtype=np.uint8)
+    return Pictures(image, None, "")
+
+
+def asked(
+    boxes: Boxes, standing: Boxes, yaw_rad: float = 1e-3, result: Result | None = None, sigma_m: float = 12.0
+) -> tuple[Result, Prior]:
+    """What is made of a result: a map of boxes over a picture of those that stand there."""
+    covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 1e-7, 1e-7, yaw_rad**2])
+    prior = Prior(TRUTH + OFF * sigma_m / 12.0, np.array([1.0, 0.0, 0.0, 0.0]), covariance)
+    marks = [mark(str(k), box) for k, box in enumerate(boxes)]
+    move = motion(eyes(RIG)[0], marks, prior)
+    assert move is not None
+    return pattern.judged(result or nothing(7, "no_pose", "no fit"), RIG, drawn(standing), marks, move, CoarseConfig()), prior
+
+
+def test_roofs_of_two_colours_are_found_together() -> None:
+    result, prior = asked(VILLAGE, VILLAGE)
+    assert result.fix is not None
+    assert result.pose is not None
+    error = result.pose.joint_p_n - TRUTH
+    assert float(np.linalg.norm(error[:2])) < 0.8
+    assert float(np.linalg.norm(OFF)) > 10.0
+    assert result.fix.landmarks == (pattern.NAME,)
+    assert result.fix.directions is not None
+    assert len(result.fix.directions) == 2
+    sigma = np.sqrt(np.diag(result.pose.joint_covariance))
+    assert 0.3 < sigma[0] < 1.5  # a pixel is half a metre, the map 0.3, tilt 0.6
+    assert sigma[2] == pytest.approx(math.sqrt(prior.covariance[2, 2]), rel=0.05)
+
+
+def test_the_error_of_the_map_repeats() -> None:
+    """0.3 m of the map against a pixel, half a metre, that is new in every picture."""
+    result, _ = asked(VILLAGE, VILLAGE)
+    assert result.fix is not None
+    along, common = result.fix.directions, result.fix.covariance_common
+    assert along is not None
+    assert common is not None
+    repeats, new = (np.trace(along @ c @ along.T) for c in (common, result.fix.covariance))
+    assert repeats / new == pytest.approx((0.3 / 0.5) ** 2, rel=0.05)
+
+
+def test_nothing_there_is_no_fix() -> None:
+    """However narrow the prior is: the places it excludes tell what chance makes."""
+    for sigma_m in (12.0, 0.3):
+        result, _ = asked(VILLAGE, (), sigma_m=sigma_m)
+        assert result.fix is None
+        assert result.report.outcome == "no_pose"
+
+
+def test_a_row_of_equal_houses_is_no_place() -> None:
+    assert asked(ROW[1:4], ROW)[0].fix is None
+
+
+@pytest.mark.parametrize("about", [0.0, 18.0])
+def test_where_the_same_houses_stand_twice_the_prior_tells_which(about: float) -> None:
+    """Two equal groups, 36 px apart: the place is the one the prior is about, and the ratio says that the other is as good."""
+    group = VILLAGE[:3]
+    both = group + tuple((north, east + 18.0, a, b) for north, east, a, b in group)
+    prior = Prior(
+        TRUTH - np.array([0.0, about, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.diag([25.0, 25.0, 1.0, 1e-7, 1e-7, 1e-6])
+    )
+    eye, marks = eyes(RIG)[0], [mark(str(k), box) for k, box in enumerate(group)]
+    move = motion(eye, marks, prior)
+    assert move is not None
+    best = pattern.best_shift(eye, drawn(both), marks, move, CoarseConfig())
+    assert best is not None
+    p_n, _ = move.pose(move.gain[:, :2] @ best.shift_px)
+    assert float(np.linalg.norm((p_n - prior.p_n)[:2])) < 1.0
+    assert best.ratio < 1.1
+
+
+def test_where_the_heading_is_open_the_pattern_is_silent() -> None:
+    before = nothing(7, "no_pose", "no fit")
+    assert asked(VILLAGE, VILLAGE, yaw_rad=math.radians(3.0), result=before)[0] is before
+
+
+@pytest.mark.parametrize(("off_m", "stays"), [(0.5, True), (6.0, False)])
+def test_a_fit_elsewhere_is_refused(off_m: float, stays: bool) -> None:
+    good, _ = asked(VILLAGE, VILLAGE)
+    assert good.pose is not None
+    assert good.fix is not None
+    level = so3.matrix(np.array([1.0, 0.0, 0.0, 0.0]))
+    moved = replace(good.pose, joint_p_n=TRUTH + np.array([off_m, 0.0, 0.0]), joint_R_nb=level)
+    fitted = Result(good.fix, good.report, (), moved)
+    result, _ = asked(VILLAGE, VILLAGE, result=fitted)
+    assert (result is fitted) is stays
+    assert (result.fix is None) is not stays
+
+
+def test_the_pipeline_asks_the_pattern() -> None:
+    prior = Prior(TRUTH + OFF, np.array([1.0, 0.0, 0.0, 0.0]), np.diag([12.0**2, 12.0**2, 1.0, 1e-7, 1e-7, 1e-6]))
+    known = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [mark(str(k), box) for k, box in enumerate(VILLAGE)])
+    pipeline = LandmarkPipeline(RIG, known, PipelineConfig(farthest_m=3000.0))
+    result = pipeline.process(drawn(VILLAGE).left, None, 7, prior)
+    assert result.fix is not None
+    assert result.pose is not None
+    assert float(np.linalg.norm((result.pose.joint_p_n - TRUTH)[:2])) < 0.8
+    assert pipeline.process(drawn(()).left, None, 8, prior).fix is None

@@ -1,0 +1,217 @@
+"""Correspondence: where each region of the left picture stands in the right one (thesis sections 4.3.2, 4.5 and 5.4).
+
+    coarse   Sobel edges of a reduced picture, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
+             only the region's own pixels and a rim, then back from right to left: the two must agree
+    fine     the region in cells; each cell's disparity maximises the same coefficient to a fraction of a pixel, by
+             Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says how sure it is
+
+Both pictures are rectified and grey, uint8 or uint16.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.messages import Array
+from vision.describe import correlation
+from vision.describe.plane import DisparityPlane, fit_plane
+from vision.describe.regions import Region
+from vision.image.rectify import Image
+
+Pixels = NDArray[np.int32]  # (N, 2) u, v
+_SQUARE = np.ones((5, 5), np.uint8)  # taken off a region's inside: half an edge has the gradient of an edge, but not its place
+_RIM = 2  # px around a region that belong to it: its edges are what can be matched
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How far and how strictly correspondences are sought."""
+
+    nearest_m: float = 4.0  # nothing is nearer than this
+    least_score: float = 0.55  # of the correlation coefficient of the edges
+    least_lead: float = 0.02  # over the next best place
+    vertical_px: int = 6  # how far from its row a match is sought, to notice that rows do not fit
+    template_px: int = 350  # pixels of a template at the coarse level
+    cells: int = 24  # of a region, about
+    slope_tangent: float = 0.3  # sigma of the surfaces' tilt against the picture plane, tan
+    noise_floor: float = 0.7  # levels: 8-bit quantisation and a little more
+    rim_sigma_px: float = 0.08  # what the ground beside a region does to the disparity of a cell at its edge
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A region found in the right picture. disparity = u_l - u_r.
+
+    points (M, 2), disparities (M,), sigmas (M,)   the cells [px]
+    plane          the disparity plane through them
+    score          correlation coefficient of the edges at the coarse level
+    vertical_px    v_r - v_l that remains, 0 for a calibrated, synchronous pair; vertical_sigma_px
+    """
+
+    region: Region
+    points: Array
+    disparities: Array
+    sigmas: Array
+    plane: DisparityPlane
+    score: float
+    vertical_px: float
+    vertical_sigma_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unmatched:
+    """A region not found in the right picture, and why; behind: found, but on the side where only swapped pictures have it."""
+
+    region: Region
+    reason: str
+    behind: bool = False
+
+
+def correspond(
+    left: Image, right: Image, regions: Sequence[Region], rig: StereoRig, search: Search | None = None
+) -> list[Match | Unmatched]:
+    """One Match or Unmatched per region, in order. left, right: rectified grey pictures; rig: the rectified rig."""
+    search = search or Search()
+    pair = _Pyramid(left, right)
+    return [_match(pair, region, rig, search) for region in regions]
+
+
+def disparity_offset(rig: StereoRig) -> float:
+    """What u_l - u_r is at infinity: cx_l - cx_r."""
+    return rig.left.cx - rig.right.cx
+
+
+class _Pyramid:
+    """Both pictures, halved again and again, and their edges, each made when first asked for."""
+
+    def __init__(self, left: Image, right: Image) -> None:
+        self._grey = [(np.ascontiguousarray(left), np.ascontiguousarray(right))]
+        self._edges: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+
+    def grey(self, level: int) -> tuple[Image, Image]:
+        while len(self._grey) <= level:
+            left, right = self._grey[-1]
+            self._grey.append((cv2.pyrDown(left), cv2.pyrDown(right)))
+        return self._grey[level]
+
+    def edges(self, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if level not in self._edges:
+            left, right = self.grey(level)
+            self._edges[level] = sobel(left), sobel(right)
+        return self._edges[level]
+
+
+def sobel(grey: Image) -> NDArray[np.float32]:
+    """G = sqrt(GX^2 + GY^2) (thesis eq. 4.62-4.64)."""
+    gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.magnitude(gx, gy), dtype=np.float32)
+
+
+def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Match | Unmatched:
+    offset = disparity_offset(rig)
+    reach = rig.left.fx * rig.baseline_m / search.nearest_m
+    found = _coarse(pair, region, offset, reach, search)
+    if isinstance(found, str):
+        return Unmatched(region, found)
+    disparity, score = found
+    rim = correlation.template(region.mask, region.bbox[0], region.bbox[1], 0, _RIM)
+    place = _to_the_pixel(pair, rim, disparity, search)
+    if isinstance(place, str):
+        return Unmatched(region, place)
+    disparity, vertical = place
+    if disparity - offset < -1.5:
+        return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
+    gain = correlation.gain(*pair.grey(0), rim, disparity, vertical)
+    return _fine(pair, region, rig, search, (disparity, vertical, score, gain))
+
+
+def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search: Search) -> tuple[int, float] | str:
+    """Disparity [px, to about one coarse pixel] and score, or why there is none. Sought on both sides of infinity."""
+    level = 1
+    while region.mask.sum() / 4**level > search.template_px and level < 4:
+        level += 1
+    pixels = correlation.template(region.mask, region.bbox[0], region.bbox[1], level, _RIM)
+    left, right = pair.edges(level)
+    size = 2**level
+    low, high = int(np.floor((offset - reach) / size)), int(np.ceil((offset + reach) / size))
+    scores = correlation.scan(left, right, pixels, low, high, 0)
+    best = int(scores.argmax())
+    if scores[best] < search.least_score:
+        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
+    others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
+    if others.max() > scores[best] - search.least_lead:
+        return "ambiguous: two places fit alike"
+    shifted = pixels - np.array([low + best, 0], dtype=np.int32)
+    back = correlation.scan(right, left, shifted, -(low + best) - 6, -(low + best) + 6, 0)
+    if abs(int(back.argmax()) - 6) > 1:
+        return "left-right check: the way back leads elsewhere"
+    return (low + best) * size, float(scores[best])
+
+
+def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | str:
+    """Disparity and vertical offset to one pixel, by the same coefficient at full resolution, or why there is none."""
+    left, right = pair.grey(0)
+    some = rim[:: max(len(rim) // 900, 1)]
+    vertical = 0
+    for _ in range(2):  # along the row, across it, along it again where that led to another row
+        scores = correlation.scan(left, right, some, disparity - 12, disparity + 12, vertical)
+        best = int(scores.argmax())
+        disparity += best - 12
+        shifts = range(-search.vertical_px, search.vertical_px + 1)
+        across = [correlation.scan(left, right, some, disparity, disparity, dv)[0] for dv in shifts]
+        found = int(np.argmax(across)) - search.vertical_px
+        if across[found + search.vertical_px] < across[vertical + search.vertical_px] + 0.01 or found == vertical:
+            break
+        vertical = found
+    others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
+    peaks = others[1:-1][(others[1:-1] >= scores[:-2]) & (others[1:-1] >= scores[2:])]
+    if peaks.max(initial=-1.0) > scores[best] - search.least_lead:
+        return "ambiguous: two places fit alike"
+    if scores[best] < search.least_score:
+        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
+    return disparity, vertical
+
+
+def _fine(
+    pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float, float]
+) -> Match | Unmatched:
+    """From the region's inside if it has texture enough; else from its edges too, which the ground beside them moves."""
+    inside = cv2.erode(region.mask.view(np.uint8), _SQUARE, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
+    match = _cells(pair, region, rig, search, start, (inside, 0, 0.0))
+    if isinstance(match, Match) and match.plane.covariance[0, 0] < search.rim_sigma_px**2:
+        return match
+    with_edges = _cells(pair, region, rig, search, start, (correlation.padded(region.mask, _RIM), _RIM, search.rim_sigma_px))
+    return with_edges if isinstance(with_edges, Match) else match
+
+
+def _cells(
+    pair: _Pyramid,
+    region: Region,
+    rig: StereoRig,
+    search: Search,
+    start: tuple[int, int, float, float],
+    where: tuple[NDArray[np.bool_], int, float],
+) -> Match | Unmatched:
+    """Cells and the plane through them, twice: the second time each cell is as inclined as the first plane."""
+    (disparity, vertical, score, gain), (mask, rim, blur) = start, where
+    left, right = pair.grey(0)
+    corner = (region.bbox[0] - rim, region.bbox[1] - rim)
+    size = max(int(np.sqrt(mask.sum() / search.cells)), 8)
+    believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
+    plane = DisparityPlane(np.zeros(2), np.array([disparity, 0.0, 0.0]), np.eye(3), 1.0, 0)
+    for _ in range(2):
+        guess = np.concatenate((plane.coefficients, plane.origin))
+        cells, step, information = correlation.cells(left, right, mask, corner, size, guess, vertical, gain, search.noise_floor)
+        sigmas = np.hypot(cells[:, 3], blur)
+        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
+        if fitted is None:
+            return Unmatched(region, "no texture that could be matched")
+        plane = fitted
+    if plane.used < 0.5 * len(cells) or plane.covariance[0, 0] > 1.0:
+        return Unmatched(region, "no plane: the cells' disparities disagree")
+    sigma = float(plane.scatter / np.sqrt(max(information, 1e-12)))
+    return Match(region, cells[:, :2], cells[:, 2], sigmas, plane, score, vertical + step, sigma)

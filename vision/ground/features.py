@@ -1,0 +1,203 @@
+"""Position by features of a georeferenced picture: SIFT and FLANN, and a pose that explains the matches.
+
+    keypoints of both pictures (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
+
+It needs no good prior, only one that says which part of the map to look at. It fails where light or season have changed what the
+ground looks like: then vision/ground/registration.py.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import cv2
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from models.camera import StereoRig
+from models.messages import Array
+from vision.ground.picture import GroundPicture, pyramid
+from vision.ground.view import make_grid
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
+from vision.pose.point_pose import PointConfig, PointPose, Points, fit_points
+from vision.pose.pose import PoseEstimate
+
+_TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4}  # FLANN's randomised k-d trees
+_CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
+_GRID: Final = 64  # points that tell what the camera sees
+_REACH_SIGMA: Final = 4.0
+_FEATURE_PX = 0.5  # of a keypoint's place in its picture
+_DOUBLED_PX = 0.25  # OpenCV seeks in the doubled picture and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
+_FEWEST = 8  # inliers that are worth fitting a pose to
+_POINTS = PointConfig(least=_FEWEST, freedom=8.0, expected=1.0)
+_GATE = 13.8  # chi-square of 2, 99.9 %
+
+
+class FeatureConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Lowe's ratio and RANSAC's distance are the usual ones; a fix takes more inliers than the usual 10."""
+
+    most: Annotated[int, Meta(ge=50, description="keypoints of a camera's picture")] = 1500
+    most_in_map: Annotated[int, Meta(ge=50, description="keypoints of the map's picture")] = 60_000
+    longest_map: Annotated[int, Meta(ge=256, description="px: a larger map picture is halved before keypoints are sought")] = 5000
+    ratio: Annotated[float, Meta(gt=0, lt=1, description="of nearest to second descriptor distance")] = 0.75
+    inlier_px: Annotated[float, Meta(gt=0, description="reprojection error of an inlier")] = 3.0
+    least: Annotated[int, Meta(ge=6, description="inliers that make a fix")] = 16
+    least_share: Annotated[float, Meta(ge=0, le=1, description="of the matches that are inliers")] = 0.15
+    least_spread: Annotated[float, Meta(ge=0, le=1, description="of the picture's area within the inliers' hull")] = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureMap:
+    """Keypoints of a map's picture: points (N, 3) in n, descriptors (N, 128)."""
+
+    picture: GroundPicture
+    x_n: Array
+    descriptors: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, picture: GroundPicture, config: FeatureConfig | None = None) -> "FeatureMap":
+        """The keypoints of a picture; takes about a second for each million pixels."""
+        config = config or FeatureConfig()
+        level = 0
+        while level < len(picture.pyramid) - 1 and max(picture.pyramid[level].shape) > config.longest_map:
+            level += 1
+        px, descriptors = _keypoints(picture.pyramid[level], config.most_in_map)
+        place = px * 2.0**level @ picture.affine[:, :2].T + picture.affine[:, 2]
+        return cls(picture, picture.points(place), descriptors)
+
+    def near(self, place_n: Array, radius_m: float) -> NDArray[np.intp]:
+        """Rows of the keypoints within a circle about a place (2,)."""
+        return np.flatnonzero(np.hypot(*(self.x_n[:, :2] - place_n).T) < radius_m)
+
+
+@dataclass(frozen=True, slots=True)
+class NotRecognised:
+    """Why not: no_ground | no_features | few_matches | few_inliers | no_pose."""
+
+    reason: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """A pose, how many features matched, and how many of them it explains."""
+
+    pose: PoseEstimate
+    matched: int
+    inliers: int
+
+
+def recognise(
+    rig: StereoRig, image: Image, prior: Prior, known: FeatureMap, config: FeatureConfig | None = None
+) -> Recognised | NotRecognised:
+    """Where the left camera of the rig took the image. The same pictures give the same answer, to the bit."""
+    config = config or FeatureConfig()
+    picture = known.picture
+    camera = rig.left, *rig.camera_pose(prior.p_n, prior.R_nb)
+    grid = make_grid(camera, picture, _GRID)
+    if grid is None:
+        return NotRecognised("no_ground", "the camera does not look at the ground")
+    sigma = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:2, :2])[-1]))
+    rows = known.near(grid.centre, 0.6 * grid.q * math.hypot(*grid.shape) + _REACH_SIGMA * sigma)
+    levels = pyramid(image)
+    level = min(max(int(math.log2(max(picture.pixel_m / grid.camera_m, 1.0))), 0), len(levels) - 1)  # no finer than the map
+    if len(rows) < config.least:
+        return NotRecognised("no_features", f"{len(rows)} in the map about there")
+    px, descriptors = _keypoints(levels[level], config.most)
+    if len(px) < config.least:
+        return NotRecognised("no_features", f"{len(px)} in the picture")
+    mine, theirs = _matches(descriptors, known.descriptors[rows], config.ratio)
+    if len(mine) < config.least:
+        return NotRecognised("few_matches", f"{len(mine)} of {len(px)} features")
+    px, x_n = px[mine] * 2.0**level, known.x_n[rows[theirs]]
+    agree = _ransac(rig, px, x_n, config.inlier_px * 2.0**level)
+    if len(agree) < _FEWEST:
+        return NotRecognised("few_inliers", f"{len(agree)} of {len(mine)} matches")
+    sigma_px = _FEATURE_PX * math.hypot(2.0**level, picture.pixel_m / grid.camera_m)
+    pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
+    for _ in range(2):  # to the matches that agreed, then to all that do
+        points = _points(rig, pose, px[agree], x_n[agree], sigma_px, picture)
+        fit = fit_points(rig, points, pose, prior, picture.shared_sigma, _POINTS)
+        if isinstance(fit, str):
+            return NotRecognised("no_pose", f"{fit}, of {len(mine)} matches")
+        pose, best = (fit.estimate.joint_p_n, fit.estimate.joint_R_nb), _judged(fit, points, len(mine), rig, config)
+        agree = np.flatnonzero(_distances(rig, pose, px, x_n, sigma_px, picture) < _GATE)
+    assert best is not None
+    return best
+
+
+def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config: FeatureConfig) -> Recognised | NotRecognised:
+    """Enough of the matches, over enough of the picture?"""
+    inliers = int(fit.used.sum())
+    hull = cv2.convexHull(points.px[fit.used].astype(np.float32))
+    spread = float(cv2.contourArea(hull)) / (rig.left.width * rig.left.height)
+    if inliers < max(config.least, config.least_share * matched) or spread < config.least_spread:
+        return NotRecognised("few_inliers", f"{inliers} of {matched} matches, on {spread:.0%} of the picture")
+    return Recognised(fit.estimate, matched, inliers)
+
+
+def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels (N, 2) and descriptors (N, 128), the clearest first."""
+    found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(image, None)
+    if not len(found):
+        return np.empty((0, 2)), np.empty((0, 128), np.float32)
+    return np.array([k.pt for k in found], dtype=np.float64) - _DOUBLED_PX, descriptors.astype(np.float32)
+
+
+def _matches(mine: NDArray[np.float32], theirs: NDArray[np.float32], ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of both whose descriptors are nearest, by far; each of theirs with the nearest of mine only."""
+    cv2.setRNGSeed(0)  # the trees are random: a replay grows the same ones
+    pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine, theirs, k=2)
+    best: dict[int, cv2.DMatch] = {}
+    for pair in pairs:
+        if len(pair) == 2 and pair[0].distance < ratio * pair[1].distance:
+            held = best.get(pair[0].trainIdx)
+            if held is None or pair[0].distance < held.distance:
+                best[pair[0].trainIdx] = pair[0]
+    good = sorted(best.values(), key=lambda m: m.queryIdx)
+    return np.array([m.queryIdx for m in good], dtype=np.intp), np.array([m.trainIdx for m in good], dtype=np.intp)
+
+
+def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[np.intp]:
+    """Rows of the matches that most agree on one pose of the camera."""
+    plane, middle, f = rig.left.undistort(px), x_n.mean(axis=0), 0.5 * (rig.left.fx + rig.left.fy)
+    try:
+        done, _, _, rows = cv2.solvePnPRansac(
+            x_n - middle, plane, np.eye(3), None, iterationsCount=2000, reprojectionError=inlier_px / f, confidence=0.9999,
+            flags=cv2.SOLVEPNP_P3P,
+        )  # fmt: skip
+    except cv2.error:
+        return np.empty(0, dtype=np.intp)
+    return rows[:, 0].astype(np.intp) if done and rows is not None else np.empty(0, dtype=np.intp)
+
+
+def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
+    """p_n of the body at a known attitude: sum (I - r r^T)(x - p_nc) = 0, r the rays; a plane has no mirrored pose then."""
+    rays = rig.left.ray(px) @ (R_nb @ rig.R_bc).T
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    p_nc = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, x_n))
+    p_n: Array = p_nc - R_nb @ rig.p_bc
+    return p_n
+
+
+def _distances(
+    rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, picture: GroundPicture
+) -> Array:
+    """Squared Mahalanobis distance (N,) of the matches from a pose; inf behind the camera."""
+    p_nc, R_nc = rig.camera_pose(*pose)
+    off = px - rig.left.project((x_n - p_nc) @ R_nc)
+    seen = np.isfinite(off).all(axis=1)
+    result = np.full(len(px), np.inf)
+    R = _points(rig, pose, px[seen], x_n[seen], sigma_px, picture).R
+    result[seen] = np.einsum("ni,nij,nj->n", off[seen], np.linalg.inv(R), off[seen])
+    return result
+
+
+def _points(rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, picture: GroundPicture) -> Points:
+    """R = sigma^2 I + (unevenness du/dd)^2: what stands on the ground leans over."""
+    p_nc, R_nc = rig.camera_pose(*pose)
+    lean = picture.heights.unevenness_m * (rig.left.project_jacobian((x_n - p_nc) @ R_nc) @ R_nc.T)[:, :, 2]
+    return Points(x_n, px, sigma_px**2 * np.eye(2) + lean[:, :, None] * lean[:, None, :])

@@ -1,0 +1,126 @@
+"""A georeferenced picture of the ground, an orthophoto or a satellite picture: the map where it holds a picture.
+
+(north, east) = A (u, v, 1): place [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.describe.survey import grey, to_8_bit
+from vision.image.rectify import Image
+
+Float = NDArray[np.float32]
+_LEAST_LEVEL_PX = 32  # of a pyramid's coarsest picture
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """down (h, w) [m] at the points of a raster, (north, east) = affine (u, v, 1); beyond its border the border's.
+
+    unevenness_m: of what stands on it, roofs and trees; slope: of the ground, rad, where the raster does not show it.
+    """
+
+    down: Array
+    affine: Array
+    unevenness_m: float
+    slope: float = 0.0
+
+    @classmethod
+    def level(cls, down: float, unevenness_m: float = 3.0, slope: float = 0.02) -> "Heights":
+        """The same everywhere."""
+        return cls(np.full((2, 2), down), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), unevenness_m, slope)
+
+    def at(self, place_n: Array) -> Array:
+        """Down (N,) of places (N, 2) north, east."""
+        height, width = self.down.shape
+        u, v = to_pixels(self.affine, place_n).T
+        u, v = np.clip(u, 0.0, width - 1.0), np.clip(v, 0.0, height - 1.0)
+        j, i = np.minimum(u.astype(np.int64), width - 2), np.minimum(v.astype(np.int64), height - 2)
+        s, t, d = u - j, v - i, self.down
+        upper, lower = (1.0 - s) * d[i, j] + s * d[i, j + 1], (1.0 - s) * d[i + 1, j] + s * d[i + 1, j + 1]
+        down: Array = (1.0 - t) * upper + t * lower
+        return down
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPicture:
+    """image (H, W[, 3]), affine (2, 3), heights; and what its georeference may be wrong by, one error for the whole picture.
+
+    sigma_m: horizontally, per axis; height_sigma_m: of the ground's height. Raises ValueError where the affine has no inverse.
+    """
+
+    name: str
+    image: Image
+    affine: Array
+    heights: Heights
+    sigma_m: float = 0.0
+    height_sigma_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.affine.shape != (2, 3) or not np.isfinite(self.affine).all() or abs(np.linalg.det(self.affine[:, :2])) < 1e-12:
+            raise ValueError(f"{self.name}: its georeference is not usable")
+
+    @cached_property
+    def pixel_m(self) -> float:
+        """Side of a pixel on the ground."""
+        return float(np.sqrt(abs(np.linalg.det(self.affine[:, :2]))))
+
+    @property
+    def shared_sigma(self) -> tuple[float, float, float]:
+        """What all its points share: horizontal, of the height [m], slope of the ground."""
+        return self.sigma_m, self.height_sigma_m, self.heights.slope
+
+    @cached_property
+    def pyramid(self) -> tuple[Image, ...]:
+        """The picture in grey, and halved again and again."""
+        return pyramid(self.image)
+
+    def to_pixels(self, place_n: Array) -> Array:
+        """(u, v) (N, 2) of places (N, 2) north, east."""
+        return to_pixels(self.affine, place_n)
+
+    def points(self, place_n: Array) -> Array:
+        """Points of the ground (N, 3) in n at places (N, 2)."""
+        return np.column_stack((place_n, self.heights.at(place_n)))
+
+    def contains(self, place_n: Array) -> NDArray[np.bool_]:
+        """Which places (N, 2) the picture shows."""
+        px, (height, width) = self.to_pixels(place_n), self.image.shape[:2]
+        inside: NDArray[np.bool_] = np.all((px >= 0.0) & (px <= (width - 1.0, height - 1.0)), axis=1)
+        return inside
+
+
+def to_pixels(affine: Array, place_n: Array) -> Array:
+    """The inverse of an affine (2, 3)."""
+    px: Array = (place_n - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+    return px
+
+
+def pyramid(image: Image) -> tuple[Image, ...]:
+    """A picture in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    levels = [grey(to_8_bit(image))]
+    while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
+        levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))
+    return tuple(levels)
+
+
+def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
+    """Grey values at px (h, w, 2) of level 0, neighbours `ratio` pixels apart, without aliasing; beyond the border its values."""
+    level = int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
+    image = levels[level]
+    height, width = image.shape
+    u, v = np.moveaxis(px * 2.0**-level, -1, 0)
+    u, v = np.clip(np.nan_to_num(u), 0.0, width - 1.0), np.clip(np.nan_to_num(v), 0.0, height - 1.0)
+    left, top = int(u.min()), int(v.min())
+    part = image[top : int(v.max()) + 2, left : int(u.max()) + 2].astype(np.float32)  # a map is far larger than what is seen
+    at = (u - left).astype(np.float32), (v - top).astype(np.float32)
+    values = cv2.remap(part, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rest = ratio / 2.0**level
+    if rest > 1.2:
+        values = cv2.GaussianBlur(values, (0, 0), 0.35 * float(np.sqrt(1.0 - rest**-2)))
+    return values.astype(np.float32, copy=False)

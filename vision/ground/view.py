@@ -1,0 +1,105 @@
+"""The ground from straight above, on a grid of places: as the camera sees it from a pose, and as the map's picture shows it.
+
+place(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.camera import CameraModel
+from models.messages import Array
+from vision.ground.picture import Float, GroundPicture, sample
+from vision.image.rectify import Image
+
+Mask = NDArray[np.bool_]
+Camera = tuple[CameraModel, Array, Array]  # p_nc, R_nc
+_FARTHEST = 3.0  # times the nearest point's distance: what lies beyond is too flat to be compared
+_STEEPEST = 0.05  # least sine of a ray below the horizon
+_RASTER = (13, 9)  # rays that find the footprint
+_BORDER_PX = 1.0  # of the camera's picture that stays out
+_LEAST = 8  # points of a grid, each way
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """centre (2,) north, east; axes (2, 2) with columns e_1, e_2; q [m] between neighbours; camera_m: its pixel."""
+
+    centre: Array
+    axes: Array
+    q: float
+    shape: tuple[int, int]
+    camera_m: float
+
+    def place(self, at: Array) -> Array:
+        """Places (N, 2) of grid coordinates (N, 2) column, row."""
+        middle = 0.5 * (np.array(self.shape[::-1]) - 1.0)
+        place: Array = self.centre + self.q * (at - middle) @ self.axes.T
+        return place
+
+    def places(self, margin: int = 0) -> Array:
+        """All of them, grown by a margin: (h + 2 margin, w + 2 margin, 2)."""
+        rows, columns = (np.arange(-margin, n + margin, dtype=np.float64) for n in self.shape)
+        at = np.stack(np.meshgrid(columns, rows), axis=-1)
+        return self.place(at.reshape(-1, 2)).reshape(at.shape)
+
+    def turned(self, yaw: float, scale: float) -> "Grid":
+        """Turned from north to east and stretched, about its centre."""
+        c, s = np.cos(yaw), np.sin(yaw)
+        return Grid(self.centre, np.array([[c, -s], [s, c]]) @ self.axes, self.q * scale, self.shape, self.camera_m)
+
+
+def make_grid(camera: Camera, picture: GroundPicture, most: int, finest_m: float = 0.0) -> Grid | None:
+    """A grid over what the camera sees of the ground, at most `most` points long; None where it looks at the sky.
+
+    Its points are no closer than the pixels of picture and camera are.
+    """
+    model, _, R_nc = camera
+    places = _footprint(camera, picture)
+    right = R_nc[:2, 0]
+    if places is None or np.linalg.norm(right) < _STEEPEST:
+        return None
+    e = right / np.linalg.norm(right)
+    axes = np.array([[e[0], -e[1]], [e[1], e[0]]])
+    along = places @ axes
+    low, high = along.min(axis=0), along.max(axis=0)
+    size = high - low
+    camera_m = float(np.sqrt(size[0] * size[1] / (model.width * model.height)))
+    q = max(float(size.max()) / most, camera_m, picture.pixel_m, finest_m)
+    columns, rows = np.maximum(size / q, _LEAST).astype(int).tolist()
+    return Grid(axes @ (0.5 * (low + high)), axes, q, (rows, columns), camera_m)
+
+
+def _footprint(camera: Camera, picture: GroundPicture) -> Array | None:
+    """Places (N, 2) that a raster of the camera's pixels shows."""
+    model, p_nc, R_nc = camera
+    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip((model.width, model.height), _RASTER, strict=True)))
+    rays = model.ray(np.column_stack((u.ravel(), v.ravel()))) @ R_nc.T
+    rays = rays[rays[:, 2] > _STEEPEST]
+    ground = float(picture.heights.at(p_nc[None, :2])[0])
+    places = None
+    for _ in range(3):  # the ground's height where it is seen
+        if len(rays) < _RASTER[0] or not ground - p_nc[2] > 0.0:
+            return None
+        reach = (ground - p_nc[2]) / rays[:, 2]
+        near = reach < _FARTHEST * reach.min()
+        places = p_nc[:2] + rays[near, :2] * reach[near, None]
+        ground = float(np.mean(picture.heights.at(places)))
+    return places
+
+
+def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, picture: GroundPicture) -> tuple[Float, Mask]:
+    """Grey values (h, w) of the camera's picture (pyramid `levels`), and where it shows the ground."""
+    model, p_nc, R_nc = camera
+    px = model.project((picture.points(grid.places().reshape(-1, 2)) - p_nc) @ R_nc)
+    values = sample(levels, px.reshape(*grid.shape, 2), grid.q / grid.camera_m)
+    return values, model.contains(px, _BORDER_PX).reshape(grid.shape)
+
+
+def map_view(picture: GroundPicture, grid: Grid, margin: int) -> tuple[Float, Mask]:
+    """Grey values of the georeferenced picture, margin points larger on each side, and where there are any."""
+    places = grid.places(margin)
+    flat = places.reshape(-1, 2)
+    values = sample(picture.pyramid, picture.to_pixels(flat).reshape(places.shape), grid.q / picture.pixel_m)
+    return values, picture.contains(flat).reshape(places.shape[:2])

@@ -1,0 +1,153 @@
+"""A region that is no landmark of the map: an object like those of the map, or anything.
+
+Unmapped objects look like mapped ones, and stand in the same streets. Their density is estimated from the map around: assuming
+it uniform would make every look-alike a sure landmark.
+"""
+
+import itertools
+import math
+
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE
+from vision.identify.catalogue import OBLONG, Beliefs, Catalogue
+from vision.identify.clutter_density import Crowd
+from vision.identify.partial import Partial
+
+_LIKENESS = 0.05, 0.05, 0.03  # of the kernel: how far width, length (logarithms), fill ratio of an object are from its like
+_NEIGHBOURS, _HEADING_LIKENESS = 5, (math.radians(1.0), 0.1)  # the same of its orientation lies between these
+_CONSIDERED = 30  # landmarks, the nearest, from which displacements are counted
+
+
+def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Beliefs) -> tuple[Array, Array, Array]:
+    """Something not in the map stands as high as what is: one row, whitened."""
+    count = len(arm)
+    y, A = np.zeros((count, ROWS)), np.zeros((count, ROWS, COLUMNS))
+    if not len(landmarks.ids):
+        return y, A, np.zeros(count)
+    roof = landmarks.place_n[:, 2]
+    sigma = np.sqrt(float(np.var(roof)) + b.height_spread_m**2 + own[:, 2, 2])
+    d = PLACE + 2
+    y[:, d] = (float(np.mean(roof)) - p_n[:, 2] - arm[:, 2]) / sigma
+    A[:, d, 2] = 1.0 / sigma
+    A[:, d, 3], A[:, d, 4], A[:, d, GROWTH] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
+    return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
+
+
+def crowd(arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Crowd:
+    """Density of objects that are not in the map: of each region's place (arm, own: its covariance) and attributes (M, T, S)."""
+    density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
+    return Crowd(np.log(density), turns, log_scales)
+
+
+def grid(covariance: Array) -> tuple[Array, Array]:
+    """Turns (T,) and log scales (S,) that the errors all regions share, of covariance (7, 7), leave open."""
+    return _offsets(math.sqrt(covariance[5, 5]), math.radians(1.0)), _offsets(math.sqrt(covariance[SCALE, SCALE]), 0.02)
+
+
+def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Array:
+    """Density of (log width, log length, fill ratio, orientation) of an object that is not in the map (M, T, S).
+
+    A kernel estimate over the map around, mixed with: width and length anything from 1 to 100 m, any fill, any orientation.
+    noise (M, 4, 4): of the features, each region's own error of depth included.
+    """
+    anything = 1.0 / math.log(100.0) ** 2 / 0.7 / math.pi
+    density = np.zeros((len(features), len(turns), len(log_scales)))
+    if not len(landmarks.ids):
+        return density + anything
+    e = landmarks.features[None] - features[:, None]
+    half_turn = np.where(landmarks.features[:, 1] - landmarks.features[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
+    kernel = noise + np.diag([*_LIKENESS, _heading_likeness(landmarks.features[:, 3])]) ** 2
+    inverse, volume = np.linalg.inv(kernel), np.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    for (k, turn), (n, s) in itertools.product(enumerate(turns), enumerate(log_scales)):
+        shifted = e - np.array([s, s, 0.0, turn])
+        shifted[..., 3] = (shifted[..., 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+        squared = np.einsum("mja,mab,mjb->mj", shifted, inverse, shifted)
+        density[:, k, n] = np.exp(-0.5 * squared).mean(axis=1) / volume
+    return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
+
+
+def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Array, b: Beliefs) -> Array:
+    """As attributes (T, S), of the sides that the border leaves: a kernel estimate over the `count` landmarks' runs."""
+    known = np.flatnonzero(part.known)
+    anything = 4.0 / (2.0 * math.pi) / math.log(100.0) ** int(part.known[:2].sum())  # a corner of four
+    kernel = (noise + np.diag([*_LIKENESS, _heading_likeness(part.described[:, 3])]) ** 2)[np.ix_(known, known)]
+    inverse, volume = np.linalg.inv(kernel), math.sqrt(np.linalg.det(2.0 * math.pi * kernel))
+    density = np.empty((len(turns), len(log_scales)))
+    for (k, turn), (n, s) in itertools.product(enumerate(turns), enumerate(log_scales)):
+        e = (part.described - part.features - np.array([s, s, 0.0, turn]))[:, known]
+        density[k, n] = np.exp(-0.5 * np.einsum("na,ab,nb->n", e, inverse, e)).sum() / count / volume
+    return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
+
+
+def _heading_likeness(orientation: Array) -> float:
+    """How far an object's orientation is from its like: of the nearest in orientation, the median. In streets all lie alike."""
+    apart = np.abs((orientation[:, None] - orientation + 0.25 * math.pi) % (0.5 * math.pi) - 0.25 * math.pi)
+    nearest = np.sort(apart, axis=1)[:, min(_NEIGHBOURS, len(orientation) - 1)]
+    return float(np.clip(np.median(nearest), *_HEADING_LIKENESS))
+
+
+def _offsets(sigma: float, step: float) -> Array:
+    """Values within 2 sigma, a step or less apart, but no more than 9."""
+    return np.asarray(sigma * np.linspace(-2.0, 2.0, min(max(3, 2 * math.ceil(2.0 * sigma / step) + 1), 9)))
+
+
+def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Array:
+    """Objects per m^2 that are not in the map, at the place of each region as seen from the others (M, T, S).
+
+    In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
+    the landmarks at the same displacement from a landmark, not the mean density.
+    """
+    unmapped = b.unmapped_fraction / (1.0 - b.unmapped_fraction)
+    radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
+    place = landmarks.place_n[:, :2].copy()
+    moved = _displacement_density(arm[:, :2].copy(), radius, place, turns, np.exp(log_scales))
+    return np.asarray(unmapped * np.maximum(landmarks.density_per_m2, moved) + b.background_per_m2)
+
+
+@njit(cache=True)
+def _displacement_density(region: Array, radius: Array, place: Array, turns: Array, grown: Array) -> Array:
+    """Density of landmarks at region i's displacement from region r, seen from any landmark: mean over r (M, T, S).
+
+    One pair of landmarks is left out, for it may be these very regions.
+    """
+    result = np.zeros((region.shape[0], turns.shape[0], grown.shape[0]))
+    if region.shape[0] < 2 or place.shape[0] < 2:
+        return result
+    apart = _apart(place)
+    for i in range(region.shape[0]):
+        norm = (region.shape[0] - 1) * min(place.shape[0], _CONSIDERED) * math.pi * radius[i] * radius[i]
+        for t in range(turns.shape[0]):
+            for s in range(grown.shape[0]):
+                total = 0.0
+                for r in range(region.shape[0]):
+                    if r != i:
+                        total += max(_pairs_apart(region[i] - region[r], turns[t], grown[s], apart, radius[i]) - 1, 0)
+                result[i, t, s] = total / norm
+    return result
+
+
+@njit(cache=True)
+def _apart(place: Array) -> Array:
+    """Displacements (2, D) of all landmarks (L, 2) from each of the nearest; from the farther ones the map may end."""
+    apart, d = np.empty((2, min(len(place), _CONSIDERED) * (len(place) - 1))), 0
+    for k in range(min(len(place), _CONSIDERED)):
+        for m in range(len(place)):
+            if k != m:
+                apart[0, d], apart[1, d] = place[m, 0] - place[k, 0], place[m, 1] - place[k, 1]
+                d += 1
+    return apart
+
+
+@njit(cache=True)
+def _pairs_apart(displacement: Array, turn: float, growth: float, apart: Array, radius: float) -> int:
+    """How many of the displacements apart (2, D) are this one, turned and grown."""
+    c, s = growth * math.cos(turn), growth * math.sin(turn)
+    n, e = c * displacement[0] - s * displacement[1], s * displacement[0] + c * displacement[1]
+    close, square = 0, radius * radius
+    for d in range(apart.shape[1]):
+        un, ue = apart[0, d] - n, apart[1, d] - e
+        close += un * un + ue * ue < square
+    return close

@@ -1,0 +1,232 @@
+"""What each region may be, and how likely what was measured is then: the options of vision/identify/assignment.py.
+
+A landmark j shown by region i, both described by (place, log width, log length, fill ratio, orientation):
+
+    l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
+
+r_i: arm from body to region in n at the prior, s: the log scale of depth that all regions share. Each landmark stands there
+twice, measured well and, rarely, measured badly (a shadow or a neighbour grown into the region): same equations, wide noise.
+
+Of a region that the border cuts off its corners take the place of the centre (partial.py).
+
+A region that is no landmark of the map: clutter.py.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.identify import clutter
+from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE, STATES, Options
+from vision.identify.catalogue import OBLONG, Beliefs, Catalogue, Sighting, chroma
+from vision.identify.similarity import similarity
+
+_GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
+
+
+def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
+    """Eq. 5.5 for each region and landmark (M, J); scale (M, J): by which the region's lengths are to be multiplied."""
+    s = np.array([(r.size_m2, r.width_m, r.length_m, r.fill_ratio) for r in sightings]).reshape(-1, 1, 4)
+    factor = np.stack([scale**2, scale, scale, np.ones_like(scale)], axis=-1)
+    return similarity(s * factor, landmarks.description[None], landmarks.weights[None])
+
+
+def options(
+    sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
+    beliefs: Beliefs,
+) -> Options:  # fmt: skip
+    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose place is possible.
+
+    covariance (7, 7) of x at the prior; scale (M, J): by which lengths of the region are to be multiplied.
+    """
+    b = beliefs
+    arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
+    moved = np.array([r.moved_n for r in sightings]).reshape(-1, 3)
+    own = np.array([r.covariance_n for r in sightings]).reshape(-1, 3, 3)
+    depth = np.array([r.depth_sigma for r in sightings])
+    features = np.array([_features(r) for r in sightings]).reshape(-1, 4)
+    noise = np.array([_feature_noise(r, b) for r in sightings]).reshape(-1, 4, 4)
+    wide = np.array([_bad_noise(r, b) for r in sightings]).reshape(-1, ROWS)
+    pairs = [pair for i, r in enumerate(sightings) for pair in _pairs_of(i, r, landmarks, candidate[i], scale[i])]
+    region, landmark, bad, y, A, log_density = _whitened(
+        p_n, moved, depth, own + b.centre_sigma_m**2 * np.eye(3), noise, wide, landmarks.outline_sigma_m, covariance,
+        *_columns(pairs),
+    )  # fmt: skip
+    colours = np.array([r.colour_bgr or (math.nan,) * 3 for r in sightings]).reshape(-1, 3)
+    colour, ground_colour = _colour(chroma(colours), landmarks.chroma, b)
+    there = math.log(b.found_fraction * (1.0 - b.gone_fraction))
+    weight = there + np.where(bad, math.log(b.bad_fraction), math.log1p(-b.bad_fraction)) + log_density
+    weight += colour[region, landmark]
+
+    count = len(sightings)
+    own = own + depth[:, None, None] ** 2 * arm[:, :, None] * arm[:, None, :]
+    clutter_y, clutter_a, clutter_log = clutter.row(p_n + moved, arm, own, landmarks, b)
+    turns, log_scales = clutter.grid(covariance)
+    by_depth = depth[:, None, None] ** 2 * np.outer((1.0, 1.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0))
+    attributes = clutter.attributes(features, noise + by_depth, landmarks, turns, log_scales, b)
+    for i, r in enumerate(sightings):
+        if r.partial is not None:
+            attributes[i] = clutter.sides(r.partial, noise[i] + by_depth[i], len(landmarks.ids), turns, log_scales, b)
+            own[i] += np.cov(landmarks.place_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
+    crowd = clutter.crowd(moved + arm, own, attributes, landmarks, turns, log_scales, b)
+    clutter_log += ground_colour + crowd.highest
+    order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
+    all_regions = np.concatenate([np.arange(count), region])[order]
+    return Options(
+        start=np.searchsorted(all_regions, np.arange(count + 1)),
+        landmark=np.concatenate([np.full(count, -1), landmark])[order],
+        y=np.concatenate([clutter_y, y])[order],
+        A=np.concatenate([clutter_a, A])[order],
+        log_weight=np.concatenate([clutter_log, weight])[order],
+        crowd=crowd,
+    )
+
+
+_Pair = tuple[int, int, Array, Array, Array, Array, Array, NDArray[np.bool_]]
+
+
+def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.bool_], scale: Array) -> Iterator[_Pair]:
+    """Region i beside each landmark that it may be.
+
+    Indices; arm to what was measured, where the map has that, variance of the map there; features measured, features of the map,
+    which of them are known.
+    """
+    longer = np.array([1.0, 1.0, 0.0, 0.0])
+    if r.partial is None:
+        seen, known = np.array(_features(r)), np.ones(4, np.bool_)
+        for j in np.flatnonzero(candidate).tolist():
+            features = seen + longer * math.log(scale[j])
+            yield i, j, r.arm_n * scale[j], landmarks.place_n[j], landmarks.variance_n[j], features, landmarks.features[j], known
+        return
+    part = r.partial
+    for j, target, described in zip(part.landmark.tolist(), part.target_n, part.described, strict=True):
+        if candidate[j]:
+            variance = landmarks.variance_n[j] + np.array([1.0, 1.0, 0.0]) * landmarks.outline_sigma_m[j] ** 2
+            features = part.features + longer * math.log(scale[j])
+            yield i, j, part.middle_n * scale[j], target, variance, features, described, part.known
+
+
+def _columns(
+    pairs: list[_Pair],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array, Array, NDArray[np.bool_]]:
+    region, landmark, arm, target, variance, features, described, known = zip(*pairs, strict=True) if pairs else ((),) * 8
+    return (
+        np.array(region, np.int64), np.array(landmark, np.int64), np.array(arm).reshape(-1, 3), np.array(target).reshape(-1, 3),
+        np.array(variance).reshape(-1, 3), np.array(features).reshape(-1, 4), np.array(described).reshape(-1, 4),
+        np.array(known, np.bool_).reshape(-1, 4),
+    )  # fmt: skip
+
+
+def _features(r: Sighting) -> tuple[float, float, float, float]:
+    return math.log(r.width_m), math.log(r.length_m), r.fill_ratio, r.orientation_rad
+
+
+def _feature_noise(r: Sighting, b: Beliefs) -> Array:
+    fill, turn = r.fill_ratio_sigma**2 + b.fill_ratio_sigma**2, r.orientation_sigma_rad**2
+    if r.length_m < OBLONG * r.width_m and abs(r.fill_ratio - 0.25 * math.pi) < 0.07:
+        turn += 1.0  # round: it has no orientation
+    noise = np.diag([b.size_sigma**2, b.size_sigma**2, fill, turn])
+    noise[:2, :2] += r.log_size_covariance
+    return noise
+
+
+def _bad_noise(r: Sighting, b: Beliefs) -> list[float]:
+    centre = (b.bad_centre * r.length_m) ** 2
+    size, turn = b.bad_log_size**2, math.radians(b.bad_orientation_deg) ** 2
+    return [size, size, b.bad_fill_ratio**2, turn, centre, centre, 1.0]
+
+
+def _colour(region: Array, landmark: Array, b: Beliefs, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
+    """Log density of a region's chroma as each landmark (M, J), and as none of them (M,).
+
+    A normal about the map's colour, or (any_colour of the time: paint fades, light is coloured) uniform over the triangle of
+    chromas, whose area is 1/2. Where either colour is unknown it says nothing.
+    """
+    squared = ((region[:, None] - landmark[None]) ** 2).sum(axis=-1) / sigma**2
+    density = (1.0 - any_colour) * np.exp(-0.5 * squared) / (2.0 * math.pi * sigma**2) + any_colour * 2.0
+    known = np.isfinite(density)
+    counted = known.sum(axis=1)
+    population = np.where(known, density, 0.0).sum(axis=1) / np.maximum(counted, 1)
+    none = np.where(counted > 0, b.look_alike_fraction * population + (1.0 - b.look_alike_fraction) * 2.0, 1.0)
+    return np.log(np.where(known, density, none[:, None])), np.log(none)
+
+
+def _whitened(
+    p_n: Array, moved: Array, depth: Array, own: Array, noise: Array, wide: Array, outline_sigma: Array, prior: Array,
+    region: NDArray[np.int64], landmark: NDArray[np.int64], arm: Array, target: Array, variance: Array, features: Array,
+    described: Array, known: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
+    """Whitened rows and log density constant of every possible pair, well and badly measured."""
+    y, A = _rows(p_n + moved[region], arm, features, target, described)
+    N, unit = np.zeros((len(region), ROWS, ROWS)), np.eye(3)
+    turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
+    # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
+    left_out = turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (arm * arm).sum(axis=1)
+    N[:, PLACE:, PLACE:] = own[region] + (variance + left_out[:, None])[:, :, None] * unit
+    N[:, :PLACE, :PLACE] = noise[region]
+    grown = 2.0 * outline_sigma[landmark, None] * np.exp(-described[:, :2])
+    N[:, :2, :2] += _outer(grown)
+    N += depth[region, None, None] ** 2 * _outer(A[:, :, SCALE] + A[:, :, GROWTH])
+    bad_noise = wide[region]
+    spread = N[:, PLACE:, PLACE:] + bad_noise[:, PLACE:, None] * unit
+    possible = ~_excluded(y[:, PLACE:], A[:, PLACE:], spread, prior, arm)
+    for pair, row in np.argwhere(~known & possible[:, None]):
+        _say_nothing(row, y[pair], A[pair], N[pair], bad_noise[pair])
+    pair, diagonal = np.repeat(np.flatnonzero(possible), 2), np.arange(ROWS)
+    y, A, N = y[pair], A[pair], N[pair]
+    N[1::2, diagonal, diagonal] += bad_noise[possible]
+    log_density = _whiten(N, y, A)
+    return region[pair], landmark[pair], np.arange(len(pair)) % 2 == 1, y, A, log_density
+
+
+def _say_nothing(row: int, y: Array, A: Array, N: Array, wide: Array) -> None:
+    """A row that was not measured, in place: zeros, of density one."""
+    y[row], A[row], wide[row] = 0.0, 0.0, 0.0
+    N[row], N[:, row] = 0.0, 0.0
+    N[row, row] = 0.5 / math.pi
+
+
+def _whiten(N: Array, y: Array, A: Array) -> Array:
+    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N). Of one pair or of as many as there are."""
+    low = np.linalg.cholesky(N)
+    white = np.linalg.solve(low, np.concatenate((y[..., None], A), axis=-1))
+    y[...], A[...] = white[..., 0], white[..., 1:]
+    log_root = np.log(np.diagonal(low, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-log_root - 0.5 * y.shape[-1] * math.log(2.0 * math.pi))
+
+
+def _outer(a: Array) -> Array:
+    """a a^T (N, K, K) of a (N, K)."""
+    return a[:, :, None] * a[:, None, :]
+
+
+def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
+    """Which places (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the place as measured.
+
+    1/2 s^2 r is what the linear equation leaves out.
+    """
+    linear = A[:, :, :STATES].copy()
+    linear[:, :, SCALE] += A[:, :, GROWTH]
+    whole = linear @ prior @ linear.transpose(0, 2, 1) + spread + 0.75 * prior[SCALE, SCALE] ** 2 * _outer(r)
+    chi2 = (y * np.linalg.solve(whole, y[:, :, None])[:, :, 0]).sum(axis=1)
+    return np.asarray(chi2 > _GATE)
+
+
+def _rows(p_n: Array, r: Array, features: Array, place: Array, described: Array) -> tuple[Array, Array]:
+    """y (N, 7) and A (N, 7, 8)."""
+    y, A = np.empty((len(r), ROWS)), np.zeros((len(r), ROWS, COLUMNS))
+    y[:, :PLACE] = described - features
+    y[:, PLACE:] = place - p_n - r
+    half_turn = np.where(described[:, 1] - described[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
+    y[:, 3] = (y[:, 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+    A[:, 0, SCALE] = A[:, 1, SCALE] = 1.0
+    A[:, 3, 5] = 1.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        A[:, PLACE + i, i] = 1.0
+        A[:, PLACE + j, 3 + k], A[:, PLACE + k, 3 + j] = r[:, i], -r[:, i]  # -[r]x
+    A[:, PLACE:, GROWTH] = r
+    return y, A

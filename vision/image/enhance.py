@@ -1,0 +1,106 @@
+"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole picture and by blocks, fog, gamma, log.
+
+All take uint8 or uint16, grey or BGR. The stretches give uint8: a thermal camera's 16 bits become 8 here.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from vision.image.rectify import Image
+
+_SAMPLE = 4  # every fourth pixel each way is enough for a percentile
+
+
+def median(image: Image, window: int = 5) -> Image:
+    """Each pixel the median of its window x window neighbours (thesis section 4.2.2.2): no salt and pepper, edges stay."""
+    return cv2.medianBlur(image, window)
+
+
+def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
+    """c, d of the stretch: the levels below and above which a part `clip` of the pixels lie.
+
+    Percentiles instead of minimum and maximum, so that one dead and one hot pixel do not stop the stretch (the outlier of
+    thesis section 4.2.1.4). Colour keeps its hue: the limits are common to the three channels.
+    """
+    low, high = np.percentile(image[::_SAMPLE, ::_SAMPLE], (100.0 * clip, 100.0 * (1.0 - clip)))
+    return float(low), float(high)
+
+
+def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat picture becomes middle grey.
+
+    margin: room left beyond c and d, as a share of d - c, so that what is a little hotter than nearly all is not cut off.
+    """
+    c, d = limits(image, clip)
+    if d <= c:
+        return np.full(image.shape, 128, dtype=np.uint8)
+    c, d = c - margin * (d - c), d + margin * (d - c)
+    levels = np.arange(np.iinfo(image.dtype).max + 1)
+    return _look_up(image, np.clip((levels - c) * (255.0 / (d - c)), 0.0, 255.0), np.uint8)
+
+
+def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range: float = 0.1) -> NDArray[np.uint8]:
+    """The same in blocks x blocks pieces, each with its own c and d (thesis section 4.2.1.4, the last resort).
+
+    Between the middles of the blocks c and d are interpolated, or their borders would be seen as edges. A block without
+    contrast gets at least `min_range` of the picture's range, or its noise would be stretched to objects.
+    """
+    height, width = image.shape[:2]
+    least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)
+    c, d = np.empty((blocks, blocks), np.float32), np.empty((blocks, blocks), np.float32)
+    for i, rows in enumerate(np.array_split(np.arange(height), blocks)):
+        for j, columns in enumerate(np.array_split(np.arange(width), blocks)):
+            low, high = limits(image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], clip)
+            middle, half = 0.5 * (low + high), 0.5 * max(high - low, least)
+            c[i, j], d[i, j] = middle - half, middle + half
+    c, d = (_spread(x, width, height) for x in (c, d))
+    if image.ndim == 3:
+        c, d = c[..., None], d[..., None]
+    return np.clip((image - c) * (255.0 / (d - c)), 0, 255).round().astype(np.uint8)
+
+
+def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
+    """r - dark, in each channel (Chavez 1988): what fog adds to every pixel, and with it what it took of the colours.
+
+    dark: the level below which one pixel in a hundred lies, nine tenths of it. Only where that level is more than `least` of the
+    median: on a clear day the darkest pixels are the shadows, and those are not fog. (H, W, 3).
+    """
+    dark, middle = np.percentile(image[::_SAMPLE, ::_SAMPLE].reshape(-1, 3), (1.0, 50.0), axis=0)
+    if dark.mean() < least * middle.mean():
+        return image
+    return np.asarray(cv2.subtract(image, np.append(0.9 * dark, 0.0)), dtype=np.uint8)
+
+
+def gamma(image: Image, exponent: float) -> Image:
+    """s = c r^gamma with c = full^(1 - gamma), so that black stays black and white white (thesis eq. 4.59)."""
+    full = np.iinfo(image.dtype).max
+    return _look_up(image, full * (np.arange(full + 1) / full) ** exponent, image.dtype)
+
+
+def logarithm(image: Image) -> Image:
+    """s = c log(1 + r) with c = full / log(1 + full): dark parts spread, bright ones compressed (thesis eq. 4.58)."""
+    full = np.iinfo(image.dtype).max
+    return _look_up(image, full * np.log1p(np.arange(full + 1)) / np.log1p(full), image.dtype)
+
+
+def negative(image: Image) -> Image:
+    """s = L - 1 - r (thesis eq. 4.57)."""
+    return np.invert(image)
+
+
+def _look_up(image: Image, levels: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """Every level replaced by levels[level], rounded."""
+    table = np.rint(levels).astype(dtype)
+    return np.asarray(cv2.LUT(np.asarray(image, dtype=np.uint8), table)) if image.dtype == np.uint8 else table[image]
+
+
+def _spread(blocks: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """One value per block -> one per pixel, bilinear between the middles, constant outside."""
+    rows, columns = blocks.shape
+    u = ((np.arange(width) + 0.5) * columns / width - 0.5).astype(np.float32)
+    v = ((np.arange(height) + 0.5) * rows / height - 0.5).astype(np.float32)
+    grid_u, grid_v = np.meshgrid(u, v)
+    return np.asarray(cv2.remap(blocks, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32)

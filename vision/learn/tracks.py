@@ -1,0 +1,135 @@
+"""From tracks to landmarks: the same thing twice becomes one, what is no landmark goes with its reason, outlines are merged."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from models.maps import outline as polygon
+from models.maps.landmarks import Landmark
+from models.messages import Array
+from vision.learn.mapping import Mapper, Place, Track
+from vision.learn.median_outline import merged_outline
+
+_CELLS = 2.0  # a pixel, of the grid on which outlines vote
+_EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
+
+
+class KeepConfig(msgspec.Struct, frozen=True):
+    """Which tracks are landmarks. least_frames: seen in so many; sigma_m, height_sigma_m: no worse; least_m2: no smaller;
+
+    most_chi2: of its looks, per degree of freedom; least_agreement: of its outlines (0.9: roofs have more, walls less);
+    painted_sigma: a roof within so many of its sigmas above ground is on it.
+    """
+
+    least_frames: int = 4
+    least_m2: float = 15.0
+    most_sigma_m: float = 2.0
+    most_height_sigma_m: float = 3.0
+    most_chi2: float = 4.0
+    least_agreement: float = 0.9
+    painted_sigma: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """landmarks, in how many pictures each was seen, and the tracks left out by reason.
+
+    common (3, 3): covariance of the error that moves the whole map; it is no part of each landmark's own.
+    """
+
+    landmarks: list[Landmark]
+    seen: list[int]
+    left_out: dict[str, int]
+    common: Array
+
+
+def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -> Learned:
+    """The landmarks of all looks so far; ground_d: down of the ground, which is flat."""
+    config = config or KeepConfig()
+    tracks = sorted(_united(mapper), key=lambda track: -len(track.looks))
+    places = [mapper.place(track) for track in tracks]
+    flaws = [_flaw(track, place, config) for track, place in zip(tracks, places, strict=True)]
+    sound = [place.F for place, flaw in zip(places, flaws, strict=True) if not flaw]
+    shared = np.mean(sound, axis=0) if sound else np.zeros((3, 1))
+    marks, seen, left_out = list[Landmark](), list[int](), Counter[str]()
+    for track, place, flaw in zip(tracks, places, flaws, strict=True):
+        apart = place.own + (place.F - shared) @ (place.F - shared).T + mapper.config.drift_m**2 * np.eye(3)
+        mark = flaw or _landmark(f"L{len(marks) + 1}", track, place, apart, ground_d, config)
+        if isinstance(mark, Landmark) and any(_overlap(mark, other) for other in marks):
+            mark = "on another one that was seen more often"
+        if isinstance(mark, str):
+            left_out[mark] += 1
+        else:
+            marks.append(mark)
+            seen.append(len(track.looks))
+    return Learned(marks, seen, dict(left_out), shared @ shared.T)
+
+
+def _united(mapper: Mapper) -> list[Track]:
+    """Tracks of which one continues another become one: at the same place, as large, and never in the same picture."""
+    united = list[Track]()
+    for track in sorted(mapper.tracks, key=lambda t: -len(t.looks)):
+        frames = {one.frame for one in track.looks}
+        same = (t for t in united if frames.isdisjoint(one.frame for one in t.looks) and mapper.same(t, track))
+        if (first := next(same, None)) is None:
+            united.append(track)
+        else:
+            for one in track.looks:
+                first.add(one)
+    return united
+
+
+def _flaw(track: Track, place: Place, config: KeepConfig) -> str:
+    """Why a track is no landmark, "" where it is one."""
+    sigma = np.sqrt(np.diag(place.covariance))
+    if len(track.looks) < config.least_frames:
+        return f"seen in fewer than {config.least_frames} pictures"
+    if place.chi2 > config.most_chi2:
+        return "not at one place: it moves, or is several"
+    if max(sigma[:2]) > config.most_sigma_m or sigma[2] > config.most_height_sigma_m:
+        return "its place is not known well enough"
+    return ""
+
+
+def _landmark(name: str, track: Track, place: Place, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
+    """The landmark of a track, or why there is none. apart (3, 3): covariance of what is not common to the whole map."""
+    roof_d = float(place.place_n[2])
+    outlines = [one.outline_at(roof_d) for one in track.looks]
+    pixel_m = float(np.median([one.pixel_m for one in track.looks]))
+    merged = merged_outline(outlines, pixel_m / _CELLS)
+    if merged is None or merged.agreement < config.least_agreement:
+        return "its outlines differ from side to side, as those of walls do"
+    outline = merged.outline
+    if polygon.area(outline) < config.least_m2:
+        return f"smaller than {config.least_m2:g} m2"
+    height = ground_d - roof_d
+    on_ground = height < config.painted_sigma * float(np.sqrt(place.covariance[2, 2]))
+    blue, green, red = np.median([one.colour_bgr for one in track.looks], axis=0).round().astype(int).tolist()
+    return Landmark.of(
+        name,
+        outline + place.place_n[:2],
+        roof_d if on_ground else ground_d,
+        0.0 if on_ground else height,
+        (blue, green, red),
+        float(np.sqrt(0.5 * np.trace(apart[:2, :2]))),
+        float(np.sqrt(apart[2, 2])),
+        _outline_sigma(track, outline, outlines, float(np.sqrt(place.own[2, 2])), pixel_m),
+    )
+
+
+def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_sigma_m: float, pixel_m: float) -> float:
+    """By how much the whole outline may be larger: edges seen wrong, scatter of the sizes, a roof nearer to all the cameras."""
+    size, perimeter = polygon.area(outline), float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
+    scatter = float(np.std([polygon.area(o) for o in outlines])) / perimeter / np.sqrt(len(outlines))
+    distance = float(np.median([track.place[2] - one.p_nc[2] for one in track.looks]))
+    nearer = 2.0 * size / perimeter * height_sigma_m / max(distance, 1.0)
+    return float(np.sqrt((_EDGE_PX * pixel_m) ** 2 + scatter**2 + nearer**2))
+
+
+def _overlap(a: Landmark, b: Landmark) -> bool:
+    """Whether the middle of one lies in the other."""
+    if np.hypot(*(np.array(a.centre_n) - b.centre_n)) > 0.5 * (a.length_m + b.length_m):
+        return False
+    return polygon.contains(a.outline_n, *b.centre_n) or polygon.contains(b.outline_n, *a.centre_n)

@@ -1,0 +1,166 @@
+"""How uncertain the lines of the edges are, from the scatter of their points.
+
+    V_ek = tau s_ek^2 (A^T W A)^-1 + S_ek,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s (S_el S_er)^(1/2)
+
+s_ek: scatter of the points of edge e in picture k, shrunk towards the picture's; tau = (1 + rho_1) / (1 - rho_1): what the
+correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two pictures
+(they show the same texture); S: what all points of an edge have in common, floor + (c s)^2, since texture has wavelengths longer
+than an edge; most of it is the same in both pictures. rho_1, rho and s are measured in the pictures at hand and shrunk towards
+what such pictures have, so that one landmark's few edges give a sound value too.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numba import njit
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.outline.edge_lines import EdgeLines
+from vision.outline.visibility import Kind
+
+Indices = NDArray[np.int64]
+_BASE, _UPRIGHT, _SPOT = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SPOT)
+_BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
+_TRUSTED = 0.3  # weight from which a point tells of correlations
+
+
+class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is believed of edge noise before a picture is seen, and for how many points that belief counts."""
+
+    offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge without scatter, 1 sigma")] = 0.03
+    tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.02
+    offset_share: Annotated[float, Meta(ge=0, description="common offset per scatter of the points")] = 0.5
+    tilt_share: Annotated[float, Meta(ge=0, description="common tilt per scatter")] = 0.3
+    base_px: Annotated[
+        float, Meta(ge=0, description="further common offset of base edges (contact shade, what stands there)")
+    ] = 0.3
+    upright_px: Annotated[float, Meta(ge=0, description="further common offset and tilt of upright edges")] = 0.15
+    spot_px: Annotated[
+        float, Meta(ge=0, description="further common shift of a small landmark, each way (its shade, its shape)")
+    ] = 0.3
+    both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both pictures")] = 0.9
+    correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
+    neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
+    points: Annotated[float, Meta(gt=0, description="weight of these two, in points")] = 30.0
+    edge_points: Annotated[float, Meta(gt=0, description="weight of the picture's scatter in an edge's, in points")] = 8.0
+    least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
+
+
+def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
+    """Covariance (E, K, 2, K, 2) px^2 of the lines of E edges in K pictures; edges do not disturb each other.
+
+    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
+    opened: (K, E) px^2, further variance of the offsets.
+    """
+    c, pictures, edges = config, len(lines), len(kind)
+    scatter = np.array([_scatter(one.square, one.points, c.edge_points, c.least_px) for one in lines])
+    inflation = _inflation(lines, edge, scatter, config)
+    floors, shares = (c.offset_px, c.tilt_px), (c.offset_share, c.tilt_share)
+    common = [
+        _common(s, kind, o, floors, shares, (c.base_px, c.upright_px, c.spot_px)) for s, o in zip(scatter, opened, strict=True)
+    ]
+    covariance = np.zeros((edges, pictures, 2, pictures, 2))
+    for k, one in enumerate(lines):
+        covariance[:, k, :, k] = _filled(inflation * scatter[k] ** 2, one.unit, common[k])
+    if pictures == 2:
+        rho, shared = _correlation(lines[0], lines[1], edge, scatter, config), _shared(lines[0].gain, lines[1].gain, edge, edges)
+        both = c.both * np.sqrt(common[0] * common[1])
+        between = _filled(inflation * rho * scatter[0] * scatter[1], shared, both)
+        covariance[:, 0, :, 1], covariance[:, 1, :, 0] = between, between.transpose(0, 2, 1)
+    return covariance
+
+
+def _filled(white: Array, unit: Array, common: Array) -> Array:
+    """covariance_e = white_e unit_e + diag(common_e): (E, 2, 2) of white (E,), unit (E, 2, 2) and common (E, 2)."""
+    covariance: Array = white[:, None, None] * unit
+    covariance[:, [0, 1], [0, 1]] += common
+    return covariance
+
+
+@njit(cache=True)
+def _common(
+    scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float],
+    further: tuple[float, float, float],
+) -> Array:  # fmt: skip
+    """Variances (E, 2) of the offset and the tilt that all points of an edge share; further: of feet, corners of walls, spots."""
+    base_px, upright_px, spot_px = further
+    common = np.empty((len(scatter), 2))
+    for e in range(len(scatter)):
+        for k in range(2):
+            number = 0 if kind[e] == _SPOT else k  # both of a spot's are offsets
+            common[e, k] = floors[number] ** 2 + (shares[number] * scatter[e]) ** 2
+            if kind[e] == _BASE:
+                common[e, k] += ((1.0, _BASE_TILT)[k] * base_px) ** 2
+            elif kind[e] == _UPRIGHT:
+                common[e, k] += upright_px**2
+            elif kind[e] == _SPOT:
+                common[e, k] += spot_px**2
+        common[e, 0] += opened[e]
+    return common
+
+
+def _scatter(square: Array, points: Array, edge_points: float, least_px: float) -> Array:
+    """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
+    freedom = np.maximum(points - 2.0, 0.0)
+    total = square.sum() / max(freedom.sum(), 1.0)
+    scatter: Array = np.sqrt(np.maximum((edge_points * total + square) / (edge_points + freedom), least_px**2))
+    return scatter
+
+
+def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
+    """tau of the pooled correlation of neighbours; a fitted line takes about 2 / n of it away, so that is given back."""
+    product, square = config.points * config.neighbours, config.points
+    for one, s in zip(lines, scatter, strict=True):
+        own = _neighbours(one.residual, one.weight, one.points, edge, s)
+        product, square = product + own[0], square + own[1]
+    rho = min(max(product / square, 0.0), 0.8)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+@njit(cache=True)
+def _neighbours(residual: Array, weight: Array, points: Array, edge: Indices, scatter: Array) -> tuple[float, float]:
+    """Sums of z_i z_i+1 + 2 / n and of (z_i^2 + z_i+1^2) / 2, z = residual / scatter, over neighbours on an edge of n points."""
+    product = square = 0.0
+    for i in range(1, len(edge)):
+        e = edge[i]
+        if edge[i - 1] == e and weight[i] > _TRUSTED and weight[i - 1] > _TRUSTED:
+            before, here = residual[i - 1] / scatter[e], residual[i] / scatter[e]
+            product += before * here + 2.0 / max(points[e], 3.0)
+            square += 0.5 * (before * before + here * here)
+    return product, square
+
+
+@njit(cache=True)
+def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
+    """G_l^T G_r (E, 2, 2) of the gains (N, 2) of the same points in two pictures."""
+    total = np.zeros((edges, 2, 2))
+    for i in range(len(edge)):
+        for a in range(2):
+            for b in range(2):
+                total[edge[i], a, b] += left[i, a] * right[i, b]
+    return total
+
+
+def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
+    """rho, pooled over the points seen in both pictures."""
+    product, square = _together(left.residual, left.weight, right.residual, right.weight, edge, scatter)
+    rho = (product + config.points * config.correlation) / (square + config.points)
+    return min(max(rho, 0.0), 0.95)
+
+
+@njit(cache=True)
+def _together(
+    left: Array, left_weight: Array, right: Array, right_weight: Array, edge: Indices, scatter: Array
+) -> tuple[float, float]:
+    """Sums of z_l z_r and of (z_l^2 + z_r^2) / 2, z = residual / scatter, over the points seen in both pictures."""
+    product = square = 0.0
+    for i in range(len(edge)):
+        if left_weight[i] > _TRUSTED and right_weight[i] > _TRUSTED:
+            a, b = left[i] / scatter[0, edge[i]], right[i] / scatter[1, edge[i]]
+            product += a * b
+            square += 0.5 * (a * a + b * b)
+    return product, square

@@ -1,0 +1,5 @@
+"""Position and attitude of the vehicle from identified landmarks: observations, least squares, covariance, undetermined
+directions.
+
+Begin with `pose`. May import outline, identify and what is below them.
+"""

@@ -1,0 +1,284 @@
+"""Where in the picture the predicted outlines truly lie: a search over what the prior leaves open.
+
+    score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2
+
+q: shift, turn and scale of the outlines (motion.py); support: how well landmark l lies on edges (votes.py). The prior's
+ellipsoid is searched on a grid in a reduced picture. All landmarks vote together, each as far off as its map error s_l lets it
+be, so that a neighbour that looks alike does not catch one of them. In the reduced picture the true place is seldom the very best
+one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are looked at again in a picture twice
+as large, and the best of these once more. There every landmark finds its own place and, once it has one, its own size,
+
+    max_{|d| <= 2 s_l, |g| <= 2 t_l} (support_l - tau length_l)(q + d, outline grown by g),
+
+because an outline too small lies on half of its sides at best; pose and map errors are solved for together,
+
+    y_l = D_l dx - D_l,p m_l + e,       dx ~ N(0, P),  m_l ~ N(0, s_l^2).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numba import njit
+from numpy.typing import NDArray
+
+from models.camera import CameraModel
+from models.maps.landmarks import Landmark
+from models.messages import Array
+from vision.image.rectify import Image
+from vision.image.reduced import levels
+from vision.outline.visibility import MapError
+from vision.pose.pose import Pose
+from vision.pose.sensitivity import Eye
+from vision.predict.global_search import Grid, summits
+from vision.predict.landmark_shifts import own_places, settled
+from vision.predict.motion import Motion, roofs_in_view, straight
+from vision.predict.search_level import Stage
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+_LEAST_WIDTH = 80  # px of the reduced picture
+_SLACK = 1  # pixels of the level that a landmark may be off beside its map error
+_PLACE_PX = 1.0  # of the level: how well a landmark's place is found
+_STILL_PX = 1.5  # of the level: a place that a look moves by less is not looked at again
+_APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
+_WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
+_FEW_VOTES = 300_000  # are quicker than to reduce the picture once more, and to look again in it
+_CLOSE = 6  # summits ranked for each that is to be apart from the others
+_LOW = 0.4  # of the best summit's score: what is lower is not looked at again
+
+
+class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How far is searched, and what a vote is compared with."""
+
+    limit_px: Annotated[float, Meta(gt=0, description="largest shift searched, in a picture 640 px wide")] = 160.0
+    turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 10.0
+    sigmas: Annotated[float, Meta(gt=0, description="of the prior that are searched")] = 3.0
+    roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced picture, at least")] = 6.0
+    most_votes: Annotated[
+        int, Meta(ge=10_000, description="of points, in the whole search; else the picture is reduced further")
+    ] = 128_000_000
+    points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
+    expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
+    summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 60
+    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 8
+
+
+def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
+    """Largest shift searched in this camera's picture."""
+    return config.limit_px * camera.width / 640.0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A place: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
+
+    p_n: Array
+    R_nb: Array
+    error: Array
+    shift_m: Array
+    support: Array
+    length: Array
+    score: float
+
+    @classmethod
+    def as_mapped(cls, eye: Eye, landmarks: Sequence[Landmark], pose: Pose, error: Array) -> "Candidate":
+        """A place that nothing voted for: landmarks are where the map has them, and count by what the picture shows of them."""
+        pinhole = straight(eye)
+        ends, mark = roofs_in_view(pinhole, landmarks, pose, 0.0)
+        p_nk, R_nk = pinhole.pose(*pose)
+        px = pinhole.camera.project((ends - p_nk) @ R_nk)
+        length = np.zeros(len(landmarks))
+        np.add.at(length, mark[::2], np.linalg.norm(px[1::2] - px[::2], axis=1))
+        return cls(*pose, error, np.zeros((len(landmarks), len(MapError))), length, length, float(length.sum()))
+
+    @property
+    def pose(self) -> Pose:
+        """Position and attitude."""
+        return self.p_n, self.R_nb
+
+
+class Search:
+    """The search of one camera's picture for landmarks that the prior lets move as `motion` says."""
+
+    def __init__(self, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, config: CoarseConfig) -> None:
+        self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
+        self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
+        self.information = motion.prior.information
+
+    def candidates(self, picture: Image) -> list[Candidate]:
+        """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
+        sizes = self._sizes()
+        size = sizes[-1]
+        reach = limit_px(self.eye.camera, self.config) + 2.0 * size
+        stages = [
+            Stage(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
+            for level, each in zip(
+                levels(picture, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
+            )
+        ]
+        fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]
+        steps = size // middle.level.size
+        apart_px = _APART_PX * size
+        found = self._best(middle, [self._first(middle, self.motion.gain @ q, steps) for q in self._wide(wide)], apart_px)
+        found = [self._climb(middle, c, steps) for c in found]
+        return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
+
+    def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
+        """The best places, apart from each other, so that those near the best one do not crowd out its rivals."""
+        ranked = sorted(places, key=_score, reverse=True)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
+
+    def _sizes(self) -> list[int]:
+        """By how much the picture is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
+
+        Where the prior leaves little open, a less reduced one is searched at once.
+        """
+        size = 1
+        while size * _LEAST_WIDTH < self.eye.camera.width:
+            if self._votes(size) <= self.config.most_votes and self.motion.roof_px < 2.0 * size * self.config.roof_px:
+                break
+            size *= 2
+        sizes = sorted({max(size // 4, 1), max(size // 2, 1), size})
+        while len(sizes) > 1 and self._votes(sizes[-2]) <= _FEW_VOTES:
+            sizes.pop()
+        return sizes
+
+    def _votes(self, size: int) -> int:
+        """Of points, in the whole search of a picture reduced `size` times."""
+        return self._grid(size).places * self._points(_WIDE_POINTS)
+
+    def _points(self, each: int) -> int:
+        """How many are to vote, so many of each landmark on the average, at least."""
+        return max(self.config.points, each * len(self.landmarks))
+
+    def _grid(self, size: int) -> Grid:
+        c = self.config
+        return Grid.of(self.motion, c.sigmas, math.radians(c.turn_deg), size, limit_px(self.eye.camera, c))
+
+    def _wide(self, stage: Stage) -> list[Array]:
+        """The best summits q of the whole grid, apart in shift, turn or scale."""
+        if stage.voters is None:
+            return []
+        score, q = (most[: _CLOSE * self.config.summits] for most in summits(stage, self.motion, self._grid(stage.level.size)))
+        peaks = list(q[score >= np.minimum(_LOW * score[:1], score[:1])])
+        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
+
+    def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+        """The better of a place and the place near it: turn and scale follow only from the look before."""
+        return max(place, self._again(stage, place, steps), key=_score)
+
+    def _nearest(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+        """The place near a place; where that is another one, the better of it and the place near it."""
+        near = self._again(stage, place, steps)
+        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - place.error)
+        moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
+        return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
+
+    def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
+        """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
+        as_mapped = np.zeros((len(self.landmarks), len(MapError)))
+        return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
+
+    def _again(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+        """The place near a place: landmarks near where they were found, as large as the map leaves open."""
+        return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
+
+    def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
+        """Every landmark's own place and size near an error of the prior, and the pose and map errors that follow.
+
+        Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
+        """
+        size, half = stage.level.size, steps + int(free.max())
+        s, pose = np.arange(-half, half + 1.0) * size, self.motion.pose(error)
+        sought = np.repeat(shift_m[None], len(growth_m), axis=0)
+        sought[:, :, MapError.GROWTH] = growth_m
+        voted = [stage.vote(stage.aimed(pose, each), s, s) for each in sought]
+        places, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
+        support = votes + self.config.expected * length
+        trusted = support > self.config.expected * np.maximum(length, 1.0)
+        D, P = stage.motions(pose, shift_m), self.motion.prior.covariance
+        found_px = (places - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
+        total, off_m = settled(D, found_px, trusted, self.map_sigma, _PLACE_PX * size, error, P)
+        found = np.zeros_like(shift_m)
+        found[:, :2], found[:, MapError.GROWTH] = off_m, growth_m[grown, np.arange(len(grown))]
+        score = float(votes.sum()) * size - 0.5 * float(total @ self.information @ total)
+        return Candidate(*self.motion.pose(total), total, found, support * size, length * size, score)
+
+
+@njit(cache=True)
+def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Indices, Array, Array]:
+    """Each landmark's own place (L, 2), row and column to a fraction, its size (L,), and its votes and length (L,) there.
+
+    votes, length (K, L, U, U): in K sizes, shifted about the middle; landmarks lie at most free (L,) from what is common to all.
+    """
+    sizes, marks = votes.shape[:2]
+    best = votes[0].copy()
+    for k in range(1, sizes):
+        for m in range(marks):
+            for i in range(votes.shape[2]):
+                for j in range(votes.shape[3]):
+                    best[m, i, j] = max(best[m, i, j], votes[k, m, i, j])
+    common = _common(best, free, steps)
+    a, b = common
+    size, at, shown = np.zeros(marks, np.int64), np.empty(marks), np.empty(marks)
+    for m in range(marks):
+        radius, most = int(free[m]), -np.inf
+        for k in range(sizes):
+            here = _highest(votes[k, m], a, b, radius)
+            if here > most:
+                most, size[m] = here, k
+        for i in range(votes.shape[2]):
+            for j in range(votes.shape[3]):
+                best[m, i, j] = votes[size[m], m, i, j]
+    places = own_places(best, common, free)
+    for m in range(marks):
+        i, j = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
+        at[m], shown[m] = best[m, i, j], length[size[m], m, i, j]
+    return places, size, at, shown
+
+
+@njit(cache=True)
+def _highest(votes: Array, a: int, b: int, radius: int) -> float:
+    """Of the votes (U, V) at most radius rows and columns from row a, column b."""
+    most = -np.inf
+    for i in range(a - radius, a + radius + 1):
+        for j in range(b - radius, b + radius + 1):
+            most = max(most, votes[i, j])
+    return most
+
+
+@njit(cache=True)
+def _common(votes: Array, free: Array, steps: int) -> Indices:
+    """Row and column (2,), at most `steps` from the middle, where the best votes within free (L,) have the largest sum."""
+    middle, best, common = votes.shape[1] // 2, -np.inf, np.empty(2, np.int64)
+    for a in range(middle - steps, middle + steps + 1):
+        for b in range(middle - steps, middle + steps + 1):
+            total = 0.0
+            for m in range(len(votes)):
+                radius = int(free[m])
+                total += _highest(votes[m], a, b, radius)
+            if total > best:
+                best, common[0], common[1] = total, a, b
+    return common
+
+
+def _score(place: Candidate) -> float:
+    return place.score
+
+
+T = TypeVar("T")
+
+
+def _apart(ranked: Sequence[T], q: Sequence[Array], stage: Stage, least_px: float, most: int) -> list[T]:
+    """The first ones, `most` of them, of ranked, which lie at q, that are apart from every better one."""
+    chosen, at, left = list[T](), np.array(q), np.arange(len(ranked))
+    while len(left) and len(chosen) < most:
+        chosen.append(ranked[left[0]])
+        off = at[left] - at[left[0]]
+        left = left[np.einsum("ki,ij,kj->k", off, stage.across(at[left[0]]), off) > least_px**2]
+    return chosen

@@ -1,0 +1,268 @@
+"""From a place that the coarse search found to a fit of the outlines: what does not belong goes, what stands there joins.
+
+    fit -> last look (final_check.py) -> landmarks that are not where it says, or a picture that contradicts the other, go ->
+    again each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> last look -> all
+    together
+
+A first fit begins at a place that is good to a few pixels, so it may not look far; then a roof larger than mapped is lost. Once
+the others tell the pose, what is left open of that roof is its own error on the map, and one may look as far as that reaches.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models import so3
+from models.camera import StereoRig
+from models.maps.landmarks import Landmark
+from models.messages import Array
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
+from vision.pose.pose import NoPose, Pose, PoseConfig, PoseEstimate, difference, estimate_pose
+from vision.pose.sensitivity import Eye, eyes
+from vision.predict.coarse_search import Candidate
+from vision.predict.final_check import Recheck, recheck
+from vision.predict.motion import straight
+from vision.predict.verify import Fitted, VerifyConfig, place_odds
+from vision.records.pictures import Pictures
+from vision.records.reports import pose_flaw
+
+Views = tuple[Image | None, Image | None]
+Mask = NDArray[np.bool_]
+_MOST_FITS = 3
+_MOST_ALONE = 3  # landmarks of which each tells where to begin
+_WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
+_AGAIN_PX = ()  # where a fit was that had wrong landmarks as well: it is good to a pixel
+_ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
+_PAIR_PX = 0.8  # shifts between the two pictures that do no harm
+_SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands,
+_SURE_HIDDEN = math.log(0.999 / 0.001)  # from which it does though more of it is hidden,
+_SURE_ANYHOW = math.log(0.9999 / 0.0001)  # and however little of it the last look finds
+_LEAST_SHARE = 0.5  # of what the better picture shows
+_NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """Where a fit begins: pose and map errors (L, M), landmarks fitted; asked: those of whose outline so much must agree.
+
+    views: pictures that are used; remark: on one that is not.
+    """
+
+    pose: Pose
+    shift_m: Array
+    chosen: list[int]
+    asked: list[int]
+    views: Views
+    remark: str = ""
+
+
+class Fitter:
+    """Fits outlines in the pictures of one rig. gone: share of the map that is believed to stand no longer."""
+
+    def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
+        self._rig, self._config, self._most = rig, config, most
+        self._wide = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
+        self._pose, self._again, self._alone = (
+            msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=window))
+            for window in (_WINDOW_PX, _AGAIN_PX, _ALONE_PX)
+        )
+        self._gone = gone
+        self._stands, self._stands_hidden, self._stands_anyhow = (  # ratios
+            odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN, _SURE_ANYHOW)
+        )
+        self._pair_sigma_px = _pair_sigma_px(rig)
+
+    def fit(
+        self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
+    ) -> Fitted | str:
+        """The fit from a place, or why there is none; among: landmarks (L,) that may take part, all by default."""
+        first = [k for k in sorted(self._most_seen(place)) if among is None or among[k]]
+        return self._settled(marks, place, _start(pictures, place, first, first), prior)
+
+    def fit_one(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:
+        """The likeliest fit from one landmark of those with most votes, where all of them together give none."""
+        asked = self._most_seen(place)
+        tried = [self._settled(marks, place, _start(pictures, place, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]]
+        fits = [one for one in tried if isinstance(one, Fitted)]
+        return max(fits, key=lambda one: one.odds, default=None)
+
+    def joined(self, pictures: Pictures, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
+        """The fit from that place with all landmarks seen that stand where it says; itself where it has them already.
+
+        More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
+        """
+        views: Views = (pictures.left, None if fitted.remark else pictures.right)
+        fit, shift_m = fitted.pose, place.shift_m.copy()
+        shift_m[fitted.used] = fit.shift_m
+        more, told = [], fit
+        for k in sorted(set(np.flatnonzero(self._seen(place)).tolist()).difference(fitted.used)):
+            if (found := self._found(views, marks[k], told)) is not None:
+                told, shift_m[k] = found, found.shift_m[0]
+                more.append(k)
+        if not more:
+            return fitted
+        here, chosen = replace(place, p_n=told.joint_p_n, R_nb=told.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
+        start = _Start(here.pose, shift_m, chosen, sorted({*fitted.asked, *more}), views, fitted.remark)
+        again = self._settled(marks, here, start, prior)
+        if isinstance(again, str) or len(again.used) <= len(fitted.used):
+            return fitted
+        return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
+
+    def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
+        """The pose that others and a landmark tell together, with its map errors; None where it does not stand there."""
+        pose = others.joint_p_n, others.joint_R_nb
+        told = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
+        alone = estimate_pose(self._rig, views, [mark], pose, told, self._alone)
+        if isinstance(alone, NoPose):
+            return None
+        stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.look))
+        return alone if stands[0] else None
+
+    def _settled(self, marks: list[Landmark], place: Candidate, start: _Start, prior: Prior) -> Fitted | str:
+        """The fit of what is left when landmarks and a picture that contradict it are gone, or why there is none."""
+        eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
+        views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
+        before: tuple[Pose, Array] | None = None
+        for _ in range(_MOST_FITS):
+            some = [marks[k] for k in chosen]
+            fit = self._estimated(views, some, (start.pose, start.shift_m[chosen]), before, prior)
+            if isinstance(fit, NoPose):
+                return f"{remark}{fit.reason} {fit.detail}".strip()
+            seen = recheck(self._rig, views, some, fit, self._pose.look)
+            good = [k for k, stands in zip(chosen, self._stand(some, fit, seen), strict=True) if stands]
+            if problem := self._pair_flaw(seen):
+                if self._swapped(views, some, start, chosen, prior):
+                    return "left and right picture are swapped"
+                views, remark, before = (views[0], None), f"right camera not used: {problem}; ", None
+            elif len(good) < len(chosen):
+                if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
+                    return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks are not where the others say"
+                unseen = {k for k, share in zip(chosen, seen.share, strict=True) if np.isnan(share)}
+                before = (fit.joint_p_n, fit.joint_R_nb), fit.shift_m[np.isin(chosen, good)]
+                chosen, asked = good, [k for k in asked if k not in unseen]
+            elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
+                return f"the fit left the place that was found by {far:.0f} px"
+            else:
+                kept = float(place.length[chosen].sum() / place.length[self._answering(place, chosen, asked)].sum())
+                middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
+                odds = self._odds(views, marks, place, chosen, fit, seen, prior)
+                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), middles, odds)
+        return f"{remark}the landmarks do not agree"
+
+    def _estimated(
+        self, views: Views, marks: list[Landmark], start: tuple[Pose, Array], before: tuple[Pose, Array] | None, prior: Prior
+    ) -> PoseEstimate | NoPose:
+        """The fit from the pose and map errors (L, M) of the fit before, else, where there is none there, from the start."""
+        if before is not None:
+            pose, shift_m = before
+            again = estimate_pose(self._rig, views, marks, pose, prior, self._again, shift_m)
+            if isinstance(again, PoseEstimate):
+                return again
+        pose, shift_m = start
+        return estimate_pose(self._rig, views, marks, pose, prior, self._pose, shift_m)
+
+    def _most_seen(self, place: Candidate) -> list[int]:
+        """Landmarks that have votes, those with most first, as many as are fitted."""
+        order = np.argsort(-np.where(self._seen(place), place.support, -1.0), kind="stable")
+        return [int(k) for k in order[: min(self._most, int(self._seen(place).sum()))]]
+
+    def _seen(self, place: Candidate) -> Mask:
+        """Landmarks (L,) that have votes."""
+        return np.asarray(place.support > self._config.landmark_share * np.maximum(place.length, 1.0))
+
+    def _answering(self, place: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
+        """The landmarks of whose outline so much must agree: of one alone, which chance lays on edges somewhere, all in view."""
+        return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(place)).tolist()})
+
+    def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
+        """Landmarks (L,) that the last look finds where the fit says, and not far off the map."""
+        v = self._config
+        whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
+        hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
+        return np.asarray((whole | hidden | (seen.stands > self._stands_anyhow)) & (_off_map(marks, fit) < v.off_map))
+
+    def _odds(
+        self,
+        views: Views,
+        marks: list[Landmark],
+        place: Candidate,
+        chosen: list[int],
+        fit: PoseEstimate,
+        seen: Recheck,
+        prior: Prior,
+    ) -> float:
+        """verify.place_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
+        others = [k for k in np.flatnonzero(place.length > 0.0).tolist() if k not in chosen]
+        some = [marks[k] for k in others]
+        as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
+        rest = recheck(self._rig, views, some, as_mapped, self._pose.look).stands if some else np.zeros(0)
+        off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
+        squared = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
+        covered = seen.covered if len(chosen) == 1 else 0.0  # beside others a cover is not the bare ground
+        return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found, covered)
+
+    def _pair_flaw(self, seen: Recheck) -> str:
+        """Why the right picture does not belong to the left one; empty where it does."""
+        if seen.apart is not None:
+            du, dv, sigma = seen.apart
+            limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
+            if abs(dv) > limit:
+                return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
+            if abs(du) > limit:
+                return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together"
+        if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
+            return f"{seen.pictures[0]:.0%} of the outlines found in the left picture, {seen.pictures[1]:.0%} in the right one"
+        return ""
+
+    def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
+        """Whether the outlines lie in both pictures once they are taken the other way round."""
+        shift_m = start.shift_m[chosen]
+        fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
+        return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
+
+
+def _start(pictures: Pictures, place: Candidate, chosen: list[int], asked: list[int]) -> _Start:
+    return _Start(place.pose, place.shift_m, chosen, asked, (pictures.left, pictures.right))
+
+
+def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
+    """How far off the map each landmark would have to be: chi-square (L,) of shift, rise and growth."""
+    sigma = np.array([(m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m) for m in marks])
+    error = fit.shift_m[:, : sigma.shape[1]]
+    return np.asarray(np.sum(np.where(sigma > 0.0, error / np.maximum(sigma, 1e-9), 0.0) ** 2, axis=1))
+
+
+def _sigma_m(fit: PoseEstimate) -> float:
+    """How sure prior and pictures together are of the position: (tr P)^(1/2)."""
+    return math.sqrt(float(np.trace(fit.joint_covariance[:3, :3])))
+
+
+def _pair_sigma_px(rig: StereoRig) -> float:
+    """By how much the two pictures may be shifted against each other for all that the calibration knows [px]."""
+    turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
+    lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
+    return math.sqrt(turn + lenses)
+
+
+def _moved_px(eye: Eye, marks: list[Landmark], place: Candidate, chosen: list[int], fit: PoseEstimate) -> float:
+    """How far the middles of the roofs moved from where the search found them: the median, px."""
+    before = _middles(eye, marks, place.pose, place.shift_m[chosen])
+    after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
+    moved = np.linalg.norm(after - before, axis=1)
+    return float(np.median(moved[~np.isnan(moved)]))
+
+
+def _whole(fit: PoseEstimate) -> bool:
+    """Whether the pictures leave no direction open: along one (a strip) the search finds no place that a fit could leave."""
+    return fit.directions is None
+
+
+def _middles(eye: Eye, marks: list[Landmark], pose: Pose, shift_m: Array) -> Array:
+    """Middles of the roofs (L, 2) px, without distortion."""
+    p_nk, R_nk = eye.pose(*pose)
+    roofs = np.array([(*(np.array(mark.centre_n) + one[:2]), mark.roof_d) for mark, one in zip(marks, shift_m, strict=True)])
+    return straight(eye).camera.project((roofs - p_nk) @ R_nk)

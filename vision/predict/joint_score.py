@@ -1,0 +1,79 @@
+"""How well all outlines together lie on edges of a picture, at one common shift, and whether one shift stands out.
+
+    S(q) = sum_i (c_i(q) - c) / N,      c_i(q) = |n_i . g(x_i + q)| / (|g(x_i + q)| + g_0)
+
+g: gradients of all channels; n_i: normal of the outline at its point i; c: what c_i is on the average over all shifts, which is
+chance; N: number of points. Only directions count, so a shadow's rim has no more to say than a pale roof, and a point outside the
+picture says what chance does: nothing. Every point has its say, and no edge need be seen whole: where each edge shows little
+(hipped roofs, trees), all of them together still tell the place, and the prior P has its say as well. The best place is
+
+    q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2
+
+s: standard deviation of S over all shifts, which is what chance makes of it; the first term is the largest likelihood ratio of
+N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, tells what this picture makes of a wrong place.
+
+    ratio = S(q_1) / max S(q),   |q - q_1| > apart
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+from vision.image.reduced import Field
+
+
+@dataclass(frozen=True, slots=True)
+class Summit:
+    """The best shift (2,) px, its score, and how many times the highest one elsewhere that is (below 1: by the prior alone)."""
+
+    shift_px: Array
+    score: float
+    ratio: float
+
+
+def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> Array:
+    """S (U, V) at shifts su (U,), sv (V,) px; aimed (N, 11), camera, floor (g_0): as vote() takes them."""
+    total, count = _sums(field, camera, aimed, floor, su, sv)
+    chance = total.sum() / max(count.sum(), 1.0)
+    return np.asarray((total - chance * count) / max(len(aimed), 1))
+
+
+def summit(score: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
+    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from it is the same place."""
+    q = np.stack(np.meshgrid(su, sv, indexing="ij"), axis=-1)
+    squared = np.sum(q @ np.linalg.inv(covariance) * q, axis=-1)
+    likely = 0.5 * (np.maximum(score, 0.0) / max(float(score.std()), 1e-9)) ** 2 - 0.5 * squared
+    a, b = np.unravel_index(int(np.argmax(likely)), score.shape)
+    other = np.hypot(su[:, None] - su[a], sv[None, :] - sv[b]) > apart_px
+    second = max(float(score[other].max(initial=0.0)), 1e-9)
+    return Summit(q[a, b], float(score[a, b]), float(score[a, b]) / second)
+
+
+@njit(cache=True)
+def _sums(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> tuple[Array, Array]:
+    """Sum of c_i, and the number of points in view (U, V)."""
+    rows, columns = field.shape[0], field.shape[1]
+    total, count = np.zeros((len(su), len(sv))), np.zeros((len(su), len(sv)))
+    fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5
+    x = np.empty(3)
+    for i in range(len(aimed)):
+        nu, nv = aimed[i, 9], aimed[i, 10]
+        for a in range(len(su)):
+            for k in range(3):
+                x[k] = aimed[i, k] + su[a] * aimed[i, 3 + k]
+            for b in range(len(sv)):
+                z = x[2] + sv[b] * aimed[i, 8]
+                scale = 1.0 / z
+                u = fx * scale * (x[0] + sv[b] * aimed[i, 6]) + cx
+                v = fy * scale * (x[1] + sv[b] * aimed[i, 7]) + cy
+                if not (z > 0.0 and u >= 1.0 and v >= 1.0 and u < columns - 1.0 and v < rows - 1.0):
+                    continue
+                g = field[int(v), int(u)]
+                if g[6] < 0.0:
+                    continue
+                h0, h1, h2 = g[0] * nu + g[3] * nv, g[1] * nu + g[4] * nv, g[2] * nu + g[5] * nv
+                total[a, b] += np.sqrt(h0 * h0 + h1 * h1 + h2 * h2) / (g[6] + floor)
+                count[a, b] += 1.0
+    return total, count

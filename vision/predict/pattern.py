@@ -1,0 +1,111 @@
+"""All outlines as one pattern: from far above, heading and height known, only their common shift is open.
+
+    q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
+
+Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
+together still have one place (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
+searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
+no fit, a summit that stands out is told, along the directions it measures. By chance the best of M places is r times the second
+one with a probability of about M^(-2 (r - 1)).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from models.camera import StereoRig
+from models.maps.landmarks import Landmark
+from vision.identify.sightings import one_eyed
+from vision.image.reduced import levels
+from vision.outline.visibility import Prisms
+from vision.pose.point_pose import PointConfig, Points, fit_points
+from vision.pose.pose import difference
+from vision.pose.sensitivity import Eye, eyes
+from vision.predict.coarse_search import CoarseConfig, limit_px
+from vision.predict.edge_points import chromas, voters
+from vision.predict.joint_score import Summit, joint_score, summit
+from vision.predict.motion import Motion
+from vision.records.pictures import Pictures
+from vision.records.reports import Result, fix_of, pose_flaw
+
+NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
+_ROOF_PX = 32.0  # wider roofs are fitted edge by edge
+_STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
+_APART_PX = 8.0  # nearer places are one, as for the window of a fit
+_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: what the prior excludes still tells what chance makes
+_PLACE_PX = 1.0  # how well the summit's place is known
+_POINTS = 400
+_FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
+SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
+_LIKELY = 1.08  # of one where a fit is, as in registration.py
+_ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
+
+
+def judged(
+    result: Result, rig: StereoRig, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig
+) -> Result:
+    """What predict and verify says, beside the pattern of all outlines."""
+    eye = eyes(rig)[int(pictures.only_right)]
+    best = best_shift(eye, pictures, marks, move, config) if _only_shifts(eye, move, config) else None
+    if best is None:
+        return result
+    if result.pose is None:
+        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
+    error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
+    off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
+    if off_px > _APART_PX:
+        return refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
+    if best.ratio < _LIKELY:
+        return refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
+    return result
+
+
+def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
+    """Whether small roofs are seen from a pose that leaves their common shift open, within the limits, and no more."""
+    ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
+    return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
+
+
+def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
+    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
+    picture = pictures.right if pictures.only_right else pictures.left
+    assert picture is not None
+    level = levels(picture, eye.camera, (1,))[0]
+    reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
+    straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
+    seen = voters(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
+    if seen is None:
+        return None
+    su, sv = (np.arange(-n, n + 1.0) for n in np.ceil(reach).astype(int))
+    aimed, c = seen.aimed(straight, pose, move.gain[:, :2]), level.camera
+    field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
+    floor = _FLOOR * level.typical() + 0.5
+    score = joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv)
+    return summit(score, su, sv, move.covariance[:2, :2], _APART_PX)
+
+
+def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
+    """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
+    middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
+    p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))
+    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * _PLACE_PX**2)
+    variance = np.mean([(mark.sigma_m**2, mark.height_sigma_m**2) for mark in marks], axis=0)
+    sigma = math.sqrt(variance[0]), math.sqrt(variance[1]), 0.0
+    found = fit_points(rig, point, move.pose(np.zeros(6)), move.prior, sigma, _ALONE)
+    if isinstance(found, str):
+        return result
+    pose, t_ns = found.estimate, result.report.t_ns
+    if flaw := pose_flaw(pose, move.prior):
+        return refused(result, "no_pose", flaw)
+    detail = f"{result.report.detail}; all {len(marks)} outlines together have one place, {best.ratio:.2f} times the second"
+    report = msgspec.structs.replace(result.report, outcome="fixed", detail=detail, residual_px=pose.residual_px)
+    return Result(fix_of(pose, t_ns, (NAME,), min(best.score, 1.0)), report, result.regions, pose)
+
+
+def refused(result: Result, outcome: str, detail: str) -> Result:
+    """The result without its fix."""
+    report = msgspec.structs.replace(result.report, outcome=outcome, detail=f"predicted: {detail}")
+    return replace(result, fix=None, pose=None, report=report)

@@ -1,0 +1,294 @@
+"""Predict and verify: the main path in flight.
+
+    prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
+    verify.py
+
+No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, take part with what is
+left of them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models import so3
+from models.camera import StereoRig
+from models.maps.landmarks import Landmark
+from models.messages import Array
+from vision.identify.identify import Prior
+from vision.outline.detail import as_seen
+from vision.outline.visibility import Prisms
+from vision.pose import small_landmarks
+from vision.pose.pose import PoseConfig, PoseEstimate, difference
+from vision.pose.sensitivity import Eye, eyes
+from vision.predict import verify
+from vision.predict.coarse_search import Candidate, CoarseConfig, Search, limit_px
+from vision.predict.fit import Fitter
+from vision.predict.motion import Motion, motion, roofs_in_view, straight
+from vision.predict.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
+from vision.records.pictures import Pictures
+from vision.records.reports import RegionReport, Result, fix_of, report_of
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+PATH = "predict"
+_BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
+_MOST_STEPS = 12  # places that may be fitted beside a place
+_DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a place that is not sure is fitted as well
+_MOST_TRIED = 3  # places that are fitted if the best one is not sure; all that are nearly as good are in any case
+
+
+class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """most_voting, most_fitted: landmarks, those with most outline in view first; others that stand join the fit."""
+
+    coarse: CoarseConfig = CoarseConfig()
+    verify: VerifyConfig = VerifyConfig()
+    most_voting: int = 12
+    most_fitted: int = 6
+
+
+class _Refused(NamedTuple):
+    """Why there is no fix."""
+
+    outcome: str
+    detail: str
+
+
+class _Decided(NamedTuple):
+    """A place and its fit, how far it is believed, and why no further; rival: score of the next place over the best one's."""
+
+    place: Candidate
+    fitted: Fitted
+    grade: Grade
+    reason: str
+    rival: float
+
+
+class PredictPath:
+    """Pictures of one rig, looked at where the prior says."""
+
+    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float) -> None:
+        """gone: share of the map that is believed to stand no longer."""
+        self._rig, self._config = rig, config
+        self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
+        self._waiting = Waiting(config.verify)
+
+    def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
+        """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
+        eye = self._eye(pictures)
+        marks = _in_view(eye, near, prior, self._limit_px(eye), self._config.most_voting)
+        move = motion(eye, marks, prior) if marks else None
+        return None if move is None else (marks, move)
+
+    def narrow(self, pictures: Pictures, move: Motion, share: float = _BEYOND) -> bool:
+        """Whether 3 sigma of the shift lie within `share` of the search's limit, and those of the turn within its own."""
+        c, sigmas = self._config.coarse, self._config.coarse.sigmas
+        shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
+        return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
+
+    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
+        """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
+        eye, candidates = self._eye(pictures), self._candidates(pictures, marks, move)
+        found = self._decide(pictures, marks, candidates, prior)
+        place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
+        found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
+        if isinstance(found, _Refused):
+            said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
+            if found.outcome != "waiting":
+                self._waiting.nothing(t_ns)
+            report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
+            return Result(None, report, tuple(said))
+        self._waiting.fixed(found.fitted, t_ns, prior)
+        fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
+        said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
+        used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
+        detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
+        fix = fix_of(fit, t_ns, names, fit.found)
+        return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
+
+    def stands_out(self, pictures: Pictures, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
+        """Whether a place is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
+
+        One that would not be believed by itself is not.
+        """
+        if len(steps) > _MOST_STEPS:
+            return False
+        eye, v = self._eye(pictures), self._config.verify
+        p_0, q_0 = np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float)
+        R_nb, q_nb = here.joint_R_nb, so3.from_matrix(here.joint_R_nb)
+        beside = [here.joint_p_n + step for step in (np.zeros(3), *steps)]
+        shown = [_in_view(eye, near, Prior(p_n, q_nb, prior.covariance), 0.0, self._config.most_voting) for p_n in beside]
+        marks = list({mark.id: mark for some in shown for mark in some}.values())
+        places = [Candidate.as_mapped(eye, marks, (p_n, R_nb), difference(p_n, R_nb, p_0, q_0)) for p_n in beside]
+        fits = [self._fit_at(pictures, marks, place, prior) for place in places]
+        first, likeliest = fits[0], verify.decided(fits, v)
+        if isinstance(first, str) or isinstance(likeliest, str):
+            return False
+        return first.odds >= v.odds and verify.same_place(likeliest, first, v)
+
+    def _fit_at(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+        """The fit from a place, of one landmark where all of them together give none."""
+        fitted = self._fitter.fit(pictures, marks, place, prior)
+        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(pictures, marks, place, prior) or fitted
+
+    def _candidates(self, pictures: Pictures, marks: list[Landmark], move: Motion) -> list[Candidate]:
+        """Places where the outlines may lie, best first."""
+        picture = pictures.right if pictures.only_right else pictures.left
+        assert picture is not None
+        return Search(self._eye(pictures), marks, move, self._config.coarse).candidates(picture)
+
+    def _fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+        """The fit from a place; small landmarks are searched once more where the large ones put them.
+
+        A prior that is off in tilt puts what is at the picture's border many pixels off, farther than a small landmark is large:
+        something else would be found in its place.
+        """
+        eye, voted = self._eye(pictures), self._trusted(place)
+        large = voted & ~small_landmarks.small(marks, eye, place.pose)
+        mixed = 0 < large.sum() < voted.sum()
+        known = self._fitter.fit(pictures, marks, place, prior, large) if mixed else ""
+        if isinstance(known, str):
+            return self._fitter.fit(pictures, marks, place, prior)
+        p_n, R_nb = known.pose.joint_p_n, known.pose.joint_R_nb
+        move = motion(eye, marks, Prior(p_n, so3.from_matrix(R_nb), known.pose.joint_covariance))
+        for again in self._candidates(pictures, marks, move)[:1] if move else ():
+            every = self._fitter.fit(pictures, marks, again, prior)
+            if isinstance(every, Fitted) and len(every.used) > len(known.used):
+                return every
+        return known
+
+    def _decide(
+        self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior
+    ) -> _Decided | _Refused:
+        """The one place that is left of those that were searched out, best first: by its votes, and by its fit."""
+        if not candidates:
+            return _Refused("not_found", "nothing of the outlines in view")
+        v, best = self._config.verify, candidates[0]
+        evidence = Evidence.of(candidates, self._trusted(best), self._eye(pictures).camera.width)
+        if flaw := verify.flaw(evidence, v):
+            return _Refused("not_found", flaw)
+        likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
+        places = candidates[: max(likely, _MOST_TRIED)]
+        tried = [self._fit(pictures, marks, place, prior) for place in places[:likely]]
+        outcome = verify.decided(tried, v)
+        if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
+            places = [*places, *nearer_and_farther(marks, best, self._trusted(best), prior)]
+            tried += [self._fit(pictures, marks, place, prior) for place in places[likely:]]
+            outcome = verify.decided(tried, v)
+        if not any(isinstance(one, Fitted) for one in tried):
+            tried = [self._fitter.fit_one(pictures, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]
+            outcome = verify.decided(tried, v)
+        if isinstance(outcome, str):
+            return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
+        at = next(k for k, one in enumerate(tried) if isinstance(one, Fitted) and one.pose is outcome.pose)
+        outcome = self._fitter.joined(pictures, marks, places[at], outcome, prior)
+        grade, reason = verify.grade(evidence, outcome, v)
+        voted = any(isinstance(one, Fitted) and verify.same_place(one, outcome, v) for one in tried[:likely])
+        if grade == "sure" and at >= likely and not voted:
+            grade, reason = "weak", "another place has more votes"
+        return _Decided(places[at], outcome, grade, reason, evidence.rival)
+
+    def _believed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
+        """What is weak, or not what the picture before showed, waits until the next one agrees."""
+        if found.grade == "refused":
+            return _Refused("no_pose", found.reason)
+        doubtful = found.grade == "weak" or self._waiting.holds(t_ns, found.fitted.odds)
+        if doubtful and not self._waiting.agrees(found.fitted, t_ns, prior):
+            return _Refused(
+                "waiting", f"{found.reason or 'the picture before showed another place'}: the next picture must agree"
+            )
+        return found
+
+    def _trusted(self, place: Candidate) -> Mask:
+        """Landmarks (L,) that count as seen."""
+        return np.asarray(place.support > self._config.verify.landmark_share * np.maximum(place.length, 1.0))
+
+    def _eye(self, pictures: Pictures) -> Eye:
+        return eyes(self._rig)[int(pictures.only_right)]
+
+    def _limit_px(self, eye: Eye) -> float:
+        return limit_px(eye.camera, self._config.coarse)
+
+
+def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
+    """A place where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is in
+    the picture: its size alone tells how far it is, and a size that is wrong lays half of its sides on edges, too.
+
+    p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
+    """
+    if seen.sum() != 1:
+        return []
+    mark = marks[int(np.flatnonzero(seen)[0])]
+    middle = np.array([*mark.centre_n, mark.roof_d])
+    away = place.p_n - middle
+    s = math.sqrt(float(away @ prior.covariance[:3, :3] @ away)) / float(away @ away)
+    return [replace(place, p_n=middle + math.exp(k * s) * away) for k in _DISTANCES]
+
+
+def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
+    """At most `most` landmarks of whose roof something comes within limit_px of the picture, those with most in view first."""
+    pinhole, p_n = straight(eye), np.asarray(prior.p_n, dtype=float)
+    p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
+    ends, mark = roofs_in_view(pinhole, near, (p_n, prior.R_nb), limit_px)
+    marks, first = np.unique(mark, return_index=True)
+    if not len(marks):
+        return []
+    c, x_c = pinhole.camera, (ends - p_nk) @ R_nk
+    px, size = c.project(x_c), np.array([c.width, c.height])
+    low, high = np.minimum.reduceat(px, first), np.maximum.reduceat(px, first)
+    beside = np.maximum(np.maximum(low - size, -high), 0.0).max(axis=1)
+    inside = np.prod(np.maximum(np.minimum(high, size) - np.maximum(low, 0.0), 0.0), axis=1)
+    depth = np.add.reduceat(x_c[:, 2], first) / np.diff(first, append=len(ends))
+    return [as_seen(near[marks[k]], c.fx / depth[k]) for k in np.lexsort((marks, beside, -inside))[:most]]
+
+
+def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
+    """Identified is what the fix rests on."""
+    if one.state != "open":
+        return one
+    done = one.landmark in used
+    return msgspec.structs.replace(one, state="identified" if done else "open", reason="" if done else "seen, but not used")
+
+
+def _as_fitted(found: _Decided) -> Candidate:
+    """The place with pose and map errors that the fit has found: a search is good to a few pixels only."""
+    place, fit = found.place, found.fitted.pose
+    shift_m = place.shift_m.copy()
+    shift_m[found.fitted.used] = fit.shift_m
+    return replace(place, p_n=fit.joint_p_n, R_nb=fit.joint_R_nb, shift_m=shift_m)
+
+
+def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -> list[RegionReport]:
+    """One line for each landmark that would be in view."""
+    p_nk, R_nk = eye.pose(*place.pose)
+    bodies, said = Prisms.of(marks), []
+    roofs = bodies.roofs
+    roofs[:, :2] += np.repeat(place.shift_m[:, :2], np.diff(bodies.offsets), axis=0)
+    boxes = _boxes(eye, eye.camera.project((roofs - p_nk) @ R_nk), bodies.offsets)
+    for k, mark in enumerate(marks):
+        if place.length[k] <= 0.0:
+            continue
+        share = float(place.support[k] / place.length[k])
+        said.append(RegionReport(
+            "open" if trusted[k] else "not_found", boxes[k], mark.id, min(share, 1.0), 0.0, int(trusted[k]),
+            f"{share:.0%} of its outline lies on edges", PATH,
+        ))  # fmt: skip
+    return said
+
+
+def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
+    """Left, top, width and height of what the picture holds of each landmark, whose corners are px[offsets[k] : offsets[k + 1]].
+
+    Corners that are not before the camera do not count; without any there is nothing.
+    """
+    good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
+    low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
+    high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])
+    shown = np.isfinite(low)
+    low, high = np.where(shown, np.clip(np.floor(low), 0, limit), 0), np.where(shown, np.clip(np.ceil(high), 0, limit), 0)
+    return [(u, v, w, h) for u, v, w, h in np.column_stack((low, high - low)).astype(int).tolist()]

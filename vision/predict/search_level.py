@@ -1,0 +1,151 @@
+"""One reduced picture of the coarse search, and the points on predicted outlines that vote in it."""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from models.maps.landmarks import Landmark
+from models.messages import Array
+from vision.image.reduced import Level
+from vision.outline.visibility import Prisms
+from vision.pose.pose import Pose
+from vision.pose.sensitivity import Eye
+from vision.predict.edge_points import chromas, voters
+from vision.predict.landmark_shifts import motions
+from vision.predict.motion import Motion
+from vision.predict.rigid_votes import Window, rigid_votes
+from vision.predict.votes import aim, vote
+
+Indices = NDArray[np.int64]
+_OPEN = 2.0  # standard deviations of a landmark's place and size on the map
+_FLOOR = 0.5  # of the median gradient of the picture
+_NOWHERE = -(1 << 20)  # a pixel that nothing brings into the picture
+
+
+class Stage:
+    """A level of the picture that `eye` took, in which about `points` points vote, of what is within reach_px of the picture.
+
+    free, sides (L,): px of the level that the map leaves open of a landmark's place, and of its sides; growth_m (K, L): the sizes
+    in which landmarks are to be sought, as mapped first.
+    """
+
+    def __init__(
+        self, level: Level, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, expected: float, reach_px: float, points: int
+    ) -> None:
+        """expected: support per length that speaks neither for nor against a place."""
+        self.level, self._motion, self._expected = level, motion, expected
+        self._eye = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right)
+        pose, body = motion.pose(np.zeros(6)), Prisms.of(landmarks)
+        self.voters = voters(self._eye, body, chromas(landmarks), pose, reach_px / level.size, points)
+        depth = body.base_d - body.height_m - self._eye.pose(*pose)[0][2]
+        metre_px = level.camera.fx / np.maximum(depth, 1.0)
+        map_sigma, outline_sigma = (np.array(s) for s in zip(*((m.sigma_m, m.outline_sigma_m) for m in landmarks), strict=True))
+        self.free, self.sides = np.rint(_OPEN * map_sigma * metre_px), np.rint(_OPEN * outline_sigma * metre_px)
+        self.growth_m = _growths(_OPEN * outline_sigma, metre_px)
+        self._floor = _FLOOR * level.typical() + 0.5
+
+    @property
+    def camera(self) -> Array:
+        """fx fy cx cy of the level."""
+        c = self.level.camera
+        return np.array([c.fx, c.fy, c.cx, c.cy])
+
+    def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
+        """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
+        assert self.voters is not None
+        return self.voters.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
+
+    def middles(self, pose: Pose) -> Array:
+        """The middles (L, 11) of each landmark's points, as aimed."""
+        middle_n, gain, c = self._middle_n, self._motion.gain[:, :2], self.level.camera
+        return aim(middle_n, np.ones_like(middle_n), pose[0], gain, *self._eye.pose(*pose), c.fx, c.fy)
+
+    @cached_property
+    def _middle_n(self) -> Array:
+        """The same on the map (L, 3)."""
+        assert self.voters is not None
+        return self.voters.middles(len(self.free))
+
+    def own_radius(self) -> float:
+        """px of the picture: of the largest landmark, as Motion.radius of all."""
+        assert self.voters is not None
+        mark, pose = self.voters.mark_of_point, self._motion.pose(np.zeros(6))
+        r = _seen(self.aimed(pose)) - _seen(self.middles(pose))[mark]
+        square = np.bincount(mark, np.sum((r * self.camera[:2]) ** 2, axis=1)) / np.maximum(np.bincount(mark), 1)
+        return max(1.3 * math.sqrt(float(np.nanmax(square))), 1.0) * self.level.size
+
+    def vote(self, aimed: Array, su: Array, sv: Array) -> tuple[Array, Array]:
+        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
+        assert self.voters is not None
+        v, marks = self.voters, len(self.free)
+        field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
+        support, length = vote(field, self.camera, aimed, v.first, v.mark, v.length, v.chroma, marks, self._floor, su, sv)
+        return support - self._expected * length, length
+
+    def rigid_votes(self, aimed: Array, window: Window) -> Array:
+        """The best votes (L, rows, columns) within what the map leaves open of each landmark's place, of landmarks as aimed that
+        are moved by all the whole pixels of a window.
+        """
+        assert self.voters is not None
+        v, c, most = self.voters, self.camera, int(self.free.max())
+        px = np.where(aimed[:, 2:3] > 0.0, np.rint(_seen(aimed) * c[:2] + c[2:]), _NOWHERE).astype(np.int64)
+        wide = (window[0] - most, window[1] + most, window[2] - most, window[3] + most)
+        field = self.level.around(np.repeat(px, 2, axis=1) + wide)
+        votes = rigid_votes(
+            field, px, np.ascontiguousarray(aimed[:, 9:]), v.first, v.mark, v.length, v.chroma, len(self.free), self._floor,
+            self._expected, wide,
+        )  # fmt: skip
+        for one, radius in zip(votes, self.free.astype(int).tolist(), strict=True):
+            if radius:
+                one[:] = cv2.dilate(one, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
+        return np.ascontiguousarray(votes[:, most : votes.shape[1] - most, most : votes.shape[2] - most])
+
+    def motions(self, pose: Pose, shift_m: Array) -> Array:
+        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the picture."""
+        assert self.voters is not None
+        v, c, marks = self.voters, self.level.camera, len(self.free)
+        p_nk, R_nk = self._eye.pose(*pose)
+        return np.asarray(motions(v.moved(shift_m), pose[0], p_nk, R_nk, v.mark_of_point, marks, c.fx, c.fy) * self.level.size)
+
+    def across(self, q: Array) -> Array:
+        """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
+        assert self.voters is not None
+        aimed, c = self.aimed(self._motion.pose(self._motion.gain @ q)), self.level.camera
+        return np.asarray(_across(aimed, self.camera, c.width, c.height, self.level.size, self._motion.middle + q[:2]))
+
+
+def _seen(aimed: Array) -> Array:
+    """x / z, y / z (N, 2)."""
+    return np.asarray(aimed[:, :2] / aimed[:, 2:3])
+
+
+@njit(cache=True)
+def _across(aimed: Array, camera: Array, width: int, height: int, size: int, middle: Array) -> Array:
+    """Mean of (n^T B)^T (n^T B) (4, 4) over the points in view; n: their normals, B (2, 4) = (I, turned r, r): similarity(r)."""
+    M, row, count = np.zeros((4, 4)), np.empty(4), 0
+    for i in range(len(aimed)):
+        x, y, z = aimed[i, 0], aimed[i, 1], aimed[i, 2]
+        if z <= 0.0:
+            continue
+        u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
+        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+            continue
+        ru, rv = (u + 0.5) * size - 0.5 - middle[0], (v + 0.5) * size - 0.5 - middle[1]
+        row[0], row[1] = aimed[i, 9], aimed[i, 10]
+        row[2], row[3] = row[1] * ru - row[0] * rv, row[0] * ru + row[1] * rv
+        count += 1
+        for j in range(4):
+            for k in range(4):
+                M[j, k] += row[j] * row[k]
+    return M / max(count, 1)
+
+
+def _growths(open_m: Array, metre_px: Array) -> Array:
+    """Growths (K, L) m up to open_m (L,), none first; from the next of them sides are off by a pixel, as turns and scales."""
+    n = math.ceil(max(float(np.max(open_m * metre_px)) / 2.0 - 0.5, 0.0))
+    return np.array(sorted(range(-n, n + 1), key=abs))[:, None] * (open_m / max(n, 1))

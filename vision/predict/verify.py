@@ -1,0 +1,251 @@
+"""Is a place that was found the right one? When in doubt there is no fix.
+
+    share   = sum support / sum length          of all landmarks in view, not of the chosen ones
+    rival   = (score of another place) / score          where it is high, both are fitted, and their odds compared
+    agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
+
+A place with little to be seen is held until the next picture shows the same error of the prior. Where that one shows another
+error, one of the two is wrong, and even a sure one waits for a third, unless it is much likelier than the one that was held.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from models import so3
+from models.messages import Array
+from vision.identify.identify import Prior
+from vision.pose.pose import PoseEstimate, difference
+from vision.predict.coarse_search import Candidate
+
+_ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two places
+_FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
+_COVERED = 16.0  # 5 ln (0.99 / 0.8 * 0.2 / 0.01): of five pieces of outline 1 % is covered at right places, 20 % at others
+Grade = Literal["sure", "weak", "refused"]
+
+
+class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a place must show."""
+
+    landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length of a landmark that counts as seen")] = 0.2
+    share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.22
+    seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.35
+    rival: Annotated[float, Meta(gt=0, lt=1, description="score over the best one's from which a place is fitted too")] = 0.7
+    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 45.0
+    least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
+    found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.5
+    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.35
+    landmark_found: Annotated[
+        float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
+    ] = 0.5
+    hidden_found: Annotated[float, Meta(gt=0, lt=1, description="the same where the edges there leave no doubt of it")] = 0.3
+    looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
+    off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
+    remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
+    kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
+    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 5.0
+    sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
+    weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
+    both_odds: Annotated[float, Meta(description="the same of both pictures together, where they show one landmark alone")] = 7.0
+    decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
+    decides_alike: Annotated[
+        float, Meta(gt=0, description="the same of a place that would be believed by itself: more than one landmark tells")
+    ] = 6.6
+    moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
+    factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
+    weak_factor: Annotated[float, Meta(gt=1, description="above it the next picture must agree")] = 2.2
+    memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
+    agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
+    drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from picture to picture")] = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for the best candidate before it is fitted."""
+
+    score_px: float
+    share: float
+    seen: float
+    rival: float
+
+    @classmethod
+    def of(cls, candidates: list[Candidate], trusted: NDArray[np.bool_], width: int) -> "Evidence":
+        """trusted: (L,) landmarks of the best one that count as seen; width: px of the picture."""
+        best = candidates[0]
+        total = max(float(best.length.sum()), 1e-9)
+        rival = max((c.score for c in candidates[1:]), default=0.0)
+        return cls(
+            best.score * 640.0 / width,
+            float(best.support.sum()) / total,
+            float(best.length[trusted].sum()) / total,
+            max(rival, 0.0) / max(best.score, 1e-9),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fit; used: indices of its landmarks; asked: of all that the last look could see; remark: on a picture left out.
+
+    kept: share that agreed of the outline of those that must answer; looked: share of it that the last look found, in the worse
+    picture; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this place against one of chance.
+    """
+
+    pose: PoseEstimate
+    used: list[int]
+    asked: list[int]
+    remark: str
+    kept: float
+    looked: float
+    middles: Array
+    odds: float
+
+
+def flaw(evidence: Evidence, config: VerifyConfig) -> str:
+    """Why a place is not worth a fit; empty where it is."""
+    if evidence.score_px < config.least_px or evidence.share < config.share:
+        return f"the outlines are not where they should be: {evidence.share:.0%} of them on edges"
+    if evidence.seen < config.seen:
+        return f"landmarks with {evidence.seen:.0%} of the outline in view were found, the others were not"
+    return ""
+
+
+def place_odds(stands: Array, gone: float, squared: float, found: float, covered: float) -> float:
+    """ln of the odds of a place against one of chance, where outlines lie on edges of something else.
+
+    (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
+
+    stands (L,): ln LR of each landmark in view (presence.py); gone: g, share of the map that is; squared: d^2, of the pose from
+    the prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right places and c at those of
+    chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by themselves.
+    covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
+    """
+    r, c = _FOUND_RIGHT, _FOUND_CHANCE
+    there = float(np.logaddexp(math.log(1.0 - gone) + stands, math.log(gone)).sum())
+    shown = found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c))
+    return (there - 0.5 * squared) / _ALIKE + _PIECES * shown - _COVERED * covered
+
+
+def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
+    """The one fit of several places that is left, or why none is.
+
+    Of those that show the likeliest place and are nearly as likely it is the one that knows the position best. Where several lead
+    to one fit, it has what the least of them has kept: none of them was more right than the others.
+    """
+    fits = [one for one in tried if not isinstance(one, str)]
+    if not fits:
+        return str(tried[0])
+    likeliest = max(fits, key=lambda one: one.odds)
+    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_place(one, likeliest, config)]
+    best = min(as_likely, key=lambda one: (float(np.trace(one.pose.joint_covariance[:3, :3])), -one.odds))
+    kept = best.kept
+    for other in (one for one in fits if one is not best):
+        apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
+        if apart < _ONE_FIT_PX:
+            kept = min(kept, other.kept)
+        if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - _decisive(other, config):
+            return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
+    return best if kept == best.kept else replace(best, kept=kept)
+
+
+def _decisive(other: Fitted, config: VerifyConfig) -> float:
+    """ln of the odds by which another place must be less likely: in a row of equal houses it shows one more, or one less."""
+    return config.decides if other.odds < config.odds else config.decides_alike
+
+
+def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
+    """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one place have.
+
+    Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
+    """
+    a, b = one.pose, other.pose
+    between = difference(a.joint_p_n, a.joint_R_nb, b.joint_p_n, so3.from_matrix(b.joint_R_nb))
+    return bool(between @ np.linalg.solve(a.joint_covariance + b.joint_covariance, between) < config.agree)
+
+
+def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
+    """How far a fit is believed, and why no further."""
+    fit = fitted.pose
+    if fit.factor > config.factor:
+        return "refused", f"residuals are {fit.factor:.1f} times what they should be"
+    if fitted.odds < config.weak_odds:
+        return "refused", f"the place is hardly likelier than one of chance (ln odds {fitted.odds:.1f})"
+    if fit.factor > config.weak_factor:
+        return "weak", f"residuals are {fit.factor:.1f} times what they should be"
+    if fitted.odds < config.sure_odds and (fit.found < config.found or fitted.looked < config.looked):
+        return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
+    if fitted.kept < config.kept:
+        return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
+    if fitted.odds < config.odds:
+        return "weak", f"the place is not much likelier than one of chance (ln odds {fitted.odds:.1f})"
+    if evidence.score_px < config.score_px:
+        return "weak", "little of the outlines in view"
+    return "sure", ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    t_ns: int
+    error: Array  # x (-) x0, (6,)
+    covariance: Array
+    prior: Array  # its variances
+    odds: float
+    sure: bool
+
+    @classmethod
+    def of(cls, fitted: Fitted, t_ns: int, prior: Prior, *, sure: bool) -> "_Held":
+        fit = fitted.pose
+        error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
+        return cls(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy(), fitted.odds, sure)
+
+
+class Waiting:
+    """The place of the picture before: a function of the requests alone, so that a replay waits as the flight did.
+
+    One picture may be looked at twice, by prediction and where segmentation puts it, and both looks see the picture before.
+    """
+
+    def __init__(self, config: VerifyConfig) -> None:
+        self._config = config
+        self._held: _Held | None = None
+        self._nothing_ns: int | None = None  # when a picture after it showed no place
+
+    def nothing(self, t_ns: int) -> None:
+        """No place was found at t_ns: later pictures know of none before."""
+        self._nothing_ns = t_ns
+
+    def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
+        """A fix was made: it makes no other one wait, but a weak place that agrees with it is believed."""
+        self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
+
+    def holds(self, t_ns: int, odds: float) -> bool:
+        """Whether the picture before t_ns showed a weak place, and not a much less likely one than one of these odds."""
+        before = self._before(t_ns)
+        return before is not None and not before.sure and before.odds > odds - self._config.decides
+
+    def _before(self, t_ns: int) -> _Held | None:
+        """The place of the picture before t_ns, if that was not long ago."""
+        held = self._held
+        if held is None or not 0 < t_ns - held.t_ns <= self._config.memory_s * 1e9:
+            return None
+        return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
+
+    def agrees(self, fitted: Fitted, t_ns: int, prior: Prior) -> bool:
+        """Whether the place held before shows the same error of the prior; this one is held from now on.
+
+        One landmark looks in both pictures as it does in one, so that together they must be likelier than each of them.
+        """
+        before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
+        self._held, self._nothing_ns = now, None
+        if before is None or (len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds):
+            return False
+        drift = np.maximum(now.prior - before.prior, 0.0)
+        drift[:3] += self._config.drift_m**2
+        apart = now.error - before.error
+        spread = now.covariance + before.covariance + np.diag(drift)
+        return bool(apart @ np.linalg.solve(spread, apart) < self._config.agree)

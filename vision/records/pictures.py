@@ -1,0 +1,46 @@
+"""The pictures of a request that can be used."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.camera import StereoRig
+from vision.describe.survey import to_8_bit
+from vision.image.check import pair_flaw, picture_flaw
+from vision.image.rectify import Image
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """As the cameras took them, 8 bit, None where there is no good one; remark: what is wrong with the other."""
+
+    left: Image | None
+    right: Image | None
+    remark: str
+
+    @property
+    def only_right(self) -> bool:
+        """Whether the one good picture is the right one."""
+        return self.left is None
+
+    @property
+    def one_channel(self) -> bool:
+        """Whether the pictures have no colour."""
+        return any(image is not None and image.ndim == 2 for image in (self.left, self.right))
+
+
+def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures | str:
+    """The usable pictures, or why there is none."""
+    flaws = [
+        "missing" if image is None else picture_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
+    ]
+    if all(flaws):
+        return f"left: {flaws[0]}; right: {flaws[1]}"
+    if not any(flaws) and left is not None and right is not None and (flaw := pair_flaw(left, right)):
+        flaws[1] = flaw
+    remark = "".join(f"{name} camera not used: {flaw}; " for name, flaw in zip(("left", "right"), flaws, strict=True) if flaw)
+    first, second = (
+        None if image is None or flaw else np.require(to_8_bit(image), np.uint8, ["C", "W"])  # as the kernels are compiled
+        for image, flaw in zip((left, right), flaws, strict=True)
+    )
+    return Pictures(first, second, remark)
