@@ -50,12 +50,12 @@ class Autopilot(Vehicle):
         """By MAVLink what an autopilot has: a position waits for its velocity, for they are one message."""
         match message:
             case ImuSample():
-                self._say(_highres_imu(message))
+                self._say(highres_imu(message, _boot_ns(message.t_ns) // 1000))
                 self._count(message.topic)
             case GnssFix():
                 self._fix = message
             case GnssVelocity() if self._fix:
-                self._say(_gps_raw_int(self._fix, message))
+                self._say(gps_raw_int(self._fix, message, _boot_ns(self._fix.t_ns) // 1000))
                 self._count(self._fix.topic, message.topic)
             case _:
                 super().measure(message)
@@ -127,17 +127,18 @@ def _boot_ns(t_ns: int | None = None) -> int:
     return (time.time_ns() if t_ns is None else t_ns) - _BOOTED_NS
 
 
-def _highres_imu(s: ImuSample) -> Any:
+def highres_imu(s: ImuSample, boot_us: int) -> Any:
+    """An IMU sample; boot_us: its stamp since boot."""
     rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 20.0, _ACCEL_AND_GYRO
-    return mavlink.MAVLink_highres_imu_message(_boot_ns(s.t_ns) // 1000, *s.accel_b, *s.gyro_b, *rest)
+    return mavlink.MAVLink_highres_imu_message(boot_us, *s.accel_b, *s.gyro_b, *rest)
 
 
-def _gps_raw_int(fix: GnssFix, velocity: GnssVelocity) -> Any:
+def gps_raw_int(fix: GnssFix, velocity: GnssVelocity, boot_us: int) -> Any:
+    """A position and its velocity, likewise."""
     north, east, _ = velocity.v_n
     speed, course = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0
     place = round(fix.lat_deg * 1e7), round(fix.lon_deg * 1e7), round((fix.alt_m - 47.5) * 1e3)
     accuracy = {"alt_ellipsoid": round(fix.alt_m * 1e3), "h_acc": 700, "v_acc": 700, "vel_acc": 100}
-    boot_us = _boot_ns(fix.t_ns) // 1000
     return mavlink.MAVLink_gps_raw_int_message(
         boot_us, 3, *place, 80, 120, round(speed * 100), round(course * 100) % 36000, 14, **accuracy
     )

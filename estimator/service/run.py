@@ -274,10 +274,12 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) ->
 def _until_signalled(daemon: Daemon) -> Iterator[None]:
     """The signals that end a program stop the daemon, so that its log is whole; one that was ignored before (nohup) stays so.
 
-    Threads give way quickly, and what lives as long as we do is not garbage.
+    Afterwards, while the log is closed, they are ignored: a second one must not tear it. Threads give way quickly, and what lives
+    as long as we do is not garbage.
     """
-    heeded = [s for s in _STOP_SIGNALS if signal.getsignal(s) is not signal.SIG_IGN]
-    before = {s: signal.signal(s, lambda *_: daemon.stop()) for s in heeded}
+    for number in _STOP_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: daemon.stop())
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()
@@ -287,5 +289,5 @@ def _until_signalled(daemon: Daemon) -> Iterator[None]:
     finally:
         gc.unfreeze()
         sys.setswitchinterval(interval)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number in _STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)

@@ -89,7 +89,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     noise = fix.covariance_n
     if noise is None:
         noise = np.diag([config.horizontal_sigma_m**2, config.horizontal_sigma_m**2, config.vertical_sigma_m**2])
-    if refusal := covariance_refusal(noise):
+    if refusal := covariance_refusal(noise, 3):
         return refusal
     lever = np.array(config.antenna_b_m)
 
@@ -122,7 +122,7 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
     if np.abs(v_n).max() > _FASTEST_M_S:
         return Refusal(Reason.IMPLAUSIBLE, f"faster than {_FASTEST_M_S:.0f} m/s: metres per second are expected")
     noise: Array = velocity.covariance_n if velocity.covariance_n is not None else np.eye(3) * config.velocity_sigma_m_s**2
-    if refusal := covariance_refusal(noise):
+    if refusal := covariance_refusal(noise, 3):
         return refusal
     z = Velocity(v_n, noise, np.array(config.antenna_b_m))
     t_ns = velocity.t_ns - round((config.delay_s + config.velocity_delay_s) * 1e9)

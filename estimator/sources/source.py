@@ -150,8 +150,13 @@ _FLAWS = {
 _ASYMMETRY, _SMALLEST_PIVOT = 1e-6, 1e-12  # of the correlation matrix
 
 
-def covariance_refusal(cov: Array) -> Refusal | None:
-    """Why `cov` (k, k) is no covariance: not finite, asymmetric or not positive definite; None where it is one."""
+def covariance_refusal(cov: Array, size: int | None = None) -> Refusal | None:
+    """Why `cov` (k, k) is no covariance: not finite, asymmetric or not positive definite; None where it is one.
+
+    size: the k that is wanted, where it is not known yet that the array has it.
+    """
+    if size is not None and cov.shape != (size, size):
+        return Refusal(Reason.MALFORMED, f"covariance: {size} x {size} is expected")
     return _FLAWS.get(_flaw(np.ascontiguousarray(cov)))
 
 

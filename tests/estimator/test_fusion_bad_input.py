@@ -14,6 +14,7 @@ from models import state
 from models.messages import (
     AidStatus,
     Array,
+    AttitudePrior,
     Baro,
     Estimate,
     GnssFix,
@@ -99,6 +100,9 @@ BAD: dict[str, tuple[Input, Reason]] = {
     "GNSS covariance zero": (_gnss(covariance_n=np.zeros((3, 3))), Reason.NOT_PSD),
     "GNSS covariance negative": (_gnss(covariance_n=-np.eye(3)), Reason.NOT_PSD),
     "GNSS covariance Inf": (_gnss(covariance_n=_full(math.inf, 3)), Reason.NOT_FINITE),
+    "GNSS covariance of wrong shape": (_gnss(covariance_n=np.eye(2)), Reason.MALFORMED),
+    "velocity covariance of wrong shape": (_velocity(covariance_n=np.eye(6)), Reason.MALFORMED),
+    "attitude covariance of wrong shape": (AttitudePrior(NOW, NOW, (1.0, 0.0, 0.0, 0.0), np.eye(6)), Reason.MALFORMED),
     "velocity NaN": (_velocity(v_n=(math.nan, 0.0, 0.0)), Reason.NOT_FINITE),
     "velocity in mm/s": (_velocity(v_n=(15_000.0, 0.0, 0.0)), Reason.IMPLAUSIBLE),
     "velocity covariance zero": (_velocity(covariance_n=np.zeros((3, 3))), Reason.NOT_PSD),
