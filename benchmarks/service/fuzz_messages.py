@@ -219,7 +219,8 @@ def _spoiled_array(a: Array, rng: Rng) -> Array | None:
         lambda _: None,
     ]
     with np.errstate(all="ignore"):
-        return _pick(rng, ways)(a)
+        spoiled: Array | None = _pick(rng, ways)(a)
+    return spoiled
 
 
 def _with_entry(a: Array, value: float, rng: Rng) -> Array:
