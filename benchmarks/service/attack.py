@@ -152,13 +152,13 @@ def run(minutes: float, folder: Path, out: Path) -> list[dict[str, Any]]:
         began, killed = time.monotonic(), 0
         while time.monotonic() - began < 60.0 * minutes:
             for name, act in attacks(attacker, daemon.pid).items():
-                told = act()
+                sent = act()
                 ended_s = time.time()
                 killed += name == "vision killed"
                 time.sleep(QUIET_S)
                 status = ears.status()
                 rows.append({
-                    "attack": name, "sent": told, "recovered_s": round(ears.recovered_s(ended_s), 2),
+                    "attack": name, "sent": sent, "recovered_s": round(ears.recovered_s(ended_s), 2),
                     "restarts_without_cause": int(status.get("vision restarts", -1)) - killed,
                     "compiled_in_flight": status.get("vision compiled_in_flight", ""),
                     "rss_mb": round(_rss_mb(daemon.pid)), "internal_errors": int(status.get("internal_errors", 0)),

@@ -83,11 +83,11 @@ def _tell_places() -> None:
     """What History survives says where it arose, too."""
     decide = History._decide
 
-    def told(self: History, entry: Entry, decision: Decision) -> None:
+    def noting(self: History, entry: Entry, decision: Decision) -> None:
         place = f" ({_place_of(sys.exception())})" if decision.reason is Reason.INTERNAL else ""
         decide(self, entry, decision._replace(detail=decision.detail + place))
 
-    History._decide = told  # type: ignore[method-assign]
+    History._decide = noting  # type: ignore[method-assign]
 
 
 _tell_places()
