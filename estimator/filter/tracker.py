@@ -36,6 +36,7 @@ _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _NO_START = f"waiting for a position with {_FEWEST_SAMPLES} IMU samples or more in the second before it"
+_BEFORE_IMU = "before the first IMU sample"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
@@ -243,6 +244,8 @@ class Tracker:
     def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Start the filter, or go on finding the heading."""
         config = self.config.initialise
+        if self.hypotheses is None and not samples.first_after(self.t_ns):  # a late one must not redo an alignment that is done
+            return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
         if whole or self.hypotheses is None:
             stretch = self._stretch(samples)

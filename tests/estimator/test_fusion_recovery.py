@@ -17,7 +17,7 @@ from estimator.sources.source import Aid
 from models.messages import GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X
-from tests.estimator.scenes import SECOND, Run, hover, pose_fix
+from tests.estimator.scenes import SECOND, Run, displaced, hover, pose_fix, same
 
 CONFIG = FusionConfig()
 ORIGIN = (47.3977, 8.5456, 488.0)
@@ -99,6 +99,16 @@ def test_work_that_is_late_ends_at_any_rate_of_measurements() -> None:
     rest.flown(4.0)
     assert rest.run.fusion._history._ahead is None
     assert not rest.run.internal_errors()
+
+
+def test_a_late_fix_from_before_the_first_imu_sample_takes_no_estimate_away() -> None:
+    messages = hover(8.0)
+    early = [displaced(pose_fix(EPOCH_NS - SECOND // 2, yaw=2.0), (5.0, 0.0, 0.0)), pose_fix(EPOCH_NS - 3)]
+    run = Run(Fusion(CONFIG)).feed([*messages[:500], *early, *messages[500:]])
+    undisturbed = Run(Fusion(CONFIG)).feed(messages)
+    assert len(run.estimates) == len(undisturbed.estimates)
+    assert same(run.estimates[-1], undisturbed.estimates[-1])
+    assert same(Run(Fusion(CONFIG)).feed([*early, *messages]).estimates[-1], undisturbed.estimates[-1])
 
 
 # --- defects of ours ------------------------------------------------------------------------------------------------------
