@@ -61,7 +61,7 @@ def test_no_kernel_that_an_estimate_rests_on_may_calculate_in_another_order() ->
     ]
     kernels = [
         value for name in names if not name.endswith("__main__") for value in vars(importlib.import_module(name)).values()
-        if isinstance(value, Dispatcher)
+        if isinstance(value, Dispatcher) and not value.py_func.__module__.startswith("vision.synthetic")  # which draws images
     ]  # fmt: skip
     assert len(kernels) > 100
     assert not [kernel for kernel in kernels if kernel.targetoptions.get("fastmath")]
