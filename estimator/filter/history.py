@@ -8,6 +8,9 @@ No output waits for that: behind each, a slice of it is done, few measurements a
 of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
 least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
 
+A published alignment is not taken away by what came late: while the tracker that works it in is not aligned, the one of before
+goes on by the IMU alone. After `history_s` without another alignment it becomes the tracker of record, and what came late is lost.
+
 A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
 before it and passes it over from then on.
 """
@@ -55,6 +58,7 @@ class History:
         self._since_checkpoint = 0  # IMU samples
         self._redo_from_ns: int | None = None
         self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
+        self._ahead_since_ns = 0
         self._due = False  # a slice of that work
         self._changed: list[Entry] = []
 
@@ -109,18 +113,18 @@ class History:
         tracker then stands at the last of them: where the IMU will split the time beyond it is not known yet.
         """
         if self._redo_from_ns is not None and self._ahead is None:
-            self._ahead = self.tracker
+            self._ahead, self._ahead_since_ns = self.tracker, self.tracker.t_ns
             self._restore()
         if self._ahead is not None:
             if not coast and self._ahead.t_ns <= to_ns:  # else it has coasted beyond
                 self._ahead.propagate(self.samples, to_ns)
                 self._due = True
                 return self._ahead
-            self._ahead = None
             if self._redo_from_ns is not None:
                 self._restore()
         self._go_through(to_ns if coast else min(to_ns, self.samples.newest_ns))
-        return self.tracker
+        self._hand_over()
+        return self._ahead or self.tracker
 
     def catch_up(self) -> None:
         """Work in a slice of what came late, once behind every output of `advance`."""
@@ -132,7 +136,28 @@ class History:
         keeps_pace = self._waiting(self.tracker.t_ns + _PACE * interval_ns)
         self._go_through(newest_ns, max(1, interval_ns // _MEASUREMENT_NS, keeps_pace))
         if self.tracker.t_ns >= newest_ns:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """What came late is worked in: publish from the tracker again, unless that would end a published alignment."""
+        ahead = self._ahead
+        if ahead is None:
+            return
+        if self.tracker.is_aligned or not ahead.is_aligned:
             self._ahead = None
+        elif ahead.t_ns - self._ahead_since_ns > self._span_ns:
+            self._ahead = None
+            self._begin_at(ahead)
+        elif self._redo_from_ns is not None:
+            self._restore()
+
+    def _begin_at(self, tracker: Tracker) -> None:
+        """The tracker becomes the one of record; nothing before it is redone any more."""
+        self.tracker, self._redo_from_ns, self._since_checkpoint = tracker, None, 0
+        self._checkpoints, self._checkpoint_times = [tracker.copy()], [tracker.t_ns]
+        done = bisect_right(self._orders, tracker.t_ns, key=lambda order: order[0])
+        del self._entries[:done], self._orders[:done]
+        self._next = 0
 
     def changed(self) -> list[Entry]:
         """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""

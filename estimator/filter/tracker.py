@@ -244,7 +244,7 @@ class Tracker:
     def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Start the filter, or go on finding the heading."""
         config = self.config.initialise
-        if self.hypotheses is None and not samples.first_after(self.t_ns):  # a late one must not redo an alignment that is done
+        if self.hypotheses is None and not (samples.count and self.t_ns > samples.t_ns[0] - self._gap_ns):
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
         if whole or self.hypotheses is None:

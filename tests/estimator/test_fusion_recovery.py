@@ -14,7 +14,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Decision, Tracker
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.source import Aid
-from models.messages import GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, displaced, hover, pose_fix, same
@@ -103,12 +103,33 @@ def test_work_that_is_late_ends_at_any_rate_of_measurements() -> None:
 
 def test_a_late_fix_from_before_the_first_imu_sample_takes_no_estimate_away() -> None:
     messages = hover(8.0)
-    early = [displaced(pose_fix(EPOCH_NS - SECOND // 2, yaw=2.0), (5.0, 0.0, 0.0)), pose_fix(EPOCH_NS - 3)]
+    early = [displaced(pose_fix(EPOCH_NS - SECOND // 2, yaw=2.0), (5.0, 0.0, 0.0)), pose_fix(EPOCH_NS - SECOND // 5)]
     run = Run(Fusion(CONFIG)).feed([*messages[:500], *early, *messages[500:]])
     undisturbed = Run(Fusion(CONFIG)).feed(messages)
     assert len(run.estimates) == len(undisturbed.estimates)
     assert same(run.estimates[-1], undisturbed.estimates[-1])
     assert same(Run(Fusion(CONFIG)).feed([*early, *messages]).estimates[-1], undisturbed.estimates[-1])
+
+
+def _prior(t_ns: int, now_ns: int, sigma: float) -> AttitudePrior:
+    return AttitudePrior(t_ns, now_ns, (1.0, 0.0, 0.0, 0.0), np.eye(3) * sigma**2)
+
+
+def test_a_late_measurement_that_would_prevent_the_alignment_does_not_end_a_published_estimate() -> None:
+    """At rest the first attitude is all that shows the heading; a vaguer one, late, takes its place and shows too little."""
+    rest = Rest(gnss_hz=5.0)
+    for k in range(14 * 200):
+        if k == 180:
+            rest.run.feed([_prior(rest.now_ns, rest.now_ns, 0.03)])
+        if k == 4 * 200:
+            assert rest.run.estimates
+            rest.run.feed([_prior(EPOCH_NS + 190 * STEP_NS, rest.now_ns, 0.3)])
+        rest.step()
+    stamps = np.array([e.t_ns for e in rest.run.estimates])
+    assert np.diff(stamps).max() == STEP_NS
+    assert stamps[-1] == rest.now_ns
+    assert rest.run.health[-1].mode is Mode.AIDED  # and fixes are fused again
+    assert rest.run.fusion._history._ahead is None
 
 
 # --- defects of ours ------------------------------------------------------------------------------------------------------
