@@ -8,8 +8,8 @@ No output waits for that: behind each, a slice of it is done, few measurements a
 of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
 least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
 
-A published alignment is not taken away by what came late: while the tracker that works it in is not aligned, the one of before
-goes on by the IMU alone. After `history_s` without another alignment it becomes the tracker of record, and what came late is lost.
+A published alignment is not taken away by what came late. While the tracker that works it in is not aligned, the one of before
+goes on by the IMU alone. After `history_s` without another alignment it is the tracker again, and what came late is lost.
 
 A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
 before it and passes it over from then on.

@@ -32,6 +32,7 @@ _GIVES_WAY: Final = 5  # to the loop, which has little to do but at once
 _START_S: Final = 300.0  # to load everything, without what has to be compiled
 _COMPILE_S: Final = 120.0  # for one kernel, on a small computer with other work to do,
 _ALL_COMPILED_S: Final = 1800.0  # and for all that come before one answer
+_SLICE_S: Final = 0.1  # of a time-out
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
 _GOOD_ANSWERS: Final = 50  # in a row, until the back-off begins anew: seconds of sight, not one answer between two failures
 _IDLE_S: Final = 0.05
@@ -232,27 +233,39 @@ class VisionWorker:
         """
         assert self._process is not None
         assert self._pipe is not None
-        late, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
+        answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
         try:
             if question is not None:
                 self._pipe.send(question)
             while isinstance(said := self._pipe.recv(), Compiling):
-                late.cancel()
+                answered.set()
                 allowed_s = _COMPILE_S if said.kernel else patience_s
-                late = self._killed_in(min(allowed_s, max(end_s - time.monotonic(), 0.0)))
+                answered = self._killed_in(min(allowed_s, max(end_s - time.monotonic(), 0.0)))
                 self._note(said)
             return said
         except (EOFError, OSError):
             return None
         finally:
-            late.cancel()
+            answered.set()
 
-    def _killed_in(self, seconds: float) -> threading.Timer:
-        """Kills the process then, unless it is cancelled."""
+    def _killed_in(self, seconds: float) -> threading.Event:
+        """Kills the process after that time, unless the event is set before. Time in which this process was stopped (SIGSTOP, a
+        debugger) does not count: no answer could be read.
+        """
         assert self._process is not None
-        late = threading.Timer(seconds, self._process.kill)
-        late.start()
-        return late
+        answered, process = threading.Event(), self._process
+
+        def wait() -> None:
+            left_s = seconds
+            while left_s > 0.0:
+                begun_s = time.monotonic()
+                if answered.wait(min(left_s, _SLICE_S)):
+                    return
+                left_s -= min(time.monotonic() - begun_s, 2.0 * _SLICE_S)
+            process.kill()
+
+        threading.Thread(target=wait, name="vision-timeout", daemon=True).start()
+        return answered
 
     def _note(self, compiling: Compiling) -> None:
         """A kernel that is compiled when pictures have come is missing in the warm-up: it is counted, and seen in the status."""

@@ -256,3 +256,30 @@ def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:
         _until(lambda: worker.report()["state"] == "ready")
         take()
         heard.wait("/landfix/fix", 2)
+
+
+_STOPPED = """
+import subprocess, sys
+from estimator.service.vision.worker import VisionWorker
+worker = VisionWorker.__new__(VisionWorker)
+worker._process = process = subprocess.Popen(["sleep", "60"])
+worker._killed_in(1.0)
+print("waiting", flush=True)
+sys.stdin.readline()
+print("alive" if process.poll() is None else "dead", flush=True)
+print("killed" if process.wait(20.0) < 0 else "ended by itself", flush=True)
+"""
+
+
+def test_the_time_in_which_the_daemon_is_stopped_does_not_count_as_vision_s_silence() -> None:
+    with subprocess.Popen([sys.executable, "-c", _STOPPED], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdin is not None
+        assert daemon.stdout is not None
+        assert daemon.stdout.readline() == "waiting\n"
+        daemon.send_signal(signal.SIGSTOP)
+        time.sleep(2.0)
+        daemon.stdin.write("\n")
+        daemon.stdin.flush()
+        daemon.send_signal(signal.SIGCONT)
+        assert daemon.stdout.readline() == "alive\n"
+        assert daemon.stdout.readline() == "killed\n"
