@@ -270,7 +270,7 @@ class Fusion:
         old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
         old.propagate(samples, samples.first_after(last.t_ns), t_ns)
         delta = state.local(old.x, lead.x)
-        return delta if state.has_moved(delta, lead.cov, self._config.estimator.reset_sigma) else None
+        return delta if state.has_moved(delta, lead.variance_factor * lead.cov, self._config.estimator.reset_sigma) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.filter.eskf import Innovation
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
@@ -26,6 +27,7 @@ _APART_S = 2.0  # fixes further apart tell nothing
 _AGILE_M_S2 = 40.0  # no vehicle accelerates more
 _SIGMAS = 3.0
 _XYZ = slice(0, 3)
+_SAME_WAY, _TINY = 0.5, 1e-30  # cosine: two directions at random in six dimensions are nearer in one case of ten
 
 
 class Contradiction(NamedTuple):
@@ -64,3 +66,14 @@ class Contradiction(NamedTuple):
 
 
 NO_CONTRADICTION = Contradiction()
+
+
+def direction(seen: Innovation) -> tuple[float, ...]:
+    """The innovation in units of its sigma, of length 1, (m,)."""
+    scaled = seen.nu / np.sqrt(seen.s.diagonal())
+    return tuple((scaled / max(float(np.linalg.norm(scaled)), _TINY)).tolist())
+
+
+def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
+    """Whether two innovations in a row point the same way: the noise of fixes does not, an IMU that is wrong does."""
+    return len(before) == len(now) and sum(a * b for a, b in zip(before, now, strict=True)) > _SAME_WAY

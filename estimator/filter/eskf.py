@@ -36,7 +36,7 @@ _identity = cache(np.eye)
 
 
 class Innovation(NamedTuple):
-    """One measurement seen from one state: nu (m,), H and H P (m, n), R and S (m, m), squared Mahalanobis distance, ln det S."""
+    """One measurement seen from one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S."""
 
     nu: Array
     h: Array
@@ -55,16 +55,25 @@ class Innovation(NamedTuple):
 class Eskf:
     """State, covariance and time of one filter."""
 
-    __slots__ = ("constants", "cov", "slow", "sound", "t_ns", "x")
+    __slots__ = ("constants", "cov", "slow", "sound", "t_ns", "variance_factor", "x")
 
-    def __init__(self, t_ns: int, x: Array, cov: Array, constants: Array, slow: SlowErrors = NO_SLOW_ERRORS) -> None:
+    def __init__(
+        self,
+        t_ns: int,
+        x: Array,
+        cov: Array,
+        constants: Array,
+        slow: SlowErrors = NO_SLOW_ERRORS,
+        variance_factor: float = 1.0,
+    ) -> None:
         self.t_ns, self.x, self.cov = t_ns, x, cov
         self.constants, self.slow = constants, slow
+        self.variance_factor = variance_factor  # f: the errors' covariance is f P; see variance_factor.py
         self.sound = True  # state.sound of the present state
 
     def copy(self) -> "Eskf":
         """An independent filter in the same state."""
-        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow)
+        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow, self.variance_factor)
 
     def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
@@ -146,6 +155,8 @@ class Eskf:
             bend = z.bend(self.x, self.cov, nu, h, s)
             noise, s = noise + bend, s + bend
             distance2, logdet = mahalanobis(nu, s)
+        if (f := self.variance_factor) > 1.0:
+            s, distance2, logdet = f * s, distance2 / f, logdet + m * math.log(f)
         return Innovation(nu, h, hp, noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:

@@ -141,13 +141,25 @@ class Hypotheses:
         """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
         lead = self.members[0]
         if len(self.members) == 1:  # most of the time
-            return lead.filter.cov[_OF_STATE].copy()
+            return lead.filter.variance_factor * lead.filter.cov[_OF_STATE]
         shown = [m for m in self.members if m.shows_beside(lead)]
         weights = [math.exp(m.weight + m.benefit) for m in shown]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
         for weight, member in zip(weights, shown, strict=True):
-            _mix(total, weight / whole, member.filter.cov, local(lead.filter.x, member.filter.x))
-        return total
+            _mix(
+                total,
+                weight / whole,
+                member.filter.cov,
+                local(lead.filter.x, member.filter.x) / math.sqrt(lead.filter.variance_factor),
+            )
+        return lead.filter.variance_factor * total
+
+    def scale(self, variance_factor: float) -> None:
+        """The errors of every filter are larger than it says. Where they turn out to be, a gate has refused too much."""
+        for member in self.members:
+            if variance_factor > member.filter.variance_factor:
+                member.doubts = {topic: doubt for topic, doubt in member.doubts.items() if doubt.deliberate}
+            member.filter.variance_factor = variance_factor
 
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
         """Let every hypothesis answer a measurement; trusted: the source's machine lets it be fused."""

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from estimator.filter.eskf import Eskf
+from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
@@ -180,22 +180,24 @@ def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
     return x, cov
 
 
-def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> bool:
-    """Every heading fuses the measurement and is weighed by how well it foresaw it; whether any did."""
-    foreseen = False
+def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
+    """Every heading fuses the measurement and is weighed by how well it foresaw it; what the one saw that foresaw it best."""
+    best_seen: Innovation | None = None
     for member in bank.members:
         seen = innovation(member.filter, aid, z, gyro_b)
         # A single wild measurement must not decide the heading.
         member.weight += max(seen.log_likelihood, aid.log_false)
         passed = seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu))
-        foreseen |= passed
+        if best_seen is None or seen.distance2 < best_seen.distance2:
+            best_seen = seen
         if passed or seen.log_likelihood > aid.log_false:
             member.filter.update(seen)
     best = max(m.weight for m in bank.members)
     bank.members = sorted((m for m in bank.members if m.weight > best - _HOPELESS), key=lambda m: -m.weight)
     for member in bank.members:
         member.weight -= best
-    return foreseen
+    assert best_seen is not None
+    return best_seen
 
 
 def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:

@@ -168,7 +168,7 @@ def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) ->
     """One pass: the filter at the end, and the smoothed trajectory."""
     dx = local(path[0], stretch.x)
     cov = carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
-    run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow)
+    run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow, like.variance_factor)
     means, covs, links = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], []
     for x, taken in zip(path[1:], stretch.taken, strict=True):
         index, to_ns = samples.first_after(run.t_ns), taken.aid.t_ns

@@ -15,11 +15,13 @@ from msgspec.structs import replace
 from estimator.filter import contradiction, initialise
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.contradiction import NO_CONTRADICTION
-from estimator.filter.eskf import Eskf
+from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch, relinearise
+from estimator.filter.variance_factor import NO_EXCESS
+from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
 from estimator.sources.source import Aid, Phase, SourceState
 from models import imu
@@ -108,6 +110,8 @@ class Tracker:
         self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
+        self.variance_factor = NO_EXCESS
+        self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.sources: dict[str, SourceState] = {}
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
@@ -223,6 +227,8 @@ class Tracker:
         assert self.hypotheses is not None
         trusted = state.phase is Phase.ACTIVE
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
+        if trusted and aid.absolute:
+            self._note_variance(aid, verdict.seen)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
@@ -281,7 +287,15 @@ class Tracker:
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
-        foreseen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        self.hypotheses.scale(self.variance_factor.value)
+        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        limit = gate(aid.rules.gate_probability, len(seen.nu))
+        foreseen = seen.distance2 * self.variance_factor.value <= limit
+        if aid.absolute:
+            before, self.direction = self.direction, contradiction.direction(seen)
+            foreseen |= seen.distance2 <= limit and not contradiction.persists(before, self.direction)
+            if len(self.hypotheses.members) == 1:
+                self._note_variance(aid, seen)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if self.hypotheses is None:
             return
@@ -305,6 +319,13 @@ class Tracker:
         if self.contradiction.is_shown:
             self.hypotheses, self.stretch, self.still, self.is_aligned = None, None, None, False
             self.contradiction, self.given_up = NO_CONTRADICTION, self.given_up + 1
+
+    def _note_variance(self, aid: Aid, seen: Innovation) -> None:
+        """One more innovation of an absolute source, of the leading filter."""
+        assert self.hypotheses is not None
+        distance2 = seen.distance2 * self.variance_factor.value
+        self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu))
+        self.hypotheses.scale(self.variance_factor.value)
 
     def _is_proven(self) -> bool:
         """The newest position was foreseen, by a filter that has gone on for a while."""

@@ -1,0 +1,43 @@
+"""The variance of unit weight: how much larger the errors are than P and R say, learnt from the innovations.
+
+    r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))       where the median > 2
+
+m_50(m): the median of chi-square with m degrees of freedom. The true covariance is f P, that of an innovation f S. The gain
+K = P H^T S^-1 does not depend on f, so a world that differs from the model costs no more than it costs an ungated filter, and
+the gates and the published covariance stay honest. The median does not follow three false fixes of seven. f is never below 1.
+(A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
+"""
+
+import math
+from typing import NamedTuple
+
+from estimator.sources.gating import gate
+
+_WINDOW, _FEWEST = 5, 3  # readings of a topic
+_NOTABLE = 2.5
+_LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
+_FADES_S = 30.0
+
+
+class VarianceFactor(NamedTuple):
+    """value: f at t_ns; ratios: the newest r of each topic."""
+
+    value: float = 1.0
+    t_ns: int = 0
+    ratios: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    def also(self, topic: str, t_ns: int, distance2: float, dof: int) -> "VarianceFactor":
+        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1."""
+        by_topic = dict(self.ratios)
+        ratio = distance2 / gate(0.5, dof)
+        newest = (*by_topic.get(topic, ())[1 - _WINDOW :], ratio) if ratio <= _LARGEST else by_topic.get(topic, ())
+        by_topic[topic] = newest
+        value = 1.0
+        if self.value > 1.0:
+            value += (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
+        if len(newest) >= _FEWEST and (middle := sorted(newest)[(len(newest) - 1) // 2]) > _NOTABLE:
+            value = max(value, middle)
+        return VarianceFactor(value if value > 1.01 else 1.0, t_ns, tuple(sorted(by_topic.items())))
+
+
+NO_EXCESS = VarianceFactor()

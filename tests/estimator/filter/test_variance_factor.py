@@ -1,0 +1,65 @@
+"""The variance of unit weight: it follows errors that are larger than they claim, and neither false fixes nor good ones."""
+
+import numpy as np
+import pytest
+
+from estimator.filter.variance_factor import NO_EXCESS, VarianceFactor
+from models.messages import AidStatus, PoseFix, Reason
+from models.state import E
+from tests.estimator.scenes import SECOND, Run, error, fly, simulated
+
+FLIGHT = """
+duration_s = 60.0
+[pose_fix]
+rate_hz = 2.0
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+def _noted(distances2: list[float], dof: int = 6) -> VarianceFactor:
+    factor = NO_EXCESS
+    for k, distance2 in enumerate(distances2):
+        factor = factor.also("/pose_fix", k * SECOND // 2, distance2, dof)
+    return factor
+
+
+@pytest.mark.parametrize("excess", [1.0, 4.0, 9.0])
+def test_it_is_the_ratio_of_the_errors_to_what_they_claim(excess: float) -> None:
+    rng = np.random.default_rng(0)
+    values = [_noted((excess * rng.chisquare(6, 20)).tolist()).value for _ in range(200)]
+    assert np.median(values) == pytest.approx(excess, rel=0.7 if excess > 1.0 else 1e-9)
+    assert np.mean(np.array(values) > 1.0) < 0.1 or excess > 1.0
+
+
+def test_two_false_fixes_of_five_do_not_move_it_nor_do_those_that_are_far_away() -> None:
+    assert _noted([5.0, 70.0, 5.0, 70.0, 5.0]).value == 1.0
+    assert _noted([5.0] * 5 + [1e5] * 8).value == 1.0
+    assert _noted([5.0] * 5 + [70.0] * 3).value > 10.0
+
+
+def test_it_fades() -> None:
+    raised = factor = _noted([70.0] * 5)
+    for k in range(200):
+        factor = factor.also("/pose_fix", raised.t_ns + (1 + k) * SECOND, 5.0, 6)
+        if k == 20:
+            assert 2.0 < factor.value < 0.6 * raised.value
+    assert factor.value < 1.02
+
+
+def _overconfident(fix: PoseFix, factor: float) -> PoseFix:
+    return PoseFix(fix.t_ns, fix.arrived_ns, fix.p_n, fix.q_nb_wxyz, np.asarray(fix.covariance) / factor)
+
+
+@pytest.mark.parametrize("factor", [4.0, 16.0])
+def test_fixes_that_claim_too_small_a_covariance_are_fused_and_the_estimate_claims_what_it_is_worth(factor: float) -> None:
+    """Without it, a sixteenth gave no estimate at all, and a quarter one that was refused half of its fixes."""
+    flight = simulated(FLIGHT)
+    run: Run = fly(flight, messages=[_overconfident(m, factor) if isinstance(m, PoseFix) else m for m in flight.messages])
+    final = [s.reason for s in run.last_words("/pose_fix").values() if isinstance(s, AidStatus)]
+    assert final.count(Reason.FUSED) > 0.85 * len(final)
+    late = [e for e in run.estimates if e.t_ns > run.estimates[0].t_ns + 10 * SECOND][::20]
+    off = np.array([error(e, flight.truth)[E.P] for e in late])
+    nees = np.array([d @ np.linalg.solve(e.covariance[E.P, E.P], d) / 3.0 for d, e in zip(off, late, strict=True)])
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.4
+    assert 0.2 < nees.mean() < 1.4
