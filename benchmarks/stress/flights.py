@@ -28,7 +28,7 @@ from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
 
 Aids = Literal["fixes", "both", "gnss"]
-SIMULATED = {"rotor": Multirotor(), "wing": FixedWing()}
+SIMULATED: dict[str, Multirotor | FixedWing] = {"rotor": Multirotor(seed=0), "wing": FixedWing(seed=0)}
 SIMULATED_S, SIMULATED_OUTAGE_S = 70.0, (40.0, 50.0)
 ALIGNED_S = 10.0  # aids "gnss": fixes until then
 _ORIGIN = Scenario().origin  # where recorded flights are put on Earth, so that they can have GNSS
@@ -81,7 +81,7 @@ def _simulated(name: str, aids: Aids, seed: int) -> Flight:
     outages = (SIMULATED_OUTAGE_S,) if aids == "fixes" else ()
     scenario = Scenario(
         duration_s=SIMULATED_S,
-        vehicle=msgspec.structs.replace(SIMULATED[name], seed=0),
+        vehicle=SIMULATED[name],
         imu=Imu(rate_hz=100.0),
         gnss=None if aids == "fixes" else _RECEIVER,
         pose_fix=PoseFixes(outages_s=outages),
