@@ -156,3 +156,5 @@ def test_a_run_fails_by_each_criterion() -> None:
     assert failures(row(worse, good)) == ["ratio", "overconfident"]
     assert failures(row(worse, poor)) == ["overconfident"]
     assert failures(row(Score(complete=False), good)) == ["incomplete"]
+    alone = Row("GNSS slow error", 1.0, "sim/rotor", 0, worse, good, 0, {})  # the plain filter fuses no GNSS position
+    assert failures(alone) == ["overconfident"]
