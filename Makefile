@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real campaign soak site install kernels lock clean
+.PHONY: help demo test check bench bench-real stress campaign soak site install kernels lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ bench: install  ## speed, as ratios to a baseline run beside it
 
 bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside the peers' figures
 	$(BIN)/python -m benchmarks.flights.real
+
+stress: install  ## accuracy and consistency where the world differs from the configuration, beside the plain filter (minutes)
+	$(BIN)/python -m benchmarks.stress --quick
 
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign

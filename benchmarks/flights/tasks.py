@@ -194,7 +194,7 @@ def score(task_file: Path, estimate: Path) -> dict[str, Any]:
 
 def _pool(task_file: Path, estimate: Path, meta: dict[str, Any]) -> dict[str, Any]:
     """Counts and sums at the scored truth stamps, and the largest error outside outages (and the time after them)."""
-    truth, found = _read(task_file, "/truth"), _read(estimate, "/landfix/odometry")
+    truth, found = read_odometry(task_file, "/truth"), read_odometry(estimate, "/landfix/odometry")
     row, near = nearest(found.t_ns, truth.t_ns, MATCH_NS)
     seconds = (truth.t_ns - tool().EPOCH_NS) * 1e-9
     keep = near & (seconds >= tool().BURN_S.get(meta["scenario"], 10.0))
@@ -217,7 +217,7 @@ def _sums(ratio: Array) -> dict[str, float]:
     return {"n": len(ratio), "nees": float(ratio.sum()), "covered": int((3.0 * ratio < INSIDE95).sum())}
 
 
-def _read(path: Path, topic: str) -> Any:
+def read_odometry(path: Path, topic: str) -> Any:
     with path.open("rb") as f:
         rows = [(m.data, m.log_time) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
     data, arrived = zip(*rows, strict=True)

@@ -1,0 +1,1 @@
+"""What differences between world and configuration cost: perturbed messages through landfix and the plain filter."""
