@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import Json, print_json, print_table, progress
+from estimator.commands.common.console import Json, kept_on_interrupt, print_json, print_table, progress
 from estimator.commands.replay import print_summary
 
 if TYPE_CHECKING:
@@ -32,10 +32,11 @@ def command(
     from estimator.tools.demo import demo
     from estimator.tools.kernels import prepare
 
-    with progress("compiling, once") as report:
-        prepare(report)
-    with progress("demo") as report:
-        result = demo(out, seed, report)
+    with kept_on_interrupt(lambda: sorted(path for path in out.glob("*") if path.is_file())):
+        with progress("compiling, once") as report:
+            prepare(report)
+        with progress("demo") as report:
+            result = demo(out, seed, report)
     if json:
         print_json(result)
         return
