@@ -25,7 +25,7 @@ def command(
     markdown: Annotated[bool, typer.Option("--markdown", help="A row for each log, as Markdown.")] = False,
     comma_separated: Annotated[bool, typer.Option("--csv", help="A row for each log, as CSV with all digits.")] = False,
 ) -> None:
-    """Say how good an estimate was, or compare several.
+    """Evaluate an estimate, or compare several.
 
     Errors, consistency of the covariance, drift in each outage, what became of the measurements.
     Without a truth in the log it says all that needs none. Of several logs there is a row for each; the best of a column stands

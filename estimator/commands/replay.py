@@ -22,10 +22,10 @@ def command(
     out: Out,
     config: ConfigFile = None,
     from_images: Annotated[
-        bool, typer.Option("--from-images/--from-fixes", help="Look at the pictures again, or take the fixes in the log.")
+        bool, typer.Option("--from-images/--from-fixes", help="Process the recorded images again, or use the fixes in the log.")
     ] = False,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="Add /landfix/smoothed: what is known of each moment with the whole flight known.")
+        bool, typer.Option("--smooth", help="Add /landfix/smoothed: the estimate of each moment from the whole flight.")
     ] = False,
     json: Json = False,
 ) -> None:

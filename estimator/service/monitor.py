@@ -228,9 +228,9 @@ def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
         seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
         yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
     if state := d.get("mavlink state"):
-        heard_s, told = d["mavlink heard_s"], f"told {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
+        heard_s, sent = d["mavlink heard_s"], f"sent {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
         heard = "nobody heard yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
-        yield "mavlink", f"{state}   {heard}, {told}", state == "open" and heard_s != "never"
+        yield "mavlink", f"{state}   {heard}, {sent}", state == "open" and heard_s != "never"
 
 
 def _age(given: str | None) -> Text:

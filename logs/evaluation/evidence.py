@@ -177,7 +177,7 @@ def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) 
         return from_rows(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 7)))
     truth = _positions(sheaf, origin)
     if truth is None:
-        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} tells no position"
+        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} holds no position"
         raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
     return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
 

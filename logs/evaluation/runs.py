@@ -26,7 +26,7 @@ class Run(msgspec.Struct, frozen=True):
     """One run in a row; None where its log does not tell.
 
     outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if honest;
-    inside95: share of time inside the promised 95 % radius.
+    inside95: share of time inside the reported 95 % radius.
     """
 
     run: str
