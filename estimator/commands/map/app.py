@@ -226,7 +226,7 @@ def _say_built(the_map: "LandmarkMap", alike: "Alike | None", out: Path) -> None
     if assumed:
         note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
     if alike is None:
-        note("too dense to look for look-alikes; none are marked")
+        note("too dense to search for ambiguous landmarks; none are marked")
     elif count := int((alike.count > 0).sum()):
         note(f"{count} of {len(the_map)} landmarks look like another one near by; they are marked (landfix map check lists them)")
     if found.doubt:
@@ -260,7 +260,7 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
     print_table(f"landfix map check {map_file}", rows)
     if result.look_alikes:
         pairs = [(p.a, p.b, f"{p.distance_m:.1f} m", f"{p.similarity:.1%}") for p in result.look_alikes[:_MOST_LINES]]
-        print_table("look-alikes, the likest first", pairs, ("landmark", "and", "apart", "similarity"))
+        print_table("ambiguous landmarks, the most similar first", pairs, ("landmark", "and", "apart", "similarity"))
         _more(len(result.look_alikes))
     if result.repeats:
         shifts = [(r.id, f"{r.shift_m:.1f} m") for r in result.repeats[:_MOST_LINES]]

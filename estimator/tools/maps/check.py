@@ -126,7 +126,7 @@ def _quality(the_map: LandmarkMap, marked: Alike, nested: int, radius_m: float, 
         judge("height", f"{_spread(columns.height_m)} m, sigma {_spread(columns.height_sigma_m)} m"),
         judge("map sigma", f"{_spread(columns.sigma_m, 2)} m", warn=bool(np.any(columns.sigma_m == 0.0)), advice=exact),
         judge("one in another", f"{nested} pairs", warn=nested > 0, advice=one_place),
-        judge("look-alikes", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
+        judge("ambiguous landmarks", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
         judge("repetition", same, warn=repeated > 0, advice=by_prior),
     ]
 
