@@ -148,7 +148,7 @@ def test_an_honest_estimate_has_nothing_said_against_it_and_without_truth_nothin
     assert "Outages and resets None." in Page(tmp_path / "x.html").text
     verdict_of(tmp_path, Flight(truth=False, false_every=1000))
     page = Page(tmp_path / "x.html")
-    assert "There is no truth in the log" in page.text
+    assert "There is no ground truth in the log" in page.text
     assert not any(name.startswith("error") for name in page.drawing["charts"])
 
 
