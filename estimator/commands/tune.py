@@ -46,7 +46,7 @@ def command(
 
     Fixes are held back in windows of 10 s, and the estimate is scored by how probable it had called each of them: a covariance
     too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would
-    cost: where that is nothing, the logs do not tell it. Judge by logs that were held out.
+    cost: where that is nothing, it is weakly identifiable. Judge by logs that were held out.
 
     \b
     Examples:

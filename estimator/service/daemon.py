@@ -90,7 +90,7 @@ class Daemon:
             next_tick_ns += self._tick_ns
 
     def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
-        """A defect of ours costs one message, is counted and told once a second, and does not end the flight."""
+        """A defect of ours costs one message, is counted and reported once a second, and does not end the flight."""
         try:
             step(*given)
         except Exception as error:

@@ -75,7 +75,7 @@ class Handover:
         return news
 
     def is_fix(self, estimate: Estimate) -> bool:
-        """Whether the estimate, into which a fix has just entered, may be told as one."""
+        """Whether the estimate, into which a fix has just entered, may be sent as one."""
         return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns
 
     def quality(self, estimate: Estimate) -> int:
