@@ -1,4 +1,4 @@
-"""The estimator: an error-state Kalman filter that keeps an honest estimate while absolute fixes are rare, late or missing.
+"""The estimator: an error-state Kalman filter that keeps a consistent estimate while absolute fixes are rare, late or missing.
 
     fusion.Fusion.handle(message) -> outputs        the sans-I/O heart; daemon, replay, simulation and tests drive the same call
 

@@ -63,7 +63,7 @@ def _landfix(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", hidden=True, help="Show the traceback of an error.")] = False,
 ) -> None:
-    """Where a vehicle is when GPS is gone: IMU, rare pose fixes and last-known GPS in one honest estimate.
+    """Estimate the state of a vehicle without GPS: IMU, rare pose fixes and the last GPS in one consistent estimate.
 
     \b
     Start here:

@@ -97,9 +97,7 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     picture_heights: Annotated[
         str | None, Meta(description="GeoTIFF or picture with a world file: heights [m] of its ground above the ellipsoid")
     ] = None
-    picture_epsg: Annotated[
-        int, Meta(ge=0, le=999_999, description="coordinate system of the picture where it does not tell")
-    ] = 0
+    picture_epsg: Annotated[int, Meta(ge=0, le=999_999, description="EPSG code of the raster, if it holds none")] = 0
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

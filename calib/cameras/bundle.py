@@ -129,7 +129,7 @@ def adjust(problem: Problem) -> Solution:
     terms = [_terms(problem, i, mask) for i in range(len(problem.views))]
     cost = sum(float(t.r @ t.r) for t in terms)
     if not np.isfinite(cost):
-        raise CalibrationError("no camera fits these views: are the corners those of the board that was told?")
+        raise CalibrationError("no camera fits these views: are the corners those of the given board?")
     for _ in range(_STEPS):
         ds, dv = _step(terms, damping, int(mask.sum()))
         moved = _moved(problem, mask, ds, dv)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import Json, print_json, print_table, progress
+from estimator.commands.common.console import Json, kept_on_interrupt, print_json, print_table, progress
 from estimator.commands.replay import print_summary
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another flight.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the flight.")] = 0,
     json: Json = False,
 ) -> None:
     """Fly a simulation through the real pipeline.
@@ -32,10 +32,11 @@ def command(
     from estimator.tools.demo import demo
     from estimator.tools.kernels import prepare
 
-    with progress("compiling, once") as report:
-        prepare(report)
-    with progress("demo") as report:
-        result = demo(out, seed, report)
+    with kept_on_interrupt(lambda: sorted(path for path in out.glob("*") if path.is_file())):
+        with progress("compiling, once") as report:
+            prepare(report)
+        with progress("demo") as report:
+            result = demo(out, seed, report)
     if json:
         print_json(result)
         return
@@ -51,7 +52,7 @@ def _print_verdict(evaluation: "Evaluation") -> None:
         rows.append(("error with fixes, RMSE", f"{evaluation.accuracy.aided_position_m.rmse:.2f} m"))
     for outage in evaluation.outages:
         if outage.source == "all" and outage.drift:
-            promised = f", promised 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
+            promised = f", reported 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
             rows.append((f"after {outage.duration_s:.0f} s of blackout", f"{outage.drift.end_m:.2f} m{promised}"))
     if evaluation.honesty:
         rows.append(("inside the 95 % radius", f"{evaluation.honesty.radius95_covered:.0%} of the time"))

@@ -25,11 +25,11 @@ def command(
     markdown: Annotated[bool, typer.Option("--markdown", help="A row for each log, as Markdown.")] = False,
     comma_separated: Annotated[bool, typer.Option("--csv", help="A row for each log, as CSV with all digits.")] = False,
 ) -> None:
-    """Say how good an estimate was, or compare several.
+    """Evaluate an estimate, or compare several.
 
     Errors, consistency of the covariance, drift in each outage, what became of the measurements.
     Without a truth in the log it says all that needs none. Of several logs there is a row for each; the best of a column stands
-    out. A log that cannot be read is told on stderr and left out, and the exit code is 1.
+    out. A log that cannot be read is named on stderr and left out, and the exit code is 1.
 
     \b
     Examples:

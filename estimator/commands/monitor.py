@@ -14,9 +14,7 @@ def command(
     connect: Annotated[
         str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the daemon listens; default: as in FILE.")
     ] = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.1, help="Stop after so long; default: when told to (Ctrl-C).")
-    ] = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time; default: on Ctrl-C.")] = None,
     picture: Annotated[Path | None, typer.Option("--svg", metavar="FILE.svg", help="Write the last screen as a picture.")] = None,
     json: Json = False,
 ) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import ConfigFile, Json, Out, note, print_json, print_table, progress
+from estimator.commands.common.console import ConfigFile, Json, Out, kept_on_interrupt, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from estimator.config import Config
@@ -22,10 +22,10 @@ def command(
     out: Out,
     config: ConfigFile = None,
     from_images: Annotated[
-        bool, typer.Option("--from-images/--from-fixes", help="Look at the pictures again, or take the fixes in the log.")
+        bool, typer.Option("--from-images/--from-fixes", help="Process the recorded images again, or use the fixes in the log.")
     ] = False,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="Add /landfix/smoothed: what is known of each moment with the whole flight known.")
+        bool, typer.Option("--smooth", help="Add /landfix/smoothed: the estimate of each moment from the whole flight.")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -51,7 +51,7 @@ def command(
     loaded, folder = load(config), config.parent if config else Path()
     parts = [file for given in source for file in files_of(given)]
     sight = _sight(loaded, folder, parts) if from_images else None
-    with progress(f"replay {parts[0].name}") as report:
+    with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
         summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder))
     if smooth:
         _add_smoothed(out, loaded)
@@ -102,7 +102,7 @@ def _add_smoothed(log: Path, config: "Config") -> None:
 
     whole = log.with_name(f".{log.name}.smoothing")
     try:
-        with progress(f"smooth {log.name}") as report:
+        with kept_on_interrupt(lambda: [log]), progress(f"smooth {log.name}") as report:
             summary = write_smoothed(log, whole, config, report)
         whole.replace(log)
     finally:

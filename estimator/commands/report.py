@@ -24,10 +24,11 @@ def command(
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Show what the cameras saw.")] = True,
     json: Json = False,
 ) -> None:
-    """Make a page that answers after a flight: where was I, how sure, why, what went wrong.
+    """Write a report of a flight as one HTML page: trajectory, uncertainty, rejected measurements, problems.
 
-    One HTML file that needs no network: a verdict with its reasons, the map, errors or the promised radius, what became of each
-    measurement, what vision saw and why it gave no fix, biases, health, times, the configuration. Drag in a plot to zoom.
+    The page needs no network. It holds a verdict with its reasons, the map, errors or the reported 95 % radius, the decision on
+    each measurement, images with their fixes or the reason for none, biases, health, latencies and the configuration. Drag in a
+    plot to zoom.
 
     \b
     Examples:

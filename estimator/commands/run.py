@@ -2,15 +2,22 @@
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from estimator.commands.common.console import ConfigFile
 
 
-def command(config: ConfigFile = None) -> None:
+def command(
+    config: ConfigFile = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors, as under systemd.")] = False,
+) -> None:
     """Fly: sensors in, estimate out, everything in the log, until stopped.
 
-    Listens on loopback only unless the configuration says otherwise. SIGTERM or Ctrl-C stops it; the log is whole then. After
-    kill -9 the log has lost less than 0.1 s, is made whole by the next start, and the estimate goes on from its last state.
+    Listens on loopback only unless the configuration says otherwise. Prints on stderr what it listens on, where it logs, what it
+    waits for, and every change of mode. SIGTERM or Ctrl-C stops it: the log is then complete, and its path and size are printed.
+    After kill -9 the log has lost less than 0.1 s. The next start repairs it, and the estimate continues from its last state.
 
     \b
     Examples:
@@ -22,4 +29,4 @@ def command(config: ConfigFile = None) -> None:
     from estimator.config import load
     from estimator.service.run import run
 
-    run(load(config), config.parent if config else Path())
+    run(load(config), config.parent if config else Path(), quiet=quiet)

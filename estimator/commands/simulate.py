@@ -23,7 +23,7 @@ def command(
     """Simulate a flight as a log.
 
     OUT.mcap holds the sensors' messages and the truth; OUT.toml is the configuration that fits it. With [cameras] in the scenario
-    there are stereo pictures in it, and OUT_map.geojson and OUT_rig.yaml are what the vehicle is told of world and cameras.
+    there are stereo pictures in it, and OUT_map.geojson and OUT_rig.yaml are its landmark map and calibration.
 
     \b
     Examples:

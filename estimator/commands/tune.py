@@ -27,9 +27,13 @@ def command(
         list[Path] | None, typer.Option("--hold-out", metavar="LOG.mcap", help="Not tuned on, only judged by; may be repeated.")
     ] = None,
     truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; none: the fixes that are held back.")] = "",
-    vary: Annotated[str, typer.Option(metavar="KEY,KEY", help="Keys to turn, such as imu.gyro_noise; default: all noise.")] = "",
-    gates: Annotated[bool, typer.Option("--gates", help="Turn gate_probability and false_share too.")] = False,
-    outage_s: Annotated[float, typer.Option("--outage", metavar="SECONDS", min=1, help="Fixes are held back so long.")] = 10.0,
+    vary: Annotated[
+        str, typer.Option(metavar="KEY,KEY", help="Keys to tune, such as imu.gyro_noise; default: all noise parameters.")
+    ] = "",
+    gates: Annotated[bool, typer.Option("--gates", help="Tune gate_probability and false_share too.")] = False,
+    outage_s: Annotated[
+        float, typer.Option("--outage", metavar="SECONDS", min=1, help="Duration of a window without fixes.")
+    ] = 10.0,
     coarse: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the coarse search.")] = 16,
     fine: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the fine search, at most.")] = 40,
     jobs: Annotated[int | None, typer.Option(metavar="N", min=1, help="Processes [default: one per core].")] = None,
@@ -38,11 +42,11 @@ def command(
     ] = "",
     json: Json = False,
 ) -> None:
-    """Find the noise parameters that predict best what the filter was not shown.
+    """Find the noise parameters that best predict held-out fixes.
 
     Fixes are held back in windows of 10 s, and the estimate is scored by how probable it had called each of them: a covariance
     too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would
-    cost: where that is nothing, the logs do not tell it. Judge by logs that were held out.
+    cost: where that is nothing, it is weakly identifiable. Judge by logs that were held out.
 
     \b
     Examples:
@@ -106,7 +110,7 @@ def _print(result: "TuneResult", out: Path) -> None:
         f"gain per fix: {_gain(result.gain)}" + (f"; held out: {_gain(result.held_out_gain)}" if result.held_out_gain else "")
     )
     typer.echo("")
-    columns = ("key", "before", "tuned", "half", "double", "told")
+    columns = ("key", "before", "tuned", "half", "double", "identifiable")
     print_table("Parameters; half, double: gain per fix if it were so", [_key(key) for key in result.keys], columns)
     typer.echo(f"\nwritten: {out}")
     if against := warning(result):
@@ -119,7 +123,7 @@ def _row(name: str, s: "Summary") -> tuple[str, ...]:
 
 
 def _key(key: "TunedKey") -> tuple[str, ...]:
-    verdict = "at its bound" if key.at_bound else "yes" if key.determined else "poorly"
+    verdict = "at its bound" if key.at_bound else "yes" if key.determined else "weakly"
     return key.name, f"{key.before:.3g}", f"{key.after:.3g}", _gain(key.half), _gain(key.double), verdict
 
 

@@ -1,4 +1,4 @@
-"""When viewers are told of the landmarks around: at the start, when those in use change, and when the vehicle has moved on."""
+"""When landmarks are published for viewers: at the start, when those in use change, and when the vehicle has moved on."""
 
 from typing import Final
 
@@ -11,7 +11,7 @@ from models.messages import Array
 
 _REACH_M: Final = 300.0
 _MOST: Final = 300  # landmarks in a message
-_MOVED_M: Final = 100.0  # from where it was told last
+_MOVED_M: Final = 100.0  # from where they were published last
 _LEAST_NS: Final = 1_000_000_000  # between two messages
 
 
@@ -25,7 +25,7 @@ class LandmarkBoard:
         self._place = np.zeros(3)
 
     def news(self, t_ns: int, p_n: Array, used: frozenset[str]) -> list[Encoded]:
-        """The message if one is due; p_n: where the vehicle is believed to be, used: ids of the landmarks of the newest fix."""
+        """The message if one is due; p_n: the estimated position, used: ids of the landmarks of the newest fix."""
         if self._told_ns is not None:
             same = used == self._used and np.linalg.norm((p_n - self._place)[:2]) <= _MOVED_M
             if same or 0 <= t_ns - self._told_ns < _LEAST_NS:

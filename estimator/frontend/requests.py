@@ -127,7 +127,7 @@ class Track:
         return self._estimates[-1].mode if self._estimates else ""
 
     def request(self, pair: Pair, arrived_ns: int, run: int = 0) -> VisionRequest | None:
-        """Where the vehicle is believed to have been when the pictures were taken; None where nobody knows."""
+        """Estimated pose at the time of exposure; None where it is unknown."""
         t_ns = pair.t_ns
         near = min(tuple(self._estimates), key=lambda e: abs(e.t_ns - t_ns), default=None)
         if near is None or abs(near.t_ns - t_ns) > _OLDEST_NS:

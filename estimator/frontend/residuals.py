@@ -2,7 +2,7 @@
 
 A picture's residual is the median over its landmarks of their spread (vision/show/overlay.py, Residuals.spread_px): how far edges
 lie from the drawn outlines, along the normals, as one standard deviation. What the estimate's own covariance and the map's let
-one expect is told with it.
+one expect is reported with it.
 """
 
 from collections import defaultdict
@@ -102,7 +102,7 @@ class Summary(NamedTuple):
 
 
 class OverlayResult(msgspec.Struct, frozen=True):
-    """All pictures, and apart those of which vision made a fix; ratio: median of residual / expected; 1: an honest covariance."""
+    """All pictures, and apart those of which vision made a fix; ratio: median of residual / expected; 1: consistent."""
 
     log: str
     video: str

@@ -43,7 +43,7 @@ class Orthophoto(NamedTuple):
 
 
 def load(path: Path, epsg: int = 0) -> Orthophoto:
-    """The picture of a file; epsg: its system, where the file does not tell. Raises MapError, one line."""
+    """The picture of a file; epsg: its system, where the file holds none. Raises MapError, one line."""
     data = path.read_bytes()
     image = _decode(path, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     return Orthophoto(_to_8_bit(image), *georeference(path, data, epsg))
@@ -59,7 +59,7 @@ def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
 
 
 def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
-    """Affine (2, 3) and EPSG code of a picture file's data; epsg: where the file does not tell. Raises MapError, one line."""
+    """Affine (2, 3) and EPSG code of a picture file's data; epsg: where the file holds none. Raises MapError, one line."""
     tags = _tags(data)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:

@@ -71,7 +71,7 @@ def replay(
     sight: SeesAgain | None = None,
     attachments: Sequence[Attachment] = (),
 ) -> ReplaySummary:
-    """Replay the log `source` (or its parts, or their folder) into `out`; progress is told the fraction done. Raises LogError.
+    """Replay the log `source` (or its parts, or their folder) into `out`; progress: gets the fraction done. Raises LogError.
 
     sight: looks at the pictures of the log again; None: the fixes in it are taken. attachments: files that the configuration
     names (publish.file_attachment), instead of the log's own of that kind.

@@ -50,7 +50,7 @@ class SmoothSummary(msgspec.Struct, frozen=True):
 def write_smoothed(
     source: Path, out: Path, config: SmoothLogConfig, progress: Callable[[float], None] | None = None
 ) -> SmoothSummary:
-    """Smooth the log `source` into `out`; progress is told the fraction done. Raises LogError for a file that is no log.
+    """Smooth the log `source` into `out`; progress: gets the fraction done. Raises LogError for a file that is no log.
 
     out holds the messages and attachments of the source, its own estimates included (an earlier /landfix/smoothed is not), and
     nav_msgs/Odometry on /landfix/smoothed, each at the log time of the first IMU sample that is not older.

@@ -40,8 +40,8 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Daemon:
     """The loop and what it drives.
 
-    alive(): called at every tick while estimates, or a known reason for none, come out; for the watchdog. remember(output): for a
-    restart.
+    alive(): called at every tick while estimates, or a known reason for none, come out; for the watchdog. watchers: called with
+    every output.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class Daemon:
         track: Track,
         tick_hz: float,
         alive: Callable[[], None],
-        remember: Callable[[Output], None],
+        watchers: Sequence[Callable[[Output], None]],
     ) -> None:
         self._fusion, self._decoder, self._publisher = fusion, decoder, publisher
         self.mailbox, self._outboxes, self._log = mailbox, outboxes, log
-        self._stamps, self._clock, self._status, self._alive, self._remember = stamps, clock, status, alive, remember
+        self._stamps, self._clock, self._status, self._alive, self._watchers = stamps, clock, status, alive, watchers
         self._track = track
         self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
@@ -90,7 +90,7 @@ class Daemon:
             next_tick_ns += self._tick_ns
 
     def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
-        """A defect of ours costs one message, is counted and told once a second, and does not end the flight."""
+        """A defect of ours costs one message, is counted and reported once a second, and does not end the flight."""
         try:
             step(*given)
         except Exception as error:
@@ -127,7 +127,8 @@ class Daemon:
                 outbox.send(outputs, encoded)
         self._status.note(message, outputs, self._clock.now_ns())
         for output in outputs:
-            self._remember(output)
+            for watcher in self._watchers:
+                watcher(output)
         for message_out in encoded:
             self._log.put_output(message_out, arrived_ns)
         return message

@@ -16,7 +16,7 @@ from logs.wire.codec import Encoded
 from logs.wire.markers import TOPIC as LANDMARKS_TOPIC
 from logs.wire.schemas import is_known, schema_text
 
-_KEPT: Final = frozenset({LANDMARKS_TOPIC})  # told rarely: who comes late gets the last
+_KEPT: Final = frozenset({LANDMARKS_TOPIC})  # published rarely: who comes late gets the last
 _LONGEST_WAIT_S: Final = 1.0
 _PROGRESS_EVERY: Final = 500
 

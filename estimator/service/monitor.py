@@ -166,7 +166,7 @@ def status(session: zenoh.Session) -> str:
 
 
 def watch(session: zenoh.Session, domain: int, endpoint: str, seconds: float | None, picture: Path | None) -> None:
-    """Show the screen until told to stop, or for so long; keep the last one as a picture. Raises BusError when it cannot."""
+    """Show the screen until Ctrl-C, or for so long; keep the last one as a picture. Raises BusError when it cannot."""
     view = View()
     kept = _listen(session, domain, view)
     console = Console()
@@ -228,9 +228,9 @@ def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
         seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
         yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
     if state := d.get("mavlink state"):
-        heard_s, told = d["mavlink heard_s"], f"told {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
-        heard = "nobody heard yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
-        yield "mavlink", f"{state}   {heard}, {told}", state == "open" and heard_s != "never"
+        heard_s, sent = d["mavlink heard_s"], f"sent {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
+        heard = "no heartbeat yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
+        yield "mavlink", f"{state}   {heard}, {sent}", state == "open" and heard_s != "never"
 
 
 def _age(given: str | None) -> Text:

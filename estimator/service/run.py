@@ -20,6 +20,7 @@ from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.base.mailbox import Mailbox
 from estimator.service.base.ports import Arrival, Outbox
 from estimator.service.base.status import Status
+from estimator.service.console import Console
 from estimator.service.daemon import Daemon, ServiceConfig
 from estimator.service.log import state_file
 from estimator.service.log.recovery import claim, recover_in_background
@@ -37,7 +38,6 @@ from estimator.version import version
 from logs.store.reader import Attachment
 from logs.wire import schemas
 from logs.wire.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
-from models.messages import Output
 
 if TYPE_CHECKING:
     from estimator.service.mavlink.link import MavlinkLink
@@ -81,24 +81,51 @@ class RunConfig(Protocol):
     def toml(self) -> str: ...  # noqa: D102
 
 
-def run(config: RunConfig, folder: Path) -> None:
-    """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count.
+def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
+    """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count; quiet: print nothing but errors.
 
     Raises ConfigError, FolderError or BusError when it cannot start; once it has started it raises nothing.
     """
     notifier = Notifier()
-    with assembled(config, folder, alive=notifier.alive) as daemon, _until_signalled(daemon):
+    with (
+        Console(quiet=quiet) as console,
+        assembled(config, folder, alive=notifier.alive, console=console) as daemon,
+        _until_signalled(daemon),
+    ):
+        for line in _greeting(config):
+            console.say(line)
         notifier.ready("running")
         daemon.run()
         notifier.stopping()
+        console.say("stopping: the log is being closed")
+
+
+def _greeting(config: RunConfig) -> Iterator[str]:
+    """What the daemon listens on and what it waits for, a line each."""
+    zenoh, mavlink, inputs = config.zenoh, config.mavlink.endpoint, config.inputs
+    if zenoh.enabled:
+        connects = f", connects to {', '.join(zenoh.connect)}" if zenoh.connect else ""
+        yield f"Zenoh: listens on {', '.join(zenoh.listen) or 'nothing'}{connects}, ROS domain {zenoh.domain}"
+    if mavlink:
+        yield f"MAVLink: {mavlink}"
+    if not (zenoh.enabled or mavlink):
+        yield "no input: Zenoh and MAVLink are both off ([zenoh] enabled, [mavlink] endpoint)"
+    yield f"waiting for: IMU samples on {', '.join(inputs.imu)}"
 
 
 @contextmanager
 def assembled(
-    config: RunConfig, folder: Path, *, clock: Clock | None = None, alive: Callable[[], None] = lambda: None
+    config: RunConfig,
+    folder: Path,
+    *,
+    clock: Clock | None = None,
+    alive: Callable[[], None] = lambda: None,
+    console: Console | None = None,
 ) -> Iterator[Daemon]:
     """The daemon with its log, its links and its last state, open as long as the context; run() is the caller's."""
+    console = console or Console()
     attachments = _attachments(config, folder)
+    console.say("loading kernels; the first start on a machine compiles them, which takes a minute or more")
     digest = sha256(config.toml().encode()).hexdigest()
     warm_up()
     logs = Path(config.log.folder)
@@ -110,7 +137,7 @@ def assembled(
         clock = clock or state_file.clock_of(saved)
         if config.log.enabled and (recovery := recover_in_background(logs)):
             threading.Thread(target=recovery.wait, name="recovery", daemon=True).start()  # it may take longer than we live
-        log = _log(stack, config, clock, attachments, _metadata(config, folder, digest))
+        log = _log(stack, config, clock, attachments, _metadata(config, folder, digest), console)
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
@@ -146,7 +173,7 @@ def assembled(
             track=track,
             tick_hz=config.service.tick_hz,
             alive=alive,
-            remember=keeper.note if keeper else _forget,
+            watchers=[console.note, *([keeper.note] if keeper else [])],
         )
         if last := state_file.usable(saved, clock.now_ns(), digest, config.service.warm_restart_s):
             daemon.take(Arrival(CHECKPOINT_TOPIC, schemas.CHECKPOINT, last.checkpoint, clock.now_ns()))
@@ -195,10 +222,6 @@ def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None
     bus.serve("map", lambda: content.get("map"), "application/geo+json")
 
 
-def _forget(_: Output) -> None:
-    """Keep no state."""
-
-
 class _NoLog:
     """The Log when nothing is recorded."""
 
@@ -226,13 +249,16 @@ def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
 
 
 def _log(
-    stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], metadata: dict[str, str]
+    stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], metadata: dict[str, str], console: Console
 ) -> LogWriter | _NoLog:
     if not config.log.enabled:
+        console.say("log: off ([log] enabled)")
         return _NoLog()
     began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
     stem = Path(config.log.folder) / f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
     log = LogWriter(config.log, lambda n: stem.with_name(f"{stem.name}-{n:03d}.mcap"), metadata, attachments)
+    console.say(f"log: {stem}-*.mcap")
+    stack.callback(lambda: console.closed(log.files, log.state.lost_inputs))  # callbacks run in reverse order: after log.close
     stack.callback(log.close)
     return log
 

@@ -42,7 +42,7 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         10.0
     )
     believe_after_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: after so long of consistent contradiction GNSS is believed, not the filter")
+        float, Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to GNSS")
     ] = 60.0
     probation: Annotated[
         int,

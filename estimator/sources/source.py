@@ -44,7 +44,7 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     )
     believe_after_s: Annotated[
         float,
-        Meta(ge=1e-3, le=1e6, description="s: after so long of consistent contradiction the source is believed, not the filter"),
+        Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
     ] = 20.0
     probation: Annotated[
         int,

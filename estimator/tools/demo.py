@@ -25,6 +25,7 @@ _CHECKOUT = Path("examples/scenarios") / SCENARIO  # a wheel has it beside this 
 _OUTAGE_S = 5.0  # longer without a fix is an outage
 
 Progress = Callable[[float], None]
+Stages = Callable[[float, str], None]  # share that is done, and the name of the stage
 
 
 class DemoResult(msgspec.Struct, frozen=True):
@@ -47,13 +48,13 @@ def scenario_text() -> str:
     return (packaged if packaged.is_file() else Path(__file__).parents[2] / _CHECKOUT).read_text(encoding="utf-8")
 
 
-def demo(folder: Path, seed: int = 0, progress: Progress = lambda _: None, scenario: str | None = None) -> DemoResult:
+def demo(folder: Path, seed: int = 0, progress: Stages = lambda _, __: None, scenario: str | None = None) -> DemoResult:
     """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
-    _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5))
-    summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85))
-    written = _report(folder, _part(progress, 0.85, 1.0))
+    _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5, "simulate and render"))
+    summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85, "replay"))
+    written = _report(folder, _part(progress, 0.85, 1.0, "evaluate and report"))
     return DemoResult(
         folder=str(folder),
         log=str(log),
@@ -118,6 +119,7 @@ def _report(folder: Path, progress: Progress) -> Written:
     return compose(evidence, gathered, str(estimate), report, outage_s=_OUTAGE_S, illustrate=illustrate)
 
 
-def _part(progress: Progress, begin: float, end: float) -> Progress:
+def _part(progress: Stages, begin: float, end: float, stage: str) -> Progress:
     """Progress of one stage as its share of the whole."""
-    return lambda fraction: progress(begin + (end - begin) * fraction)
+    progress(begin, stage)
+    return lambda fraction: progress(begin + (end - begin) * fraction, stage)

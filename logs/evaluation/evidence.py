@@ -1,4 +1,4 @@
-"""Everything a log tells about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
+"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -59,8 +59,8 @@ class Evidence:
     """A log, as far as it concerns evaluation.
 
     aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense;
-    origin: where map lies on Earth, as far as the log tells; every: of so many estimates one was kept;
-    attachments, metadata, skipped_chunks: as the reader tells them.
+    origin: where map lies on Earth, as far as the log holds it; every: of so many estimates one was kept;
+    attachments, metadata, skipped_chunks: as the reader reports them.
     """
 
     estimate: Trajectory
@@ -122,7 +122,7 @@ def read(
     most: int | None = None,
     see: Callable[[Record], None] | None = None,
 ) -> Evidence:
-    """The Evidence of a log. progress is told the fraction done.
+    """The Evidence of a log. progress is called with the fraction done.
 
     most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
     Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
@@ -177,7 +177,7 @@ def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) 
         return from_rows(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 7)))
     truth = _positions(sheaf, origin)
     if truth is None:
-        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} tells no position"
+        why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} holds no position"
         raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
     return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
 
@@ -196,7 +196,7 @@ def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
 
 
 def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
-    """Where map lies on Earth, from one estimate told both in map and as latitude and longitude.
+    """Where map lies on Earth, from one estimate given both in map and as latitude and longitude.
 
     The origin is the place from which p leads to that latitude and longitude, found by iteration: the axes of map turn with it.
     """
@@ -241,7 +241,7 @@ def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
 def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
     """The fixes of the topics on which a decision was made, with that decision.
 
-    Found by arrival: the validity of a fix is its stamp less the delay that the estimator was told of.
+    Found by arrival: the validity of a fix is its stamp less the delay that the estimator was configured with.
     """
     used: dict[str, set[int]] = {}
     for status in aids:

@@ -163,7 +163,7 @@ def drift(p_error: Array, p_true: Array) -> Drift:
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared, e' P^-1 e, (n,)                  (Bar-Shalom et al. 2001, eq. 5.4.2-2).
 
-    inf where P is not finite, not symmetric (1e-6) or not positive definite: such a covariance promises nothing.
+    inf where P is not finite, not symmetric (1e-6) or not positive definite: such a covariance bounds nothing.
     """
     values = np.full(len(error), np.inf)
     sound = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1)
@@ -200,7 +200,7 @@ def effective_samples(x: Array) -> float:
 
 
 class Consistency(msgspec.Struct, frozen=True):
-    """Is the covariance honest? mean = NEES / dof, 1 if it is.
+    """Is the covariance consistent? mean = NEES / dof, 1 if it is.
 
     band: two-sided 95 % interval of that mean for n_effective independent samples; inside: share of samples within their own
     two-sided 95 % interval; covered: share within the 95 % ellipsoid.

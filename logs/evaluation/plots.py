@@ -1,7 +1,7 @@
-"""Pictures of a flight: from above, errors within their bands, horizontal error against the promised radius.
+"""Pictures of a flight: from above, errors within their bands, horizontal error against the reported 95 % radius.
 
 Every function returns a matplotlib Figure that stands alone (no pyplot, no global state); figure.savefig("x.png") writes it. Time
-is in seconds from the first estimate. Colours are Okabe & Ito's, told apart by the colour-blind; markers differ too.
+is in seconds from the first estimate. Colours are Okabe & Ito's, distinguishable by the colour-blind; markers differ too.
 """
 
 from typing import Any, Final
@@ -38,7 +38,7 @@ def from_above(evidence: Evidence, outages: Spans) -> Figure:
 
 
 def errors(evidence: Evidence, outages: Spans) -> Figure:
-    """Error of each axis, true minus estimated, with its 95 % band: position, and attitude where the truth tells it."""
+    """Error of each axis, true minus estimated, with its 95 % band: position, and attitude where the truth has it."""
     comparison = compare(evidence.estimate, evidence.truth)
     columns = 2 if comparison.truth.has_attitude.any() else 1
     figure = _figure(6.5 * columns + 0.5, 7.5)
@@ -60,7 +60,7 @@ def errors(evidence: Evidence, outages: Spans) -> Figure:
 
 
 def horizontal_error(evidence: Evidence, outages: Spans) -> Figure:
-    """Horizontal error and the radius promised to hold it 95 % of the time, on a logarithmic scale."""
+    """Horizontal error and the reported 95 % radius, on a logarithmic scale."""
     figure = _figure(9.0, 4.5)
     axes = figure.add_subplot()
     draw_horizontal_error(axes, evidence, outages)
@@ -69,7 +69,7 @@ def horizontal_error(evidence: Evidence, outages: Spans) -> Figure:
 
 
 def overview(evidence: Evidence, outages: Spans) -> Figure:
-    """One picture of a flight: from above, and the horizontal error below the promised radius (or that alone)."""
+    """One picture of a flight: from above, and the horizontal error below the reported radius (or that alone)."""
     figure = _figure(13.0, 6.0)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     draw_from_above(left, evidence, outages)

@@ -14,10 +14,10 @@ class RelativeError(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Errors against the truth. position_m is the ATE without alignment: the map frame is part of what is promised.
+    """Errors against the truth. position_m is the ATE without alignment: the map frame is part of the estimate.
 
     aided_*: outside outages; *_aligned_m: ATE after the best yaw and shift, rigid motion, similarity; tilt_deg, heading_deg:
-    attitude error about the horizontal axes and the vertical one. Stats with n = 0 where the truth does not tell.
+    attitude error about the horizontal axes and the vertical one. Stats with n = 0 where the truth has none.
     """
 
     position_m: Stats
@@ -37,7 +37,7 @@ class Accuracy(msgspec.Struct, frozen=True):
 
 
 class Honesty(msgspec.Struct, frozen=True):
-    """Do the covariances tell the errors? NEES of each part; share of time inside the 95 % horizontal radius, and that radius."""
+    """Are the covariances consistent? NEES of each part; share of time inside the 95 % horizontal radius, and that radius."""
 
     position: Consistency
     position_aided: Consistency
@@ -53,7 +53,7 @@ class Honesty(msgspec.Struct, frozen=True):
 class Outage(msgspec.Struct, frozen=True):
     """A span without absolute information of a source (a topic, or "all"); start_s from the first estimate.
 
-    drift and what follows are None where no truth tells; nees_position: mean of NEES / 3; radius95_end_m: promised at the end.
+    drift and what follows are None without a truth; nees_position: mean of NEES / 3; radius95_end_m: reported at the end.
     """
 
     source: str

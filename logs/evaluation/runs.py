@@ -23,10 +23,10 @@ from models.messages import Reason
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One run in a row; None where its log does not tell.
+    """One run in a row; None where its log has none.
 
     outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if honest;
-    inside95: share of time inside the promised 95 % radius.
+    inside95: share of time inside the reported 95 % radius.
     """
 
     run: str
@@ -150,7 +150,7 @@ def markdown(runs: Sequence[Run]) -> str:
 
 
 def comma_separated(runs: Sequence[Run]) -> str:
-    """Names of the fields and all digits; empty where a log does not tell."""
+    """Names of the fields and all digits; empty where a log has none."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(Run.__struct_fields__)

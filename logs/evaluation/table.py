@@ -54,7 +54,7 @@ def _summary(e: Evaluation) -> Text:
         e.log,
         f"{e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
         f"compared with truth at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
-        f"modes: {modes or 'not told'}",
+        f"modes: {modes or 'not reported'}",
         f"without absolute information: {e.without_absolute_s:.1f} s in outages",
         f"latency, median / 99 %: {latency}",
     ]
@@ -97,7 +97,7 @@ def honesty(h: Honesty) -> Rows:
     for name, c in parts:
         if c.n:
             low, high = c.band
-            verdict = "consistent" if c.consistent else "too sure" if c.mean > high else "cautious"
+            verdict = "consistent" if c.consistent else "overconfident" if c.mean > high else "cautious"
             rows.append((
                 name, number(c.mean), f"{low:.2f}-{high:.2f}", f"{c.inside:.1%}", f"{c.covered:.1%}",
                 str(c.n), f"{c.n_effective:.0f}", verdict,

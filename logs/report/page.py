@@ -96,14 +96,14 @@ def page(m: Material) -> str:
     c = compare(m.evidence.estimate, m.evidence.truth)
     parts = {
         "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
-        "Error and promise": _errors(m, sheet, c),
+        "Error and 95 % radius": _errors(m, sheet, c),
         "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation))
         or _faint("None."),
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),
         "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
         "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered))
-        or _faint("The health in this log does not tell biases."),
+        or _faint("The health messages in this log hold no biases."),
         "Health": _health(m, sheet),
         "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
         + web_page.table(_traffic(m))
@@ -264,7 +264,7 @@ def _traffic(m: Material) -> web_page.Table:
 def _daemon(m: Material) -> str:
     rows = [(key, value) for key, value in m.gathered.daemon.items()]
     table = web_page.table(("", (), rows))
-    return f"<details><summary>What the daemon told of itself at the end</summary>{table}</details>" if rows else ""
+    return f"<details><summary>Last status of the daemon</summary>{table}</details>" if rows else ""
 
 
 def _attachments(m: Material) -> str:

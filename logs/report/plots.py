@@ -207,7 +207,7 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     levels = [Level(high / 3.0, "97.5 % below"), Level(low / 3.0, "2.5 % below")]
     return {
         "nees": TimeChart(
-            "NEES / degrees of freedom (1 on average if the covariance is honest)", "", parts, levels, "log", height=230
+            "NEES / degrees of freedom (mean 1 if the covariance is consistent)", "", parts, levels, "log", height=230
         )
     }
 

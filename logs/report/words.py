@@ -36,7 +36,7 @@ class Level(IntEnum):
     @property
     def word(self) -> str:
         """What it comes to, of a flight."""
-        return ("nothing speaks against this estimate", "look closer", "do not rely on this estimate")[self]
+        return ("no problems found", "warnings", "do not rely on this estimate")[self]
 
 
 class Finding(NamedTuple):
@@ -66,7 +66,9 @@ def summary(e: Evaluation, gathered: Gathered) -> str:
         attitude = f"; attitude {a.attitude_deg.rmse:.2f}° RMS" if a.attitude_deg.n else ""
         words.append(f"{errors}{aided}{attitude}.")
     else:
-        words.append("There is no truth in the log, so errors are not known; what follows is what the estimator says of itself.")
+        words.append(
+            "There is no ground truth in the log, so errors are unknown. The figures below are those the estimator reports."
+        )
     return " ".join(words)
 
 
@@ -93,7 +95,7 @@ def _honesty(e: Evaluation) -> list[Finding]:
         return []
     covered = e.honesty.radius95_covered
     level = Level.FINE if covered >= 0.9 else Level.LOOK if covered >= 0.75 else Level.WRONG
-    found = [Finding(level, f"the error was inside the promised 95 % radius {covered:.0%} of the time")]
+    found = [Finding(level, f"the error was inside the reported 95 % radius {covered:.0%} of the time")]
     for name, c in (("position", e.honesty.position), ("attitude", e.honesty.attitude), ("velocity", e.honesty.velocity)):
         found += _too_sure(name, c)
     return found
@@ -104,7 +106,7 @@ def _too_sure(name: str, c: Consistency) -> list[Finding]:
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
-        return [Finding(Level.WRONG, f"{name} covariances are at times not positive definite: nothing is promised there")]
+        return [Finding(Level.WRONG, f"{name} covariances are at times not positive definite: they report no bound there")]
     level = Level.WRONG if c.mean > max(4.0, 2.0 * c.band[1]) else Level.LOOK
     return [
         Finding(
@@ -141,7 +143,7 @@ def _jumps(evidence: Evidence) -> list[Finding]:
     beyond = [length_m > r for (length_m, _), r in zip(jumps, radius.tolist(), strict=True)]
     k = max(range(len(jumps)), key=lambda k: (beyond[k], jumps[k][0]))
     (length_m, most), many = jumps[k], "once" if len(jumps) == 1 else f"{len(jumps)} times"
-    at = f"{length_m:.1f} m at {(most.t_ns - start_ns) * 1e-9:.1f} s, where the promised 95 % radius was {radius[k]:.1f} m"
+    at = f"{length_m:.1f} m at {(most.t_ns - start_ns) * 1e-9:.1f} s, where the reported 95 % radius was {radius[k]:.1f} m"
     return [Finding(Level.LOOK if any(beyond) else Level.FINE, f"the position jumped by more than {_JUMP_M:g} m {many}: {at}")]
 
 
@@ -175,7 +177,7 @@ def _vision(gathered: Gathered) -> list[Finding]:
         return []
     fixed = sum(r.outcome == "fixed" for r in reports)
     level = Level.FINE if fixed else Level.LOOK
-    return [Finding(level, f"vision found its place in {fixed} of {len(reports)} pairs of pictures")]
+    return [Finding(level, f"vision computed a fix from {fixed} of {len(reports)} image pairs")]
 
 
 def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
@@ -188,5 +190,5 @@ def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]
         )
     for key, value in gathered.daemon.items():
         if key.endswith(("lost_inputs", "internal_errors", "unbelieved_stamps")) and value not in {"0", ""}:
-            found.append(Finding(Level.LOOK, f"the daemon tells of {key.replace('_', ' ')}: {value}"))
+            found.append(Finding(Level.LOOK, f"the daemon reports {key.replace('_', ' ')}: {value}"))
     return found

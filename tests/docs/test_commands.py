@@ -133,7 +133,7 @@ def calibrated(folder: Path, said: str) -> None:
 
 
 def mapped(folder: Path, said: str) -> None:
-    assert "look-alikes" in said
+    assert "ambiguous landmarks" in said
     assert (folder / "out/tutorial/map.png").stat().st_size > 20_000
 
 

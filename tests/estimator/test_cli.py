@@ -1,13 +1,17 @@
 import json
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
+from estimator.service.log.recovery import is_torn
+from logs.store.reader import LogReader
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = ["demo", "replay", "evaluate", "report", "simulate", "import", "recover", "doctor", "calibrate"]
@@ -196,10 +200,31 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     out = tmp_path / "report.html"
     text = run("report", estimate, "-o", out).stdout
     assert text.startswith(f"{estimate}: ")
-    assert "inside the promised 95 % radius" in text
+    assert "inside the reported 95 % radius" in text
     assert f"report: {out}" in text
     assert "gyroscope bias" in out.read_text()
     written = json.loads(run("report", estimate, "-o", out, "--no-pictures", "--json").stdout)
     assert written["size"] == out.stat().st_size
     assert "holds no /landfix/odometry" in fails("report", flight, "-o", out)
     assert "no_map.geojson" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")
+
+
+def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "estimate.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-m", "estimator", "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        end = time.monotonic() + 120.0
+        while not (out.exists() and out.stat().st_size > 200_000) and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.001)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert (
+        said
+        == f"landfix: interrupted; kept: {out} ({out.stat().st_size / 1e6:.1f} MB); the last one ends where it was interrupted\n"
+    )
+    with LogReader(out) as kept, LogReader(flight) as whole:
+        assert 0 < sum(r.topic == "/imu" for r in kept) < sum(r.topic == "/imu" for r in whole)
+        assert not kept.torn
+    assert not is_torn(out)

@@ -114,7 +114,7 @@ def stereo_command(
 def convert_command(
     source: Annotated[Path, typer.Argument(metavar="RIG", help="A rig file in any form; of ROS either of the pair.")],
     out: options.OutFile,
-    to: Annotated[options.FormatChoice | None, typer.Option(help="Form to write; without it the name tells.")] = None,
+    to: Annotated[options.FormatChoice | None, typer.Option(help="Format to write; default: from the file name.")] = None,
 ) -> None:
     """A rig file from one form to another.
 

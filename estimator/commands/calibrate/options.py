@@ -49,7 +49,7 @@ ReportFile = Annotated[
 
 
 def board_of(size: str, square_mm: float, marker_mm: float, dictionary: str) -> "Board":
-    """The board that the options tell."""
+    """The board that the options describe."""
     from calib.board.chessboard import Board
 
     try:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.text import Text
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -16,6 +18,10 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", "-c", help="TOML configuration (landfix doctor --config lists all keys).")
 ]
+
+
+_INTERRUPTED = 130  # the shell's exit code for SIGINT
+_NOTHING_KEPT = "landfix: interrupted; nothing was written"
 
 
 class Reported(Protocol):
@@ -36,6 +42,30 @@ def progress(title: str) -> Iterator[Reported]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda fraction, now="": bar.update(task, completed=fraction, description=f"{title} {now}".rstrip())
+
+
+@contextmanager
+def kept_on_interrupt(outputs: "Callable[[], Sequence[Path]]") -> Iterator[None]:
+    """On Ctrl-C: say in one line which of these files this run has written so far, and exit with code 130."""
+    before = {path: _stat(path) for path in outputs()}
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = [path for path in outputs() if _stat(path) not in {None, before.get(path)}]
+        sizes = ", ".join(
+            f"{path} ({path.stat().st_size / 1e6:.1f} MB)" for path in sorted(kept, key=lambda p: p.stat().st_mtime_ns)
+        )
+        note(f"landfix: interrupted; kept: {sizes}; the last one ends where it was interrupted" if kept else _NOTHING_KEPT)
+        raise typer.Exit(_INTERRUPTED) from None
+
+
+def _stat(path: Path) -> tuple[int, int] | None:
+    """Time of the last change and size; None: no such file."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size
 
 
 def print_json(value: Any) -> None:

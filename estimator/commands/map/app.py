@@ -29,23 +29,30 @@ def build(
         typer.Argument(metavar="IN.geojson", help="Polygons: building footprints, roofs, pools, pads ...; or an orthophoto."),
     ],
     out: Out,
-    height_m: Annotated[float, typer.Option(min=0, max=1000, help="Height of what does not tell its own; 0 = painted.")] = 6.0,
+    height_m: Annotated[
+        float, typer.Option(min=0, max=1000, help="Height of features without one; 0 = painted on the ground.")
+    ] = 6.0,
     sigma_m: Annotated[
         float | None,
-        typer.Option(min=0, max=1000, help="Horizontal standard deviation of what tells none; else 0.5, or a picture's pixel."),
+        typer.Option(
+            min=0, max=1000, help="Horizontal standard deviation of features without one; default: 0.5, or a pixel of the raster."
+        ),
     ] = None,
     common_sigma_m: Annotated[
-        str, typer.Option(metavar="H,V", help="By how much all of the map may be shifted, beside that: horizontal, vertical.")
+        str,
+        typer.Option(
+            metavar="H,V", help="Standard deviation of a common shift of the whole map, in addition: horizontal, vertical."
+        ),
     ] = "",
     origin: Annotated[
         str, typer.Option(metavar="LAT,LON,ALT", help="Origin of the local frame, ALT above the ellipsoid; else the middle.")
     ] = "",
     colour_from: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE", help="Orthophoto that colours what does not tell its own: GeoTIFF or world file."),
+        typer.Option(metavar="PICTURE", help="Orthophoto from which features without a colour take it: GeoTIFF or world file."),
     ] = None,
     picture_epsg: Annotated[
-        int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
+        int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
     ] = 0,
     pick: Annotated[
         str, typer.Option(metavar="COLOURS", help="Of an orthophoto only regions of these colours, as in red,#30a050.")
@@ -155,11 +162,11 @@ def show(
 @app.command()
 def check(
     map_file: MapFile,
-    radius_m: Annotated[float, typer.Option(min=0, help="Look for look-alikes within this distance.")] = 50.0,
-    alike: Annotated[float, typer.Option(min=0.5, max=1, help="Similarity from which two are look-alikes.")] = 0.9,
+    radius_m: Annotated[float, typer.Option(min=0, help="Search for similar landmarks within this distance.")] = 50.0,
+    alike: Annotated[float, typer.Option(min=0.5, max=1, help="Similarity from which two landmarks count as ambiguous.")] = 0.9,
     json: Json = False,
 ) -> None:
-    """Say what a map holds and lacks.
+    """Check a map: counts, missing properties, ambiguous landmarks.
 
     Counts, what is missing, features that are not usable with their reasons, landmarks that look alike.
     Exit code 1 if no landmark is usable.
@@ -219,7 +226,7 @@ def _say_built(the_map: "LandmarkMap", alike: "Alike | None", out: Path) -> None
     if assumed:
         note("defaults taken: " + ", ".join(assumed) + " (landfix map check says what that means)")
     if alike is None:
-        note("too dense to look for look-alikes; none are marked")
+        note("too dense to search for ambiguous landmarks; none are marked")
     elif count := int((alike.count > 0).sum()):
         note(f"{count} of {len(the_map)} landmarks look like another one near by; they are marked (landfix map check lists them)")
     if found.doubt:
@@ -253,7 +260,7 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
     print_table(f"landfix map check {map_file}", rows)
     if result.look_alikes:
         pairs = [(p.a, p.b, f"{p.distance_m:.1f} m", f"{p.similarity:.1%}") for p in result.look_alikes[:_MOST_LINES]]
-        print_table("look-alikes, the likest first", pairs, ("landmark", "and", "apart", "similarity"))
+        print_table("ambiguous landmarks, the most similar first", pairs, ("landmark", "and", "apart", "similarity"))
         _more(len(result.look_alikes))
     if result.repeats:
         shifts = [(r.id, f"{r.shift_m:.1f} m") for r in result.repeats[:_MOST_LINES]]

@@ -20,10 +20,10 @@ def command(
     ground_alt_m: Annotated[
         float | None, typer.Option(help="Ground above the ellipsoid; else where the log begins, standing.")
     ] = None,
-    least_frames: Annotated[int, typer.Option(min=2, help="Landmarks are seen in so many pictures.")] = 4,
+    least_frames: Annotated[int, typer.Option(min=2, help="Fewest images in which a landmark is seen.")] = 4,
     least_m2: Annotated[float, typer.Option(min=0, help="Landmarks are at least this large; cars are smaller than 15.")] = 15.0,
-    most_sigma_m: Annotated[float, typer.Option(min=0, help="Pictures whose place is less sure are left out.")] = 1.5,
-    most_hz: Annotated[float, typer.Option(min=0.01, help="Pairs looked at, per second.")] = 2.0,
+    most_sigma_m: Annotated[float, typer.Option(min=0, help="Images with a larger position sigma are left out.")] = 1.5,
+    most_hz: Annotated[float, typer.Option(min=0.01, help="Image pairs processed per second.")] = 2.0,
     pick: Annotated[str, typer.Option(metavar="COLOURS", help="Only regions of these colours, as in red,#30a050.")] = "",
     json: Json = False,
 ) -> None:

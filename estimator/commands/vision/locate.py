@@ -32,9 +32,7 @@ def command(
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the cameras (YAML or XML).")],
     prior: Annotated[
         str,
-        typer.Option(
-            metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Where the vehicle is believed to be: deg, m above the ellipsoid, deg."
-        ),
+        typer.Option(metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Prior pose of the vehicle: deg, m above the ellipsoid, deg."),
     ],
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
     right: Annotated[Path | None, typer.Argument(metavar="[RIGHT]", help="Right picture, taken at the same time.")] = None,
@@ -42,16 +40,16 @@ def command(
     picture: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
     ] = None,
-    picture_sigma_m: Annotated[float, typer.Option(min=0, help="How far it may lie from its place, per axis.")] = 1.0,
+    picture_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of its horizontal position, per axis.")] = 1.0,
     picture_height_m: Annotated[
         float | None, typer.Option(help="Of its ground above the ellipsoid; else the height of the map's origin.")
     ] = None,
-    picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="How well the height of its ground is known.")] = 2.0,
+    picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of the height of its ground.")] = 2.0,
     picture_heights: Annotated[
         Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or picture with a world file: heights above the ellipsoid [m].")
     ] = None,
     picture_epsg: Annotated[
-        int, typer.Option(metavar="CODE", help="Coordinate system of a picture that does not tell: 4326, 326xx, 327xx, 3857.")
+        int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
     ] = 0,
     within_m: Annotated[
         float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
@@ -59,7 +57,7 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
-    """Say where the vehicle is: one fix from one stereo pair, or from one picture.
+    """Compute one pose fix from one stereo pair, or from one image.
 
     Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
     orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.

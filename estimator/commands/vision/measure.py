@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class MeasureError(ValueError):
-    """A pair that shows nothing that could be believed; the text is one line for a person."""
+    """A pair without a reliable measurement; the text is one line for a person."""
 
 
 _HUES = ("red", "orange", "yellow", "lime", "green", "teal", "cyan", "azure", "blue", "violet", "magenta", "pink")
@@ -39,7 +39,7 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, regions marked.")] = None,
     json: Json = False,
 ) -> None:
-    """Say what a stereo pair shows, in metres.
+    """Measure the regions of a stereo pair, in metres.
 
     Each region of one colour: distance, width, length, size and fill ratio, each with its standard deviation. Without --colour
     the picture's own colours divide it. Nothing is looked up: no map, no position.
@@ -74,7 +74,7 @@ def command(
     else:
         _print(found)
     if found.problem:
-        raise MeasureError(f"the distances are not to be believed: {found.problem}")
+        raise MeasureError(f"the distances are not reliable: {found.problem}")
 
 
 def _colour(text: str) -> tuple[float, float, float]:

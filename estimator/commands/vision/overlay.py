@@ -24,8 +24,8 @@ def command(
     right: Annotated[bool, typer.Option("--right/--left", help="Which camera's pictures.")] = False,
     everything: Annotated[bool, typer.Option("--all", help="Measure all landmarks in view, not just those of fixes.")] = False,
     every: Annotated[int, typer.Option(metavar="N", min=1, help="Only every N-th picture.")] = 1,
-    start_s: Annotated[float, typer.Option("--start", metavar="SECONDS", min=0, help="Begin so late.")] = 0.0,
-    seconds: Annotated[float, typer.Option(metavar="SECONDS", min=0, help="Draw so much.")] = float("inf"),
+    start_s: Annotated[float, typer.Option("--start", metavar="SECONDS", min=0, help="Start time in the log.")] = 0.0,
+    seconds: Annotated[float, typer.Option(metavar="SECONDS", min=0, help="Duration.")] = float("inf"),
     json: Json = False,
 ) -> None:
     """Draw the map into the recorded pictures, from the estimate, and say how well it fits them.

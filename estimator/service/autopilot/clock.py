@@ -42,14 +42,14 @@ class AutopilotClock:
             self._synced.round_trip(ts1, tc1, now_ns)
 
     def t_ns(self, stamp_ns: int, now_ns: int) -> int | None:
-        """A stamp on our clock; None: not to be believed."""
+        """A stamp on our clock; None: not plausible."""
         if not self._believed(stamp_ns, now_ns):
             return None
         self._quick.one_way(stamp_ns, now_ns)
         return self.offset.ours(stamp_ns)
 
     def hear(self, stamp_ns: int, now_ns: int) -> None:
-        """A stamp that tells nothing but the time since boot, and that coarsely: for a reboot."""
+        """A stamp that holds only the coarse time since boot: for a reboot."""
         self._believed(stamp_ns, now_ns)
 
     def _believed(self, stamp_ns: int, now_ns: int) -> bool:

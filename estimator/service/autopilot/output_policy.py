@@ -43,7 +43,7 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[px4]: PX4's zenoh module; its ZENOH_DOMAIN_ID is [zenoh] domain."""
 
-    enabled: Annotated[bool, Meta(description="whether PX4 is told where it is")] = False
+    enabled: Annotated[bool, Meta(description="whether the estimate is sent to PX4")] = False
     odometry: Annotated[bool, Meta(description="vehicle_visual_odometry, for EKF2_EV_CTRL")] = True
     fixes: Annotated[bool, Meta(description="aux_global_position, for EKF2_AGPx")] = True
     release: Annotated[Literal["1.17", "1.18"], Meta(description="of PX4; 1.17 stands for 1.16 too, 1.18 for what is newer")] = (
@@ -75,7 +75,7 @@ class Handover:
         return news
 
     def is_fix(self, estimate: Estimate) -> bool:
-        """Whether the estimate, into which a fix has just entered, may be told as one."""
+        """Whether the estimate, into which a fix has just entered, may be sent as one."""
         return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns
 
     def quality(self, estimate: Estimate) -> int:

@@ -24,12 +24,12 @@ _READING_NS: Final = 100_000  # the two clocks are read together, or not at all
 _OURS: Final = 0
 
 _MINUTE_NS: Final = 60 * SECOND_NS
-_TRIAL_COUNT, _TRIAL_NS = 5, SECOND_NS // 5  # of coherent stamps, before a foreign clock is believed
+_TRIAL_COUNT, _TRIAL_NS = 5, SECOND_NS // 5  # of coherent stamps, before a foreign clock is accepted
 _COHERENT_NS: Final = SECOND_NS // 4
 
 
 class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[clock]: what is believed of the stamps of others."""
+    """[clock]: which stamps of others are accepted."""
 
     foreign: Annotated[
         tuple[str, ...], Meta(description="topics stamped by a clock that is not set to ours: its offset is always estimated")
@@ -131,7 +131,7 @@ class _Trial:
 
 
 class Stamps:
-    """Times of validity on our clock, from stamps that are believed only where they are plausible.
+    """Times of validity on our clock, from stamps that are accepted only where they are plausible.
 
     Known clocks are our own, the wall clock as it is now and as it was before its last step, and foreign ones, whose stamps are
     more than a minute off (a boot-time clock, a computer whose clock was never set) but in step with their arrivals. Of those

@@ -91,6 +91,7 @@ class LogWriter:
         self._image_lock, self._image_bytes, self._taken_image_bytes = threading.Lock(), 0, 0
         self._lost_inputs = self._dropped_outputs = self._dropped_images = 0
         self._removed_files = 0
+        self.files: list[Path] = []  # begun so far
         self._unflushed: list[_Item] = []  # written, but not yet safe: a full disk tears it off
         self._state, self._problem = "recording", ""
         self._recorder: Recorder | None = None
@@ -231,6 +232,7 @@ class LogWriter:
             self._pause(now_s)
             return
         path.touch(FILE_MODE)
+        self.files.append(path)
         self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
         for attachment in self._attachments:
             self._recorder.attach(attachment.name, attachment.media_type, attachment.data)

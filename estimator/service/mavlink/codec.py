@@ -4,7 +4,7 @@ PX4 and ArduPilot read ODOMETRY differently:
 
     PX4        LOCAL_NED, BODY_FRD; covariances are covariances
     ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
-               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) tells it sigma
+               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma
 """
 
 import math
@@ -31,7 +31,7 @@ _ACCEL_AND_GYRO: Final = 0b111111  # of HIGHRES_IMU.fields_updated
 _PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE
 _HPA_PA: Final = 100.0
 _UNKNOWN: Final = 65535
-_SPEED_SIGMA_M_S: Final = 0.5  # where the receiver tells none
+_SPEED_SIGMA_M_S: Final = 0.5  # where the receiver reports none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
 _BYTE: Final = 256
 _FIX_3D: Final = 3

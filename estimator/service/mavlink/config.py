@@ -45,10 +45,8 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = None
     imu_hz: Annotated[float, Meta(ge=0.01, le=1000, description="Hz: asked of the autopilot")] = 200.0
     gnss_hz: Annotated[float, Meta(ge=0.01, le=25, description="Hz: asked of the autopilot")] = 5.0
-    odometry: Annotated[bool, Meta(description="whether it is told ODOMETRY, at [autopilot] odometry_hz")] = True
-    fixes: Annotated[bool, Meta(description="whether it is told fixes: GLOBAL_POSITION_SENSOR (PX4), GPS_INPUT (ArduPilot)")] = (
-        True
-    )
+    odometry: Annotated[bool, Meta(description="whether ODOMETRY is sent, at [autopilot] odometry_hz")] = True
+    fixes: Annotated[bool, Meta(description="whether fixes are sent: GLOBAL_POSITION_SENSOR (PX4), GPS_INPUT (ArduPilot)")] = True
     slot: Annotated[
         int, Meta(ge=0, le=255, description="PX4: EKF2_AGPx_ID of the slot for fixes; ArduPilot: gps_id, 0 or more")
     ] = 1

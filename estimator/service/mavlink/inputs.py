@@ -91,7 +91,7 @@ class Inputs:
                 yield velocity
 
     def _pressure(self, message: Any, t_ns: int, topic: str) -> Iterator[Input]:
-        """A reading that is told again with every IMU sample is one reading."""
+        """A reading that is repeated with every IMU sample is one reading."""
         reading = codec.baro(message, t_ns, topic)
         if reading is not None and reading.pressure_pa != self._pressure_pa:
             self._pressure_pa = reading.pressure_pa

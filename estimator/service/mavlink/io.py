@@ -56,7 +56,7 @@ def opened(address: Udp | Serial) -> Endpoint:
 
 
 class UdpEndpoint:
-    """Datagrams. A socket that listens answers whoever it is told to; one that begins hears only its peer."""
+    """Datagrams. A socket that listens answers the given peer; one that begins hears only its peer."""
 
     whole = True
     state = "open"

@@ -90,7 +90,7 @@ class _Sender:
 
 
 class ZenohScreen:
-    """A Screen of ports.py: one topic of the bus, that is told to the network at once, and sent by a thread of its own."""
+    """A Screen of ports.py: one topic of the bus, that is announced at once, and sent by a thread of its own."""
 
     def __init__(self, session: zenoh.Session, config: ZenohConfig, clock: Clock, topic: str, schema: str) -> None:
         self._sender, self._clock = _Sender(session, config, topic, schema), clock

@@ -107,7 +107,7 @@ def _synchronised() -> Check:
     """What the kernel thinks of its clock: adjtimex(2) without a change."""
     unset = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _TIME_ERROR
     advice = "stamps of other computers, MAVLink signatures and the names of logs need the time: chrony, PTP, or set it by hand"
-    return judge("clock is set", "by nobody" if unset else "by NTP, PTP or GNSS", warn=unset, advice=advice)
+    return judge("system clock", "not synchronised" if unset else "synchronised by NTP, PTP or GNSS", warn=unset, advice=advice)
 
 
 def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
@@ -131,7 +131,7 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
         try:
             config = with_origin(config, folder)
         except ConfigError as error:
-            files.append(judge("map.origin", str(error), fail=True, advice="landfix map check tells what is wrong with the file"))
+            files.append(judge("map.origin", str(error), fail=True, advice="landfix map check shows what is wrong with the file"))
     return checks + files, config
 
 

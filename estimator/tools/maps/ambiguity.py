@@ -14,7 +14,7 @@ from models.maps.table import WEIGHTS, Alike
 from models.messages import Array
 from vision.identify.similarity import normalised, similarity
 
-RADIUS_M, SIMILAR = 50.0, 0.9  # what counts as near and as alike, unless told otherwise
+RADIUS_M, SIMILAR = 50.0, 0.9  # what counts as near and as alike, by default
 MOST_PAIRS = 20_000_000
 _OTHER_COLOUR = 100.0  # distance in BGR; lighting alone changes a colour by less
 _IN_VIEW_M = 50.0  # to each side: what one picture shows

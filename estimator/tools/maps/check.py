@@ -15,8 +15,8 @@ FEW = 3  # landmarks in view make a fix that stands by itself
 _MISSING = {
     "height_m": "roofs at a guessed height move the fix when seen from the side; give height_m (map build --height-m)",
     "ground_alt_m": "the ground is taken at the origin's height; give ground_alt_m, or the origin's (map build --origin)",
-    "sigma_m": "a guessed map error makes fixes too sure or too shy; give sigma_m (map build --sigma-m)",
-    "colour": "regions are then told apart by shape and place alone; give colour (map build --colour-from)",
+    "sigma_m": "a guessed map error makes fixes overconfident or too cautious; give sigma_m (map build --sigma-m)",
+    "colour": "regions then differ by shape and position alone; give colour (map build --colour-from)",
 }
 
 
@@ -115,9 +115,9 @@ def _quality(the_map: LandmarkMap, marked: Alike, nested: int, radius_m: float, 
     tilted = "beyond 20 km the origin's down is more than 0.2 degrees off: make a map of the place itself"
     small = "landmarks under 1 m2 are seen from close by only"
     exact = "sigma_m = 0 says that the map is exact; no survey is"
-    waiting = "shape and size alone do not tell them apart: fixes wait until several are in view"
-    same = f"{repeated} landmarks stand where a shift within {radius_m:g} m finds the same arrangement again"
-    by_prior = "there several in view do not decide: arrive with a prior better than half the shift, or add what differs"
+    waiting = "they cannot be distinguished by shape and size: a fix needs several of them in view"
+    same = f"{repeated} landmarks repeat their arrangement under a shift of at most {radius_m:g} m"
+    by_prior = "several in view stay ambiguous there: arrive with a prior better than half the shift, or add distinct landmarks"
     one_place = "a roof is one landmark: keep the whole or its parts (building or building:part)"
     return [
         judge("extent", extent, warn=far_km > 20.0, advice=tilted),
@@ -126,7 +126,7 @@ def _quality(the_map: LandmarkMap, marked: Alike, nested: int, radius_m: float, 
         judge("height", f"{_spread(columns.height_m)} m, sigma {_spread(columns.height_sigma_m)} m"),
         judge("map sigma", f"{_spread(columns.sigma_m, 2)} m", warn=bool(np.any(columns.sigma_m == 0.0)), advice=exact),
         judge("one in another", f"{nested} pairs", warn=nested > 0, advice=one_place),
-        judge("look-alikes", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
+        judge("ambiguous landmarks", similar, warn=twins > 0.5 * len(the_map), advice=waiting),
         judge("repetition", same, warn=repeated > 0, advice=by_prior),
     ]
 

@@ -185,7 +185,7 @@ def _pose(smoothed: Smoothed, t_ns: int) -> Prior | None:
 
 
 def _regions(seen: Survey) -> Iterator[tuple[Region, Measured | None]]:
-    """Whole polygons that are no shadows, with their distance where it can be believed."""
+    """Whole polygons that are no shadows, with their distance where it is reliable."""
     least = _DARK * float(np.median(seen.left.max(axis=2) if seen.left.ndim == 3 else seen.left))
     measured = [(m.region, None if seen.problem else m) for m in seen.measured]
     for region, m in [*measured, *((u.region, None) for u in seen.unmeasured)]:

@@ -36,7 +36,7 @@ _NOISE: Final = (
     Key("pose_fix.noise_scale", 0.2, 5.0, "pose_fix"),
     Key("landmark_fix.noise_scale", 0.2, 5.0, "landmark_fix"),
 )
-_TRUTH: Final = (Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),)  # the receiver itself cannot tell it
+_TRUTH: Final = (Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),)  # not identifiable from the receiver itself
 _GATES: Final = tuple(
     Key(f"{source}.{name}", low, high, source)
     for source in ("pose_fix", "landmark_fix", "gnss")

@@ -35,7 +35,7 @@ _SETTLE_S: Final = 15.0  # after the first absolute fix nothing is held back
 _NEAR_NS: Final = 200_000_000  # an estimate further away says nothing of that time
 _FALSE: Final = math.log(0.05)
 _LOG_BOX: Final = np.log(2.0 * np.array([FALSE_POSITION_M] * 3 + [FALSE_ATTITUDE_RAD] * 3))
-_TRUTH: Final = np.diag([0.01**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)  # m^2, rad^2: of a truth that tells none
+_TRUTH: Final = np.diag([0.01**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)  # m^2, rad^2: of a truth without one
 _TRUTH_EVERY_NS: Final = 500_000_000
 _INSIDE95: Final = 7.814728  # chi-square, 3 degrees of freedom
 _GIVEN_M2: Final = 9e4
@@ -164,7 +164,7 @@ def _read(log: str, config: str, truth: str) -> _Log:
 
 
 def _truths(truth: Trajectory) -> Iterator[PoseFix]:
-    """Poses of the truth, two a second; its own covariance where it tells one."""
+    """Poses of the truth, two a second; its own covariance where it has one."""
     last = -1
     for k, t_ns in enumerate(truth.t_ns.tolist()):
         if t_ns // _TRUTH_EVERY_NS == last or not np.isfinite(truth.p[k]).all():

@@ -3,8 +3,8 @@
 COBYQA (Ragonneau & Zhang 2024) is a trust-region method with quadratic models and bounds that needs no derivatives and few
 evaluations. Each evaluation runs every log once, in parallel; nothing depends on how many processes there are.
 
-A few logs fit themselves: what they hardly tell would end anywhere, and what is a little too small costs little on the average
-and much on the next, rougher flight. So of all that the logs cannot tell from the best (of these Breiman et al. 1984 take the
+A few logs fit themselves: weakly identifiable parameters would end anywhere, and noise a little too small costs little on average
+and much on the next, rougher flight. So of all that the logs do not separate from the best (of these Breiman et al. 1984 take the
 simplest) the one nearest to the start is taken wherever the start is the wider.
 """
 
@@ -119,7 +119,7 @@ class Tuner:
         self._expected = settings.coarse + settings.fine + 2 * len(self._keys) + len(_BACK) * (len(self._keys) + 1) + 1
 
     def run(self, held_out: Sequence[str] = ()) -> TuneResult:
-        """Tune, and tell what it is worth. Raises LogError for a log that cannot be used."""
+        """Tune, and report the gain. Raises LogError for a log that cannot be used."""
         config = parse(self._config)
         start = np.array([to_search(key, value_of(config, key)) for key in self._keys])
         before, untouched = self._of([{}])[0], self._of([{}], held_out)[0] if held_out else []

@@ -69,12 +69,12 @@ def in_thread(config: Config, folder: Path, clock: Clock | None = None) -> Itera
 
 
 @contextmanager
-def as_process(text: str, folder: Path, port: int) -> Iterator[subprocess.Popen[bytes]]:
+def as_process(text: str, folder: Path, port: int, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     """`landfix run` as a process of its own, ready when the context begins and gone when it ends."""
     file = folder / "vehicle.toml"
     file.write_text(text)
     with (folder / "stderr.txt").open("ab") as errors:
-        process = subprocess.Popen([sys.executable, "-m", "estimator", "run", "-c", str(file)], stderr=errors)
+        process = subprocess.Popen([sys.executable, "-m", "estimator", "run", "-c", str(file), *options], stderr=errors)
     try:
         until(lambda: listening(port) or process.poll() is not None, "the daemon listens")
         assert process.poll() is None, (folder / "stderr.txt").read_text()

@@ -95,7 +95,7 @@ def test_links_and_defects_are_shown_where_there_are_any() -> None:
     view.hear(report.topic, report.data, 1.0)
     text = _text(view, 1.5)
     assert "does not answer   7 fixes of 9 pairs, 43.5 ms, 2 restarts" in text
-    assert "open   px4 heard 0.2 s ago, told 30 odometry, 4 fixes" in text
+    assert "open   px4 heard 0.2 s ago, sent 30 odometry, 4 fixes" in text
     assert "1, the last: KeyError: 7" in text
 
 

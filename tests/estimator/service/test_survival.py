@@ -122,12 +122,55 @@ def test_told_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: 
     text = toml(tmp_path, port)
     with as_process(text, tmp_path, port) as daemon:
         with client(port) as session:
-            vehicle = fly(session, 1.0)
+            vehicle = fly(session, 3.0)
         daemon.send_signal(number)
         assert daemon.wait(120) == 0
     assert torn_logs(tmp_path / "logs") == []
     assert len(records(logs_of(tmp_path)[0], "/imu")) == vehicle.sent["/imu"]
+    (log,) = logs_of(tmp_path)
+    lines = (tmp_path / "stderr.txt").read_text().splitlines()
+    said = dict(line.removeprefix("landfix: ").split(": ", 1) for line in lines if ": " in line.removeprefix("landfix: "))
+    assert f"tcp/127.0.0.1:{port}" in said["Zenoh"]
+    assert said["waiting for"] == "IMU samples on /imu"
+    assert said["first estimate"] == "published"
+    assert said["mode"].startswith("aided, 95 % radius ")
+    assert lines[-1] == f"landfix: log complete: {log}, {log.stat().st_size / 1e6:.1f} MB"
+
+
+def test_quiet_it_prints_nothing(tmp_path: Path) -> None:
+    port = free_port()
+    with as_process(toml(tmp_path, port), tmp_path, port, "--quiet") as daemon:
+        with client(port) as session:
+            vehicle = fly(session, 1.0)
+        daemon.send_signal(signal.SIGTERM)
+        assert daemon.wait(120) == 0
+    assert len(records(logs_of(tmp_path)[0], "/imu")) == vehicle.sent["/imu"]
     assert (tmp_path / "stderr.txt").read_text() == ""
+
+
+def test_a_terminal_that_takes_no_line_does_not_stop_the_flight() -> None:
+    """stderr is a full pipe that nobody reads: saying something returns at once, and so does the end."""
+    code = """
+import fcntl, os, time
+reader, writer = os.pipe()
+os.set_blocking(writer, False)
+try:
+    while True: os.write(writer, b"x" * 4096)
+except BlockingIOError:
+    os.set_blocking(writer, True)
+os.dup2(writer, 2)
+from estimator.service.console import Console
+began = time.monotonic()
+with Console(quiet=False) as console:
+    for _ in range(1000):
+        console.say("line")
+    said = time.monotonic()
+print(said - began < 0.5, time.monotonic() - began < 3.0)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), stdout=subprocess.PIPE, text=True, timeout=60, check=True
+    )
+    assert done.stdout.split() == ["True", "True"]
 
 
 def test_what_cannot_start_says_why_in_one_line_and_leaves_the_other_alone(tmp_path: Path) -> None:

@@ -112,13 +112,13 @@ def verdict_of(tmp_path: Path, flight: Flight) -> tuple[str, list[str]]:
 
 def test_a_jump_beyond_the_promised_radius_is_a_reason_to_look_closer_and_one_within_is_not(log: Path, tmp_path: Path) -> None:
     (said,) = (f for f in write(log, tmp_path / "x.html").findings if "jumped" in f)
-    assert said.startswith("the position jumped by more than 1 m once: 5.0 m at 1.0 s, where the promised 95 % radius was ")
+    assert said.startswith("the position jumped by more than 1 m once: 5.0 m at 1.0 s, where the reported 95 % radius was ")
     radius = float(said.split()[-2])
     assert 0.3 < radius < 2.0
     late = Reset(
         EPOCH_NS + 90 * S, EPOCH_NS + 90 * S, 1, (1.2, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     )  # after the long outage
-    for name, delta, level in (("within", 1.2, "nothing speaks against this estimate"), ("beyond", 12.0, "look closer")):
+    for name, delta, level in (("within", 1.2, "no problems found"), ("beyond", 12.0, "warnings")):
         extra = ((*encode(msgspec.structs.replace(late, delta_p_n=(delta, 0.0, 0.0)))[0], late.t_ns),)
         calm = rewritten(log, tmp_path / f"{name}.mcap", without=("/landfix/reset",), extra=extra)
         assert write(calm, tmp_path / "x.html").verdict == level
@@ -128,7 +128,7 @@ def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> 
     verdict, findings = verdict_of(tmp_path, Flight(error_scale=4.0))
     assert verdict == "do not rely on this estimate"
     assert any("position errors are" in f and "times what the covariance says" in f for f in findings)
-    assert any("inside the promised 95 % radius" in f for f in findings[:3])
+    assert any("inside the reported 95 % radius" in f for f in findings[:3])
 
 
 def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
@@ -140,15 +140,15 @@ def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth
 
 
 def test_an_honest_estimate_has_nothing_said_against_it_and_without_truth_nothing_about_errors(tmp_path: Path) -> None:
-    assert verdict_of(tmp_path, Flight(false_every=1000))[0] == "nothing speaks against this estimate"
+    assert verdict_of(tmp_path, Flight(false_every=1000))[0] == "no problems found"
     verdict, findings = verdict_of(tmp_path, Flight(truth=False, false_every=1000))
-    assert verdict == "nothing speaks against this estimate"
+    assert verdict == "no problems found"
     assert not any("error" in f for f in findings)
     verdict_of(tmp_path, Flight(duration_s=30.0, outages=(), false_every=1000))
     assert "Outages and resets None." in Page(tmp_path / "x.html").text
     verdict_of(tmp_path, Flight(truth=False, false_every=1000))
     page = Page(tmp_path / "x.html")
-    assert "There is no truth in the log" in page.text
+    assert "There is no ground truth in the log" in page.text
     assert not any(name.startswith("error") for name in page.drawing["charts"])
 
 
@@ -347,7 +347,7 @@ def test_a_torn_log_is_reported_as_far_as_it_goes(log: Path, tmp_path: Path) -> 
     (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
     written = write(tmp_path / "torn.mcap", tmp_path / "x.html")
     assert "the log is torn: read to its last whole record" in written.findings
-    assert written.verdict != "nothing speaks against this estimate"
+    assert written.verdict != "no problems found"
     assert 10.0 < Page(tmp_path / "x.html").drawing["end"] < 119.0
 
 
@@ -389,7 +389,7 @@ def test_numbers_that_are_none_of_ours_do_not_stop_it(log: Path, tmp_path: Path)
             recorder.write(r.topic, r.schema, flat.data if is_first else r.data, r.log_time_ns)
     written = write(tmp_path / "flat.mcap", tmp_path / "x.html")
     assert written.verdict == "do not rely on this estimate"
-    assert "position covariances are at times not positive definite: nothing is promised there" in written.findings
+    assert "position covariances are at times not positive definite: they report no bound there" in written.findings
 
 
 def test_junk_is_counted_and_told(log: Path, tmp_path: Path) -> None:
