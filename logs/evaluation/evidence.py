@@ -10,6 +10,7 @@ import numpy as np
 from logs.evaluation.metrics import Mask, Times
 from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode, decode_geodetic, from_rows
 from logs.store.reader import Attachment, LogError, LogReader, Record
+from logs.store.recorder import REFERENCE_ATTACHMENT
 from logs.wire import schemas
 from logs.wire.codec import decode_aid_status
 from models.frames import Origin
@@ -58,7 +59,8 @@ class Fixes:
 class Evidence:
     """A log, as far as it concerns evaluation.
 
-    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense;
+    aids: the last decision on each measurement; truth: empty where there is none; reference: what it is instead where it is no
+    ground truth (the autopilot's own estimate); unreadable: messages whose bytes make no sense;
     origin: where map lies on Earth, as far as the log tells; every: of so many estimates one was kept;
     attachments, metadata, skipped_chunks: as the reader tells them.
     """
@@ -76,6 +78,12 @@ class Evidence:
     attachments: tuple[Attachment, ...]
     metadata: dict[str, dict[str, str]]
     skipped_chunks: int
+    reference: str = ""
+
+    @property
+    def yardstick(self) -> str:
+        """What the estimate is compared with, in a word."""
+        return "reference" if self.reference else "truth"
 
 
 class _Sheaf:
@@ -166,6 +174,7 @@ def read(
         attachments=attachments,
         metadata=metadata,
         skipped_chunks=skipped_chunks,
+        reference=_reference(attachments) if truth_topic == TRUTH_TOPIC else "",
     )
 
 
@@ -180,6 +189,11 @@ def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) 
         why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} tells no position"
         raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
     return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
+
+
+def _reference(attachments: Iterable[Attachment]) -> str:
+    """What an importer wrote that /truth is."""
+    return next((a.data.decode(errors="replace") for a in attachments if a.name == REFERENCE_ATTACHMENT), "")
 
 
 def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:

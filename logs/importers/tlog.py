@@ -80,7 +80,12 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
-    return Recording.of((*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])), settings, notes)
+    return Recording.of(
+        (*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])),
+        settings,
+        notes,
+        recording.AUTOPILOT if truth else "",
+    )
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
@@ -197,7 +202,7 @@ def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:
     if position is None or attitude is None:
         notes.append("no reference in it (LOCAL_POSITION_NED with ATTITUDE)")
         return None
-    notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     order = np.argsort(attitude.t_ns, kind="stable")
     q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], _q_nb(attitude)[order], _GAP_NS)
     return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)

@@ -55,7 +55,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(aids[0], truth, delay_s, origin)
     altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
-    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes)
+    reference = recording.AUTOPILOT if truth and not _simulated(topics) else ""
+    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes, reference)
 
 
 class _Finite(io.BufferedReader):
@@ -189,11 +190,16 @@ def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
     return [recording.attitude(*_times(topic, clock_us), _vector(topic, "q[0]", "q[1]", "q[2]", "q[3]"))]
 
 
+def _simulated(topics: Mapping[str, Topic]) -> bool:
+    """Whether the log has the simulator's ground truth."""
+    return "vehicle_local_position_groundtruth" in topics
+
+
 def _truth(
     topics: Mapping[str, Topic], receiver: Topic | None, clock_us: int, notes: list[str]
 ) -> tuple[Stream | None, Vec3 | None]:
     """Ground truth, else the autopilot's own estimate, at the stamps of its position; and where its origin is."""
-    suffix = "_groundtruth" if "vehicle_local_position_groundtruth" in topics else ""
+    suffix = "_groundtruth" if _simulated(topics) else ""
     position, attitude = topics.get(f"vehicle_local_position{suffix}"), topics.get(f"vehicle_attitude{suffix}")
     if position is None or attitude is None:
         notes.append("no reference in it (vehicle_local_position with vehicle_attitude)")
@@ -203,7 +209,7 @@ def _truth(
         notes.append("no reference in it: vehicle_local_position is never valid")
         return None, None
     if not suffix:
-        notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+        notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     origin = None
     if np.isfinite(position["ref_lat"][valid]).any():
         k = np.flatnonzero(valid & np.isfinite(position["ref_lat"]))[-1]

@@ -102,8 +102,7 @@ def page(m: Material) -> str:
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),
         "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
-        "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered))
-        or _faint("The health in this log does not tell biases."),
+        "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered)) or _faint("The health in this log has no biases."),
         "Health": _health(m, sheet),
         "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
         + web_page.table(_traffic(m))
@@ -247,8 +246,13 @@ def _health(m: Material, sheet: _Sheet) -> str:
 
 
 def _remarks(m: Material) -> web_page.Table:
-    rows = [(_at(m, s.t_ns), s.state) for s in m.gathered.details if s.state]
-    return "What it said of itself", ("at s", ""), rows[:_MOST_WORDS]
+    """Each remark once: when it was made first, and how often."""
+    remarks: dict[str, list[int]] = {}
+    for s in m.gathered.details:
+        if s.state:
+            remarks.setdefault(s.state, []).append(s.t_ns)
+    rows = [(_at(m, at[0]), str(len(at)), remark) for remark, at in remarks.items()]
+    return "Remarks of the estimator", ("first at s", "times", ""), rows[:_MOST_WORDS]
 
 
 def _traffic(m: Material) -> web_page.Table:

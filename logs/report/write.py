@@ -76,7 +76,7 @@ def compose(
 ) -> Written:
     """Write the report of what was gathered to `out`. Raises LogError where it cannot be written."""
     evaluation = assess(evidence, name, outage_s=outage_s)
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"]
+    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"].spans
     found = findings(evaluation, evidence, gathered)
     material = Material(evidence, gathered, evaluation, outages, found, illustrate(evidence, gathered))
     content = page(material).encode()

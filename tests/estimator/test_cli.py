@@ -196,7 +196,7 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     out = tmp_path / "report.html"
     text = run("report", estimate, "-o", out).stdout
     assert text.startswith(f"{estimate}: ")
-    assert "inside the promised 95 % radius" in text
+    assert "inside the 95 % radius" in text
     assert f"report: {out}" in text
     assert "gyroscope bias" in out.read_text()
     written = json.loads(run("report", estimate, "-o", out, "--no-pictures", "--json").stdout)

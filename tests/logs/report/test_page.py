@@ -14,6 +14,7 @@ import pytest
 
 from logs.evaluation.evaluate import assess, evaluate
 from logs.evaluation.evidence import read
+from logs.importers.recording import AUTOPILOT
 from logs.report.charts import Points, StripChart, TimeChart
 from logs.report.gather import Gathered, Look, attitude_deg, sigmas
 from logs.report.map import flight
@@ -21,7 +22,7 @@ from logs.report.plots import MOST_POINTS, thinned, vision
 from logs.report.words import Level, findings
 from logs.report.write import write
 from logs.store.reader import LogError, LogReader
-from logs.store.recorder import Recorder
+from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import encode, encode_input, encode_truth
 from logs.wire.encoding import header_of, packed
@@ -128,7 +129,7 @@ def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> 
     verdict, findings = verdict_of(tmp_path, Flight(error_scale=4.0))
     assert verdict == "do not rely on this estimate"
     assert any("position errors are" in f and "times what the covariance says" in f for f in findings)
-    assert any("inside the promised 95 % radius" in f for f in findings[:3])
+    assert any("inside the 95 % radius" in f for f in findings[:3])
 
 
 def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
@@ -227,8 +228,34 @@ def test_the_map_shows_the_way_by_mode_ellipses_and_fixes(page: Page, log: Path)
     variances = np.linalg.eigvalsh(estimate.covariance[row, :2, :2])
     assert (last["b"], last["a"]) == pytest.approx(tuple(2.447747 * np.sqrt(variances)), abs=1e-3)
     assert {(m["name"], m["shape"]) for m in chart["marks"]} == {
-        ("/pose_fix used", "dot"), ("/pose_fix not used", "cross"), ("start", "ring"), ("end", "ring"),
+        ("/pose_fix used", "diamond"), ("/pose_fix not used", "plus"), ("start", "triangle"), ("end", "square"),
     }  # fmt: skip
+
+
+def test_gnss_and_landmark_fixes_have_marks_of_their_own(log: Path) -> None:
+    evidence = read(log)
+    aids = tuple(msgspec.structs.replace(a, kind="gnss_position", topic="/gnss") for a in evidence.aids)
+    both = replace(evidence, aids=(*evidence.aids, *aids), fixes={**evidence.fixes, "/gnss": evidence.fixes["/pose_fix"]})
+    shapes = [m.shape for m in flight(both, Gathered(), [], []).marks]
+    assert sorted(shapes) == ["cross", "diamond", "dot", "plus", "square", "triangle"]
+
+
+def test_the_strip_of_modes_has_names_for_its_colours(page: Page) -> None:
+    stays = page.chart("states")["rows"]["mode"]
+    assert {(stay["name"], stay["colour"]) for stay in stays} == {("aided", "blue"), ("dead reckoning", "orange")}
+
+
+def test_a_reference_is_called_so(log: Path, tmp_path: Path) -> None:
+    """GIVEN a log whose /truth is the autopilot's own estimate, THEN the page compares with a reference and says what it is."""
+    with Recorder(tmp_path / "x.mcap") as recorder, LogReader(log) as reader:
+        recorder.attach(REFERENCE_ATTACHMENT, "text/plain", AUTOPILOT.encode())
+        for record in reader:
+            recorder.write(record.topic, record.schema, record.data, record.log_time_ns)
+    written = write(tmp_path / "x.mcap", tmp_path / "x.html")
+    assert written.evaluation.compared_with == f"reference ({AUTOPILOT})"
+    assert any(AUTOPILOT in note and "no errors" in note for note in written.findings)
+    chart = Page(tmp_path / "x.html").chart("map")
+    assert [p["name"] for p in chart["paths"] if p["dashed"]] == ["reference"]
 
 
 def test_no_line_leads_over_a_hole(log: Path) -> None:
