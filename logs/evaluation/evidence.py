@@ -86,6 +86,14 @@ class Evidence:
         return "reference" if self.reference else "truth"
 
 
+class NoEstimateError(LogError):
+    """A log that went through the estimator and came out without an estimate; aids: the last decision on each measurement."""
+
+    def __init__(self, words: str, aids: tuple[AidStatus, ...], attachments: tuple[Attachment, ...], *, torn: bool) -> None:
+        super().__init__(words)
+        self.aids, self.attachments, self.torn = aids, attachments, torn
+
+
 class _Sheaf:
     """Messages of one topic, as bytes, with their arrivals: all, or of the first, every 2nd, 4th, ... so that `most` suffice."""
 
@@ -151,6 +159,9 @@ def read(
         torn, skipped_chunks = reader.torn, reader.skipped_chunks
         attachments, metadata = tuple(reader.attachments), reader.metadata
     if ODOMETRY_TOPIC not in sheaves:
+        if sheaves.keys() & {_AID_TOPIC, _HEALTH_TOPIC}:
+            words = f"{path}: the estimator made no estimate of it: {_waited_for(sheaves.get(_HEALTH_TOPIC, _Sheaf('')))}"
+            raise NoEstimateError(words, _aids(sheaves.get(_AID_TOPIC, _Sheaf(""))), attachments, torn=torn)
         lacks = f"holds no {ODOMETRY_TOPIC}{' before it is torn' if torn else ''}"
         raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
     estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
@@ -242,6 +253,12 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
         values = {pair.key: pair.value for status in message.status for pair in status.values}
         points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
     return tuple(points)
+
+
+def _waited_for(sheaf: _Sheaf) -> str:
+    """What the last Health that says anything names as missing."""
+    details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
+    return next((detail for detail in reversed(details) if detail), "it does not say why")
 
 
 def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:

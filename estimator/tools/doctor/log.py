@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from estimator.config import Config
+from estimator.fusion import Fusion
+from estimator.replay.summary import Tally
 from estimator.tools.doctor.machine import Check, judge
 from logs.store.reader import LogError, LogReader
+from logs.store.recorder import METADATA_NAME
 from models.frames import GRAVITY
-from models.messages import ATTITUDE_TOPIC, Array, ImuSample, Input, Unusable
+from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Unusable
 
 _SCHEMAS = {  # what a topic must carry to feed an input
     "imu": "sensor_msgs/msg/Imu",
@@ -48,7 +51,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     """All checks of one log."""
     topics: dict[str, _Topic] = {}
     imu: dict[str, list[tuple[float, ...]]] = {}
-    decoder = config.decoder()
+    decoder, alignment = config.decoder(), _Alignment(config)
     try:
         with LogReader(path) as reader:
             for count, record in enumerate(reader):
@@ -56,11 +59,13 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
                 message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
                 if message is not None:
                     topic.add(message)
+                    alignment.step(message, record.log_time_ns)
                 if isinstance(message, ImuSample):
                     imu.setdefault(message.topic, []).append((*message.gyro_b, *message.accel_b))
                 if progress and count % 2000 == 0:
                     progress(reader.fraction)
             torn, skipped = reader.torn, reader.skipped_chunks
+            kind = reader.metadata.get(METADATA_NAME, {}).get("import_kind", "")
     except LogError as error:
         return [
             judge("log", str(error), fail=True, advice="landfix recover may save the whole records" if path.is_file() else "")
@@ -77,7 +82,29 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
             checks += _stream(name, topic)
     for name, rows in sorted(imu.items()):
         checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9, config.imu.axes)
-    return checks
+    return [*checks, alignment.judged(kind)]
+
+
+class _Alignment:
+    """The estimator itself, on the log until its first estimate: whether one comes is no matter of rules of thumb."""
+
+    def __init__(self, config: Config) -> None:
+        self._fusion, self._tally, self._aligned = Fusion(config.fusion()), Tally(), False
+
+    def step(self, message: Input, log_time_ns: int) -> None:
+        """The next message."""
+        if not self._aligned:
+            self._tally.record(log_time_ns)
+            outputs = self._fusion.handle(message)
+            self._tally.step(message, outputs)
+            self._aligned = any(isinstance(output, Estimate) for output in outputs)
+
+    def judged(self, kind: str) -> Check:
+        """Whether the log leads to an estimate."""
+        summary = self._tally.summary(0.0, [], 0, "", kind)
+        if summary.first_estimate_s is None:
+            return judge("alignment", "this log leads to no estimate", fail=True, advice=summary.advice)
+        return judge("alignment", f"first estimate {summary.first_estimate_s:.1f} s after the log's first measurement")
 
 
 def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:

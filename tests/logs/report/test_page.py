@@ -20,7 +20,7 @@ from logs.report.gather import Gathered, Look, attitude_deg, sigmas
 from logs.report.map import flight
 from logs.report.plots import MOST_POINTS, thinned, vision
 from logs.report.words import Level, findings
-from logs.report.write import write
+from logs.report.write import Written, write
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire import schemas
@@ -252,6 +252,7 @@ def test_a_reference_is_called_so(log: Path, tmp_path: Path) -> None:
         for record in reader:
             recorder.write(record.topic, record.schema, record.data, record.log_time_ns)
     written = write(tmp_path / "x.mcap", tmp_path / "x.html")
+    assert isinstance(written, Written)
     assert written.evaluation.compared_with == f"reference ({AUTOPILOT})"
     assert any(AUTOPILOT in note and "no errors" in note for note in written.findings)
     chart = Page(tmp_path / "x.html").chart("map")
