@@ -39,12 +39,13 @@ def advice(
         return f"{rate_hz:.1f} IMU samples a second, {_LOWEST_IMU_RATE_HZ:g} or more are needed: {log_faster}"
     if not fixes:
         return f"no GNSS or pose fix in the log: name their topics in [inputs] (landfix doctor LOG lists them), or {log_faster}"
-    if not any(_TAKEN & set(reasons) for reasons in fixes.values()):
-        topic, reasons = max(fixes.items(), key=lambda item: sum(item[1].values()))
+    refused = {topic: reasons for topic, reasons in fixes.items() if not _TAKEN & set(reasons)}
+    if refused:
+        topic, reasons = max(refused.items(), key=lambda item: sum(item[1].values()))
         reason, count = max(reasons.items(), key=lambda item: item[1])
         why = details.get(topic, "")
-        refused = f"{count} of {topic} as {reason}" + (f" ({why})" if why else "")
-        return f"every measurement was refused: {refused}; mend what writes this topic"
+        words = f"{count} of {sum(reasons.values())} as {reason}" + (f" ({why})" if why else "")
+        return f"every measurement of {topic} was refused, {words}; mend what writes this topic"
     autopilot = "begin with the autopilot's attitude ([inputs] attitude, see the .toml of the import)"
     what_to_do = autopilot if kind in _LOG_FASTER else "turn and accelerate while fixes come"
     return f"{waited_for or 'the alignment has not ended'}; {what_to_do}"

@@ -104,7 +104,10 @@ def _places(landmarks: Sequence[Landmark], used: Collection[str], box: tuple[flo
 def _marks(evidence: Evidence, estimate: Trajectory, start_ns: int) -> list[Marks]:
     marks = []
     gnss = {aid.topic for aid in evidence.aids if aid.kind == "gnss_position"}
+    attitudes = {aid.topic for aid in evidence.aids if aid.kind == "attitude"}  # that have no position
     for topic, fixes in sorted(evidence.fixes.items()):
+        if topic in attitudes:
+            continue
         used, not_used = _SHAPES[topic in gnss]
         kinds: tuple[tuple[Mask, str, Colour, Shape], ...] = (
             (fixes.used, f"{topic} used", "green", used),

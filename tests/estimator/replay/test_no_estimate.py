@@ -78,7 +78,7 @@ def test_a_good_log_passes_the_check_of_the_alignment(flight: Path) -> None:
 
 def test_refused_measurements_are_named_with_their_reason() -> None:
     said = advice("", 2000, 10.0, {"/gnss": {"not_psd": 50}}, {"/gnss": "covariance is zero"}, "waiting for a position")
-    assert said.startswith("every measurement was refused: 50 of /gnss as not_psd (covariance is zero)")
+    assert said.startswith("every measurement of /gnss was refused, 50 of 50 as not_psd (covariance is zero)")
 
 
 @pytest.mark.parametrize(
