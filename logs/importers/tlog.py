@@ -91,7 +91,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, number in the file, *fields) of the autopilot's messages, its kind, and how many were damaged."""
+    """Rows (arrived_us, stamp_us, number in the file, *fields) of the vehicle's messages; its autopilot; how many are damaged."""
     rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
     autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
     total = damaged = 0

@@ -28,6 +28,8 @@ _STILL_WINDOW_S = 1.0
 _GRAVITY_BAND = (9.3, 10.3)  # m/s^2, mean over the stillest second
 _FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
 _SWIFT_RAD_S = 3.0
+_FEW_SPIKES = 1e-3  # of all samples; in deg/s more are beyond
+_HALF_EMPTY = 0.1  # of all samples
 
 
 class _Topic:
@@ -174,7 +176,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
     checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
     checks.append(_axes(name, still[3:], axes))
-    return checks
+    return checks + _halves(name, samples)
 
 
 def _stillest(samples: Array, width: int) -> Array:
@@ -200,10 +202,22 @@ def _gravity(name: str, length: float) -> Check:
 
 def _turn_rate(name: str, rate: Array) -> Check:
     """No vehicle but a spinning one turns at 3 rad/s (170 deg/s) on average."""
-    fastest, mean = float(rate.max()), float(rate.mean())
-    wrong = fastest > _FASTEST_RAD_S or mean > _SWIFT_RAD_S
-    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s"
-    return judge(f"{name} turn rate", found, fail=wrong, advice="looks like deg/s: landfix wants rad/s")
+    fastest, mean, beyond = float(rate.max()), float(rate.mean()), int(np.count_nonzero(rate > _FASTEST_RAD_S))
+    wrong = beyond > _FEW_SPIKES * len(rate) or mean > _SWIFT_RAD_S
+    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
+        f", {beyond} samples beyond any gyroscope" if beyond else ""
+    )
+    advice = "looks like deg/s: landfix wants rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
+    return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
+
+
+def _halves(name: str, samples: Array) -> list[Check]:
+    """Some drivers send gyroscope and accelerometer in messages of their own, the other zero."""
+    empty = [float(np.mean(~samples[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
+    if max(empty) < _HALF_EMPTY:
+        return []
+    found = f"gyroscope exactly zero in {empty[0]:.0%}, accelerometer in {empty[1]:.0%} of the samples"
+    return [judge(f"{name} content", found, fail=True, advice="put rate and force of one moment into one message")]
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:
