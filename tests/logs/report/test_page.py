@@ -240,6 +240,12 @@ def test_gnss_and_landmark_fixes_have_marks_of_their_own(log: Path) -> None:
     assert sorted(shapes) == ["cross", "diamond", "dot", "plus", "square", "triangle"]
 
 
+def test_an_attitude_is_no_position_on_the_map(log: Path) -> None:
+    evidence = read(log)
+    attitudes = tuple(msgspec.structs.replace(a, kind="attitude") for a in evidence.aids)
+    assert [m.name for m in flight(replace(evidence, aids=attitudes), Gathered(), [], []).marks] == ["start", "end"]
+
+
 def test_the_strip_of_modes_has_names_for_its_colours(page: Page) -> None:
     stays = page.chart("states")["rows"]["mode"]
     assert {(stay["name"], stay["colour"]) for stay in stays} == {("aided", "blue"), ("dead reckoning", "orange")}
