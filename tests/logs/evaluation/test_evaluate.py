@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
-from logs.evaluation.evidence import HealthPoint, read
+from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
 from logs.evaluation.records import Evaluation, Honesty
 from logs.evaluation.table import print_table
@@ -289,8 +289,11 @@ def test_an_estimate_that_is_not_finite_is_left_out_and_told(log: Path, tmp_path
 
 
 def test_bad_files_and_topics_give_one_clear_line(log: Path, tmp_path: Path) -> None:
+    own = ("/landfix/odometry", "/landfix/health", "/landfix/aid_status")
     with pytest.raises(LogError, match="landfix replay"):
-        evaluate(rewritten(log, tmp_path / "no_estimate.mcap", without=("/landfix/odometry",)))
+        evaluate(rewritten(log, tmp_path / "no_estimate.mcap", without=own))
+    with pytest.raises(NoEstimateError, match="made no estimate of it"):
+        evaluate(rewritten(log, tmp_path / "nothing.mcap", without=own[:1]))
     with pytest.raises(LogError, match="holds no /nothing"):
         evaluate(log, "/nothing")
     with pytest.raises(LogError, match="/landfix/aid_status cannot serve as truth"):
