@@ -436,12 +436,18 @@ def test_junk_is_counted_and_told(log: Path, tmp_path: Path) -> None:
 
 def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_line(log: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="landfix replay"):
-        write(rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry",)), tmp_path / "x.html")
+        write(
+            rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry", "/landfix/health", "/landfix/aid_status")),
+            tmp_path / "x.html",
+        )
     with pytest.raises(LogError, match="cannot be written"):
         write(log, tmp_path / "no" / "x.html")
     nan = encode_truth(EPOCH_NS, (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     lost = rewritten(
-        log, tmp_path / "lost.mcap", without=("/landfix/odometry",), extra=(("/landfix/odometry", *nan[1:], EPOCH_NS),)
+        log,
+        tmp_path / "lost.mcap",
+        without=("/landfix/odometry", "/landfix/health", "/landfix/aid_status"),
+        extra=(("/landfix/odometry", *nan[1:], EPOCH_NS),),
     )
     with pytest.raises(LogError, match="none of its 1 estimates is a number"):
         write(lost, tmp_path / "x.html")
