@@ -68,9 +68,9 @@ class Panel:
         at.plot(t, radius, color="0.8", linewidth=1.0)
         (self._radius,) = at.plot([], [], color=ORANGE, linewidth=1.4, label="promised, 95 %")
         (self._line,) = at.plot([], [], color=BLUE, linewidth=1.4, label="error")
-        for begin, end in outages["all"]:
+        for begin, end in outages["all"].spans:
             at.axvspan((begin - self._start_ns) * 1e-9, (end - self._start_ns) * 1e-9, color="0.9", linewidth=0.0)
-        off = (outages["/gnss"][0][0] - self._start_ns) * 1e-9
+        off = (outages["/gnss"].spans[0][0] - self._start_ns) * 1e-9
         at.axvline(off, color=BLACK, linestyle="--", linewidth=0.9)
         at.text(off, 0.95, " GPS cut off", va="top", fontsize=8, transform=at.get_xaxis_transform())
         at.set(xlim=(0.0, t[-1]), ylim=(0.0, 1.1 * radius[t > 5.0].max()))

@@ -108,7 +108,7 @@ def draw(seed: int) -> Figure:
     for axes, (gps, seen) in zip(grid.flat, ((True, True), (True, False), (False, True), (False, False)), strict=True):
         evidence = read(rendered_flight.estimate_of(_folder(seed, gps=gps), landmarks=seen))
         outages = find_outages(evidence.aids, evidence.health, evidence.estimate, OUTAGE_S)
-        draw_horizontal_error(axes, evidence, outages["all"])
+        draw_horizontal_error(axes, evidence, outages["all"].spans)
         name = f"{'GPS all along' if gps else 'GPS cut off'}, {'landmarks' if seen else 'no landmarks'}"
         axes.set_title(f"{name}: {axes.get_title()}", fontsize=10)
     shown = {label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}

@@ -34,7 +34,8 @@ def command(
     The same bits come out that the flight would have published with this configuration. A log that was rotated into parts is one
     flight: give all of them, in any order, or their folder. A later part alone begins in the air and aligns anew.
     OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and for every
-    measurement what became of it and why (/landfix/aid_status).
+    measurement what became of it and why (/landfix/aid_status). Without any estimate the last line says why and what to do, and
+    the exit code is 1.
 
     \b
     Examples:
@@ -53,7 +54,7 @@ def command(
     sight = _sight(loaded, folder, parts) if from_images else None
     with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
         summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder))
-    if smooth:
+    if smooth and not summary.advice:
         _add_smoothed(out, loaded)
     if sight:
         note(f"landfix: {sight.tally}")
@@ -65,6 +66,9 @@ def command(
         print_json(summary)
     else:
         print_summary(summary, out)
+    if summary.advice:
+        note(f"landfix: no estimate: {summary.advice}")
+        raise typer.Exit(1)
 
 
 def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
@@ -119,8 +123,8 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
         ("first estimate", _first_estimate(summary)),
         *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),
         ("modes", ", ".join(f"{mode} {s:.1f} s" for mode, s in summary.modes_s.items()) or "no estimate"),
-        ("longest without absolute fix", f"{summary.longest_without_absolute_s:.1f} s"),
-        ("worst 95 % radius", f"{summary.worst_radius95_m:.2f} m"),
+        ("longest without absolute fix", f"{summary.longest_without_absolute_s:.1f} s" if summary.estimates else "-"),
+        ("worst 95 % radius", "-" if summary.worst_radius95_m is None else f"{summary.worst_radius95_m:.2f} m"),
         ("resets", str(summary.resets)),
         ("internal errors", str(summary.internal_errors)),
     ]

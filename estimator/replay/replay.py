@@ -107,7 +107,7 @@ def replay(
         for attachment in reader.attachments:
             if _kind(attachment) not in kinds:
                 recorder.attach(*attachment)
-    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing)
+    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing, reader.imported_as)
 
 
 def _kind(attachment: Attachment) -> str:

@@ -5,6 +5,7 @@ from math import isfinite
 
 import msgspec
 
+from estimator.replay.no_estimate import advice
 from models.messages import AidStatus, Estimate, Health, ImuSample, Input, Mode, Output, Reason, Reset
 
 _LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, not time in a mode
@@ -22,7 +23,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     fixes: dict[str, dict[str, int]]
     modes_s: dict[str, float]  # seconds of estimates in each mode
     longest_without_absolute_s: float  # since the first absolute fix
-    worst_radius95_m: float  # horizontal, since alignment
+    worst_radius95_m: float | None  # horizontal, since alignment; None: there is no estimate
     resets: int
     internal_errors: int
     torn: bool
@@ -30,6 +31,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     missing: str = ""  # parts of the flight that were not there: the estimate is not the one that was flown
     first_estimate_s: float | None = None  # log time before it; None: there is no estimate
     waited_for: str = ""  # what was last said to keep it from an estimate
+    advice: str = ""  # why there is no estimate and what to do; empty where there is one
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
@@ -44,9 +46,10 @@ class Tally:
         self._previous_ns: int | None = None
         self._modes_ns: Counter[Mode] = Counter()
         self._longest_ns = 0
-        self._worst_radius_m = 0.0
+        self._worst_radius_m: float | None = None
         self._began_s: float | None = None
         self._waited_for = ""
+        self._details: dict[str, str] = {}
         self._decisions: dict[tuple[str, str, int, int], Reason] = {}
 
     def record(self, log_time_ns: int) -> None:
@@ -66,6 +69,8 @@ class Tally:
             elif isinstance(output, AidStatus):
                 self._decisions[output.topic, output.kind, output.t_ns, output.arrived_ns] = output.reason
                 self._internal += output.reason is Reason.INTERNAL
+                if output.detail:
+                    self._details[output.topic] = output.detail
             elif isinstance(output, Health):
                 self._health(output)
             elif isinstance(output, Reset):
@@ -83,7 +88,7 @@ class Tally:
 
     def _health(self, health: Health) -> None:
         if isfinite(health.radius95_m):
-            self._worst_radius_m = max(self._worst_radius_m, health.radius95_m)
+            self._worst_radius_m = max(self._worst_radius_m or 0.0, health.radius95_m)
         elif health.detail:
             self._waited_for = health.detail
 
@@ -91,11 +96,14 @@ class Tally:
     def _duration_s(self) -> float:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
-    def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str) -> ReplaySummary:
-        """All of it, at the end."""
+    def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str, kind: str) -> ReplaySummary:
+        """All of it, at the end; kind: of the importer that wrote the log, or empty."""
         fixes: dict[str, Counter[str]] = {}
         for (topic, *_), reason in self._decisions.items():
             fixes.setdefault(topic, Counter())[reason.value] += 1
+        why = ""
+        if not self._estimates:
+            why = advice(kind, self._imu, self._duration_s, fixes, self._details, self._waited_for)
         return ReplaySummary(
             records=self.records,
             imu_samples=self._imu,
@@ -115,4 +123,5 @@ class Tally:
             first_estimate_s=self._began_s,
             waited_for=self._waited_for,
             torn_parts=torn,
+            advice=why,
         )

@@ -110,8 +110,8 @@ def _report(folder: Path, progress: Progress) -> Written:
     estimate = folder / "estimate.mcap"
     evidence, gathered = gather(estimate, progress=progress)
     outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
-    figure = plots.overview(evidence, outages["all"])
-    gps_off_s = (outages["/gnss"][0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
+    figure = plots.overview(evidence, outages["all"].spans)
+    gps_off_s = (outages["/gnss"].spans[0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
     figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")

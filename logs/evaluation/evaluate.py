@@ -11,6 +11,7 @@ truth is a gap in the comparison. Stamps that the estimate does not cover are le
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Final, Self
 
@@ -26,8 +27,9 @@ from models.radius import horizontal_radius
 
 ABSOLUTE_KINDS: Final = frozenset({"gnss_position", "pose"})  # measurements that say where, not only how fast or how high
 LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a longer hole
-_ALL_SOURCES: Final = "all"
-_SHORTEST_OUTAGE_NS: Final = 2_000_000_000
+ALL_SOURCES: Final = "all"
+_SHORTEST_OUTAGE_S: Final = 2.0
+_SAME_FIX_NS: Final = 10_000_000
 _NOT_GIVEN_M2: Final = 9e4
 _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
 
@@ -89,38 +91,66 @@ def _known(covariance: Array) -> Array:
     return np.where(np.reshape(told, (-1, 1, 1)), covariance, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Outages:
+    """Outages of one source (a topic, or "all"): every wait longer than longer_than_s is one."""
+
+    longer_than_s: float
+    spans: list[tuple[int, int]]
+
+
 def find_outages(
     aids: Iterable[AidStatus], health: Iterable[HealthPoint], estimate: Trajectory, longer_than_s: float | None = None
-) -> dict[str, list[tuple[int, int]]]:
+) -> dict[str, Outages]:
     """Spans without absolute information, of all sources together ("all") and of each topic where there are several.
 
-    A span runs from the validity of the newest absolute measurement fused to the arrival of a newer one. It is an outage where
-    it is longer than 3 x the median of such waits (interval and delay), and than 2 s; or than longer_than_s. Without AidStatus
-    the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate counts as
-    information: it was aligned by some.
+    A wait runs from the validity of the newest absolute measurement fused to the arrival of a newer one of the same source. It is
+    an outage where it is longer than 3 x the median wait of that source (interval and delay), and than 2 s; or than
+    longer_than_s. "all" is where every source is in an outage, for longer than the shortest of their thresholds. Without
+    AidStatus the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate
+    counts as information: it was aligned by some.
     """
     aids, health = tuple(aids), tuple(health)
-    if not aids and not health:
-        return {_ALL_SOURCES: []}
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
-    points: dict[str, list[tuple[int, int]]] = {_ALL_SOURCES: []}
+    seen: dict[str, list[tuple[int, int]]] = {}
     for aid in aids:
         if aid.kind in ABSOLUTE_KINDS and aid.reason is Reason.FUSED:
-            points[_ALL_SOURCES].append((aid.t_ns, aid.arrived_ns))
-            points.setdefault(aid.topic, []).append((aid.t_ns, aid.arrived_ns))
-    if not points[_ALL_SOURCES]:
-        ages = ((h.t_ns, h.absolute_age_s) for h in health)
-        points[_ALL_SOURCES] = [(t - round(1e9 * age), t) for t, age in ages if np.isfinite(age)]
-    if len(points) == 2:
-        points = {_ALL_SOURCES: points[_ALL_SOURCES]}
-    outages = {}
-    for source, seen in points.items():
-        valid, arrived = np.array([*seen, (start, start)], np.int64).T
-        waited = np.diff(metrics.waits(valid, arrived))
-        usual = np.median(waited) if len(waited) else 0.0
-        threshold = max(_SHORTEST_OUTAGE_NS, 3.0 * usual) if longer_than_s is None else 1e9 * longer_than_s
-        outages[source] = metrics.gaps(valid, arrived, end, round(threshold))
-    return outages
+            seen.setdefault(aid.topic, []).append((aid.t_ns, aid.arrived_ns))
+    if not seen and health:
+        seen[ALL_SOURCES] = _from_ages(health)
+    if not seen and aids:
+        seen[ALL_SOURCES] = []
+    outages = {source: _outages_of(points, start, end, longer_than_s) for source, points in seen.items()}
+    if len(outages) > 1:
+        return {ALL_SOURCES: _in_all(list(outages.values())), **outages}
+    return {ALL_SOURCES: next(iter(outages.values()), Outages(_SHORTEST_OUTAGE_S, []))}
+
+
+def _from_ages(health: Iterable[HealthPoint]) -> list[tuple[int, int]]:
+    """Validity and arrival of absolute fixes, from their age in each Health, which is rounded: nearer ones are the same fix."""
+    points: list[tuple[int, int]] = []
+    for h in health:
+        if np.isfinite(h.absolute_age_s):
+            valid = h.t_ns - round(1e9 * h.absolute_age_s)
+            if not points or valid > points[-1][0] + _SAME_FIX_NS:
+                points.append((valid, h.t_ns))
+    return points
+
+
+def _outages_of(points: list[tuple[int, int]], start: int, end: int, longer_than_s: float | None) -> Outages:
+    """Of one source, whose absolute measurements were valid and arrived at these times."""
+    valid, arrived = np.array([*points, (start, start)], np.int64).T
+    waited = np.diff(metrics.waits(valid, arrived))
+    usual_s = float(np.median(waited)) * 1e-9 if len(waited) else 0.0
+    threshold_s = max(_SHORTEST_OUTAGE_S, 3.0 * usual_s) if longer_than_s is None else longer_than_s
+    return Outages(threshold_s, metrics.gaps(valid, arrived, end, round(1e9 * threshold_s)))
+
+
+def _in_all(outages: list[Outages]) -> Outages:
+    """Where every source is in an outage; slivers between the outage of one and that of another are none."""
+    threshold_s = min(o.longer_than_s for o in outages)
+    spans = reduce(metrics.common, (o.spans for o in outages))
+    return Outages(threshold_s, [(a, b) for a, b in spans if b - a > 1e9 * threshold_s])
 
 
 def evaluate(
@@ -147,12 +177,13 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     comparison = compare(estimate, truth)
     comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
-    aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[_ALL_SOURCES], estimate))
+    aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[ALL_SOURCES].spans, estimate))
     compared = len(comparison) > 0
     path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
-    without = sum(b - a for a, b in outages[_ALL_SOURCES]) * 1e-9
+    without = sum(b - a for a, b in outages[ALL_SOURCES].spans) * 1e-9
     return Evaluation(
         log=name,
+        compared_with=f"reference ({evidence.reference})" if evidence.reference else "truth",
         duration_s=(end - start) * 1e-9,
         estimates=len(estimate),
         distance_m=float(metrics.path_length(path)[-1]) if len(path) else 0.0,
@@ -164,7 +195,8 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
         without_absolute_s=without,
         accuracy=_accuracy(comparison, aided) if compared else None,
         honesty=_honesty(comparison, aided) if compared else None,
-        outages=tuple(_outage(source, span, comparison, start) for source, spans in outages.items() for span in spans),
+        outages=tuple(_outage(source, span, comparison, start) for source, of in outages.items() for span in of.spans),
+        outage_thresholds_s={source: of.longer_than_s for source, of in outages.items()},
         aids=_aid_summaries(evidence.aids),
         latency_s=_latency(evidence),
         resets=tuple(
@@ -327,8 +359,9 @@ def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
         f"{broken} estimates are not finite": broken > 0,
         f"{no_promise} position covariances are not positive definite: their NEES is infinite": no_promise > 0,
         "no truth: nothing can be said about errors": not len(evidence.truth),
-        "the truth and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
-        "the truth has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
+        f"the {evidence.yardstick} and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
+        f"/truth is {evidence.reference}, of the same sensors: differences are no errors": bool(evidence.reference),
+        f"the {evidence.yardstick} has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
         "no /landfix/aid_status: outages are found from the health alone": bool(evidence.health) and not evidence.aids,
         "neither /landfix/aid_status nor /landfix/health: outages are not known": not evidence.health and not evidence.aids,
     }

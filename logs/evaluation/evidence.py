@@ -10,6 +10,7 @@ import numpy as np
 from logs.evaluation.metrics import Mask, Times
 from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode, decode_geodetic, from_rows
 from logs.store.reader import Attachment, LogError, LogReader, Record
+from logs.store.recorder import REFERENCE_ATTACHMENT
 from logs.wire import schemas
 from logs.wire.codec import decode_aid_status
 from models.frames import Origin
@@ -58,7 +59,8 @@ class Fixes:
 class Evidence:
     """A log, as far as it concerns evaluation.
 
-    aids: the last decision on each measurement; truth: empty where there is none; unreadable: messages whose bytes make no sense;
+    aids: the last decision on each measurement; truth: empty where there is none; reference: what it is instead where it is no
+    ground truth (the autopilot's own estimate); unreadable: messages whose bytes make no sense;
     origin: where map lies on Earth, as far as the log holds it; every: of so many estimates one was kept;
     attachments, metadata, skipped_chunks: as the reader reports them.
     """
@@ -76,6 +78,20 @@ class Evidence:
     attachments: tuple[Attachment, ...]
     metadata: dict[str, dict[str, str]]
     skipped_chunks: int
+    reference: str = ""
+
+    @property
+    def yardstick(self) -> str:
+        """What the estimate is compared with, in a word."""
+        return "reference" if self.reference else "truth"
+
+
+class NoEstimateError(LogError):
+    """A log that went through the estimator and came out without an estimate; aids: the last decision on each measurement."""
+
+    def __init__(self, words: str, aids: tuple[AidStatus, ...], attachments: tuple[Attachment, ...], *, torn: bool) -> None:
+        super().__init__(words)
+        self.aids, self.attachments, self.torn = aids, attachments, torn
 
 
 class _Sheaf:
@@ -143,6 +159,9 @@ def read(
         torn, skipped_chunks = reader.torn, reader.skipped_chunks
         attachments, metadata = tuple(reader.attachments), reader.metadata
     if ODOMETRY_TOPIC not in sheaves:
+        if sheaves.keys() & {_AID_TOPIC, _HEALTH_TOPIC}:
+            words = f"{path}: the estimator made no estimate of it: {_waited_for(sheaves.get(_HEALTH_TOPIC, _Sheaf('')))}"
+            raise NoEstimateError(words, _aids(sheaves.get(_AID_TOPIC, _Sheaf(""))), attachments, torn=torn)
         lacks = f"holds no {ODOMETRY_TOPIC}{' before it is torn' if torn else ''}"
         raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
     estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
@@ -166,6 +185,7 @@ def read(
         attachments=attachments,
         metadata=metadata,
         skipped_chunks=skipped_chunks,
+        reference=_reference(attachments) if truth_topic == TRUTH_TOPIC else "",
     )
 
 
@@ -180,6 +200,11 @@ def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) 
         why = "the estimate has no place on Earth" if sheaf.schema == schemas.NAV_SAT_FIX else f"{sheaf.schema} holds no position"
         raise LogError(f"{path}: {topic} cannot serve as truth: {why}")
     return truth[np.asarray(np.isfinite(truth.p).all(axis=1))]
+
+
+def _reference(attachments: Iterable[Attachment]) -> str:
+    """What an importer wrote that /truth is."""
+    return next((a.data.decode(errors="replace") for a in attachments if a.name == REFERENCE_ATTACHMENT), "")
 
 
 def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
@@ -228,6 +253,12 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
         values = {pair.key: pair.value for status in message.status for pair in status.values}
         points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
     return tuple(points)
+
+
+def _waited_for(sheaf: _Sheaf) -> str:
+    """What the last Health that says anything names as missing."""
+    details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
+    return next((detail for detail in reversed(details) if detail), "it does not say why")
 
 
 def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:

@@ -273,7 +273,11 @@ def waits(valid_ns: Times, arrived_ns: Times) -> Times:
 
 
 def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Spans without information: waits longer than longer_than_ns, the last of them up to end_ns; overlapping ones are one."""
+    """Spans without information: waits longer than longer_than_ns, the last of them up to end_ns.
+
+    Newer information ends a span, so no span holds any. Late information is old at its arrival: the wait for the next one then
+    began before the span in front ended, and the new span begins at that end.
+    """
     if not len(valid_ns):
         return []
     last = (int(valid_ns.max()), end_ns)
@@ -281,9 +285,16 @@ def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -
     for start, arrived in [*map(tuple, waits(valid_ns, arrived_ns).tolist()), last]:
         end = min(arrived, end_ns)
         if end - start > longer_than_ns:
-            overlapped = spans.pop()[0] if spans and start <= spans[-1][1] else start
-            spans.append((overlapped, end))
+            begin = max(start, spans[-1][1]) if spans else start
+            if begin < end:
+                spans.append((begin, end))
     return spans
+
+
+def common(first: list[tuple[int, int]], second: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Intersection of two sets of spans, each in order and without overlap."""
+    pairs = ((max(a, c), min(b, d)) for a, b in first for c, d in second)
+    return [(start, end) for start, end in pairs if start < end]
 
 
 def within(t_ns: Times, spans: list[tuple[int, int]]) -> Mask:

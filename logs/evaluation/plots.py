@@ -90,7 +90,7 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
         if ellipse.get_height() < 2.0 * half_view:  # a larger one would be a line across the picture
             axes.add_patch(ellipse)
     if len(truth):
-        _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, "truth", linewidth=0.8, zorder=5)
+        _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, evidence.yardstick, linewidth=0.8, zorder=5)
     if np.isfinite(p).any():
         _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided" if outages else "estimate", linewidth=2.2, zorder=4)
     if outages:

@@ -109,6 +109,7 @@ class Evaluation(msgspec.Struct, frozen=True):
     """
 
     log: str
+    compared_with: str  # "truth", or "reference (the autopilot's own estimate)"
     duration_s: float
     estimates: int
     distance_m: float
@@ -121,6 +122,7 @@ class Evaluation(msgspec.Struct, frozen=True):
     accuracy: Accuracy | None
     honesty: Honesty | None
     outages: tuple[Outage, ...]
+    outage_thresholds_s: dict[str, float]  # source -> a longer wait is an outage
     aids: tuple[AidSummary, ...]
     latency_s: dict[str, Percentiles]
     resets: tuple[ResetRow, ...]

@@ -53,9 +53,9 @@ def _summary(e: Evaluation) -> Text:
     lines = [
         e.log,
         f"{e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
-        f"compared with truth at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
+        f"compared with {e.compared_with} at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
         f"modes: {modes or 'not reported'}",
-        f"without absolute information: {e.without_absolute_s:.1f} s in outages",
+        f"without absolute information: {e.without_absolute_s:.1f} s in outages (waits longer than {_thresholds(e)})",
         f"latency, median / 99 %: {latency}",
     ]
     return Text("\n".join(lines))
@@ -116,7 +116,12 @@ def outages(e: Evaluation) -> Rows:
         values = (*drift, o.radius95_end_m, o.nees_position, o.attitude_rmse_deg)
         rows.append((o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", *(number(x) for x in values)))
     header = ("source", "at s", "for s", "RMSE m", "max m", "end m", "end %", "95 % m", "NEES/3", "att deg")
-    return "Outages: no absolute information", header, rows
+    return f"Outages: waits for absolute information longer than {_thresholds(e)}", header, rows
+
+
+def _thresholds(e: Evaluation) -> str:
+    """2.0 s (all), 2.0 s (/gnss), 9.3 s (/landfix/fix)."""
+    return ", ".join(f"{s:.1f} s ({source})" for source, s in e.outage_thresholds_s.items())
 
 
 def aids(e: Evaluation) -> Rows:

@@ -15,7 +15,7 @@ import msgspec
 
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
 from logs.store.reader import LogError
-from logs.store.recorder import Recorder
+from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
 
 __all__ = ["KINDS", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
@@ -67,6 +67,8 @@ def convert(
     counts: dict[str, int] = {}
     start_ns = end_ns = None
     with Recorder(out, metadata={"imported_from": source.name, "import_kind": kind}) as recorder:
+        if recording.reference:  # an attachment, so that a replay hands it on
+            recorder.attach(REFERENCE_ATTACHMENT, "text/plain", recording.reference.encode())
         for k, message in enumerate(recording, 1):
             topic, schema, data = encode(message)
             recorder.write(topic, schema, data, message.arrived_ns)

@@ -28,6 +28,7 @@ VISION_SIGMA_M = 0.1  # per axis; what the vision.csv of EuRoC was found to have
 VISION_SIGMA_RAD = np.deg2rad(1.0)  # per axis; found 0.3-1.6 degrees
 
 _NED = "ned"
+_NO_IMU_S = 1.0  # between samples: no IMU is as slow
 _LAT = ("lat_deg", "latitude_deg", "lat", "latitude")
 _LON = ("lon_deg", "longitude_deg", "lon", "lng", "longitude", "lng_deg")
 _ELLIPSOID = ("alt_ellipsoid_m", "height_ellipsoid_m", "alt_hae_m", "ellipsoid_height_m")
@@ -107,6 +108,11 @@ def _imu(reader: _Reader, stem: str, B: Array) -> Stream:
         raise LogError(f"{reader.folder}: no {stem}.csv or {stem}.csv.gz in it (there is: {there})")
     gyro_b = frames.turned(table.needed(csv_table.GYRO, "xyz"), B)
     accel_b = frames.turned(table.needed(csv_table.ACCEL, "xyz"), B)
+    step_s = float(np.median(np.diff(table.t_ns))) * 1e-9 if len(table.t_ns) > 1 else 0.0
+    if step_s >= _NO_IMU_S:
+        raise LogError(
+            f"{table.file}: {step_s:g} s from one sample to the next; if its time is in ms or us, name the column t_ms or t_us"
+        )
     reader.notes += sensors.check_imu(gyro_b, accel_b, table.file) + sensors.check_rate(table.t_ns, table.file)
     return recording.imu(table.t_ns, arrived(table), gyro_b, accel_b)
 

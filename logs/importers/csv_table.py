@@ -26,6 +26,10 @@ _ARRIVAL = ("arrived", "arrival", "t_arrived")
 _TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: told by the size
 
 
+_SEPARATORS = {"\t": "tabs", ";": "semicolons"}
+_DAY_NS, _MINUTE_NS = 86_400 * 10**9, 60 * 10**9
+
+
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A physical quantity under the names people give it: stem + axis + unit; the unit's factor makes it SI."""
@@ -104,6 +108,8 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
     lines = text.splitlines()
     if not lines:
         raise LogError(f"{path.name}: the file is empty")
+    if "," not in lines[0] and (other := next((word for mark, word in _SEPARATORS.items() if mark in lines[0]), "")):
+        raise LogError(f"{path.name}: columns are separated by {other}; commas are wanted")
     names = tuple(_plain(cell) for cell in lines[0].split(","))
     if not any(re.match("[a-z]", name) for name in names):
         raise LogError(f"{path.name}: the first line must name the columns (t_s, gx_rad_s, ...); it begins {lines[0][:40]!r}")
@@ -131,7 +137,17 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
     if not stamped.any():
         raise LogError(f"{path.name}: no line with a time")
     arrived_ns = _times(path.name, names, rows, _ARRIVAL, t0_ns)
-    return Table(path.name, names, values[stamped], t_ns[stamped], arrived_ns, tuple(notes))
+    t_ns, midnights = _over_midnight(t_ns[stamped])
+    if midnights:
+        notes.append(f"{path.name}: seconds of the day begin again {midnights} times: taken for midnight")
+        arrived_ns = None if arrived_ns is None else _over_midnight(arrived_ns)[0]
+    return Table(path.name, names, values[stamped], t_ns, arrived_ns, tuple(notes))
+
+
+def _over_midnight(t_ns: Times) -> tuple[Times, int]:
+    """Stamps that go on over midnight where they fall by a day, to a minute; and how often they do."""
+    falls = np.abs(np.diff(t_ns) + _DAY_NS) < _MINUTE_NS
+    return t_ns + _DAY_NS * np.concatenate([[0], np.cumsum(falls)]), int(np.count_nonzero(falls))
 
 
 def _plain(header: str) -> str:

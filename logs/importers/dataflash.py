@@ -70,7 +70,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
     own = [_attitude(truth), truth] if truth else []
-    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *own), settings, notes)
+    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
 
 
 def _open(source: Path) -> Any:
@@ -215,7 +215,7 @@ def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:
     if table is None:
         notes.append(f"no reference in it ({', '.join(_FILTERS)})")
         return None
-    notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     q_nb = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in ("Roll", "Pitch", "Yaw")))
     return recording.truth(
         _t_ns(table[_TIME], timebase_us), _vector(table, "PN", "PE", "PD"), _vector(table, "VN", "VE", "VD"), q_nb

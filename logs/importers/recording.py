@@ -37,6 +37,7 @@ EPOCH_NS = 1_700_000_000 * 10**9  # 2023-11-14T22:13:20Z: when t = 0 was, in log
 _LAST_NS = (2**31 - 1) * 10**9  # 2038: the wire's seconds have 31 bits
 _ATTITUDE_NS = 500_000_000  # between attitudes to begin with: one is enough, at most 2 s old
 _ATTITUDE_VARIANCE = np.deg2rad([2.0, 2.0, 4.0]) ** 2  # rad^2, of tilt and heading: no autopilot's log tells its own
+AUTOPILOT = "the autopilot's own estimate"
 _BLOCK = 4096  # rows that are plain Python objects at one time
 
 
@@ -115,15 +116,16 @@ class Recording:
     streams: tuple[Stream, ...]
     settings: Settings
     notes: tuple[str, ...] = ()  # what a person should know, one line each
+    reference: str = ""  # what /truth is where it is no ground truth
 
     @classmethod
-    def of(cls, streams: Iterable[Stream], settings: Settings, notes: Iterable[str]) -> Self:
+    def of(cls, streams: Iterable[Stream], settings: Settings, notes: Iterable[str], reference: str = "") -> Self:
         """A Recording without the messages whose stamps no log can hold, those of damaged rows; a note says how many."""
         given = tuple(streams)
         kept = [s.within(0, _LAST_NS) for s in given]
         lost = sum(map(len, given)) - sum(map(len, kept))
         more = [f"{lost} messages stamped outside 1970-2038 left out"] if lost else []
-        return cls(tuple(s for s in kept if len(s)), settings, (*notes, *more))
+        return cls(tuple(s for s in kept if len(s)), settings, (*notes, *more), reference)
 
     def __len__(self) -> int:
         return sum(map(len, self.streams))

@@ -43,6 +43,8 @@ _IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2")  # the best firs
 _UNKNOWN = 65535
 _UNIX_US = 1e14  # stamps above it count from 1970
 _FAR_US = 4e15  # beyond any date; a damaged stamp may be
+_CLOCK_SET_US = 30e6
+_AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
 _GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
 _SPEED_SIGMA = 0.5  # m/s, where the receiver tells none
@@ -68,8 +70,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     """The recording in a .tlog file. Raises LogError."""
     options.refuse_but("tlog", "imu")
     messages, autopilot, damaged = _messages(source, progress)
-    tables = _dated(messages)
     notes = [f"{source.name}: {damaged} damaged messages passed over"] if damaged else []
+    tables = _dated(messages, notes)
     imu = _imu(source, tables, options.imu.upper(), autopilot, notes)
     gnss = [stream for name, topic in _RECEIVERS.items() for stream in _gnss(source, tables.get(name), topic)]
     truth = _truth(tables, notes)
@@ -80,13 +82,18 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
-    return Recording.of((*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])), settings, notes)
+    return Recording.of(
+        (*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])),
+        settings,
+        notes,
+        recording.AUTOPILOT if truth else "",
+    )
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, *fields) of each wanted message of the vehicle, its autopilot, and how many were damaged."""
-    rows: dict[int, dict[str, list[list[float]]]] = {}
-    autopilots: dict[int, int] = {}
+    """Rows (arrived_us, stamp_us, number in the file, *fields) of the vehicle's messages; its autopilot; how many are damaged."""
+    rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
+    autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
     total = damaged = 0
     with closing(_open(source)) as log:
         while (message := log.recv_msg()) is not None:
@@ -94,18 +101,26 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
             if name == "BAD_DATA":
                 damaged += 1
             elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
-                autopilots[message.get_srcSystem()] = message.autopilot
+                autopilots[message.get_srcSystem()] = message.get_srcComponent(), message.autopilot
             elif name in _FIELDS:
-                row = [round(message._timestamp * 1e6), _stamp_us(message), *(getattr(message, f, 0) for f in _FIELDS[name])]
-                rows.setdefault(message.get_srcSystem(), {}).setdefault(name, []).append(row)
+                fields = (getattr(message, f, 0) for f in _FIELDS[name])
+                row = [round(message._timestamp * 1e6), _stamp_us(message), total, *fields]
+                components = rows.setdefault(message.get_srcSystem(), {}).setdefault(name, {})
+                components.setdefault(message.get_srcComponent(), []).append(row)
             if progress and total % 5000 == 0:
                 progress(log.percent / 100.0)
     if total == 0:
         raise LogError(f"{source.name}: the file is empty")
     if not rows:
         raise LogError(f"{source.name}: not a MAVLink telemetry log (.tlog), or one without IMU, GPS and attitude")
-    system = max(rows, key=lambda s: sum(map(len, rows[s].values())))
-    return {name: np.array(r, float) for name, r in rows[system].items()}, autopilots.get(system, _NOT_A_VEHICLE), damaged
+    system = max(rows, key=lambda s: sum(len(r) for components in rows[s].values() for r in components.values()))
+    component, autopilot = autopilots.get(system, (_AUTOPILOT, _NOT_A_VEHICLE))
+    return {name: np.array(_of(component, r), float) for name, r in rows[system].items()}, autopilot, damaged
+
+
+def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[float]]:
+    """The rows that the autopilot sent; where it sent none, those of the component that sent most."""
+    return rows[component] if component in rows else max(rows.values(), key=len)
 
 
 def _open(source: Path) -> Any:
@@ -121,9 +136,26 @@ def _stamp_us(message: Any) -> float:
     return float(getattr(message, "time_boot_ms", 0) * 1000 if time_usec is None else time_usec)
 
 
-def _dated(messages: Mapping[str, Array]) -> dict[str, _Table]:
+def _clock_steps(everything: Array) -> tuple[Array, Array]:
+    """Where the ground station's clock was set: number in the file of the first message behind, and by how much [us].
+
+    arrival and stamp [us since boot] go on together; where only the arrival leaps by more than _CLOCK_SET_US, its clock was set.
+    """
+    booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
+    arrived, stamped = np.diff(booting[:, 0]), np.diff(booting[:, 1])
+    steps = np.flatnonzero((np.abs(arrived - stamped) > _CLOCK_SET_US) & (np.abs(stamped) < _REBOOT_US))
+    return booting[steps + 1, 2], (arrived - stamped)[steps]
+
+
+def _dated(messages: Mapping[str, Array], notes: list[str]) -> dict[str, _Table]:
     """Columns by name, with t_ns and arrived_ns; boot by boot the stamps are shifted so that the fastest message took no time."""
-    everything = np.concatenate([rows[:, :2] for rows in messages.values()])
+    everything = np.concatenate([rows[:, :3] for rows in messages.values()])
+    everything = everything[np.argsort(everything[:, 2], kind="stable")]
+    numbers, lost_us = _clock_steps(everything)
+    if len(numbers):
+        notes.append(f"the ground station's clock was set {len(numbers)} times in the log; the vehicle's clock bridges it")
+    since = np.concatenate([[0.0], np.cumsum(lost_us)])
+    everything[:, 0] -= since[np.searchsorted(numbers, everything[:, 2], side="right")]
     everything = everything[np.argsort(everything[:, 0], kind="stable")]
     booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
     reboots = booting[1:, 0][np.diff(booting[:, 1]) < -_REBOOT_US]
@@ -132,10 +164,10 @@ def _dated(messages: Mapping[str, Array]) -> dict[str, _Table]:
     shift = np.array([ahead[boot == k].min() if (boot == k).any() else 0.0 for k in range(len(reboots) + 1)])
     tables = {}
     for name, rows in messages.items():
-        arrived_us, stamp_us = rows[:, 0], rows[:, 1]
+        arrived_us, stamp_us = rows[:, 0] - since[np.searchsorted(numbers, rows[:, 2], side="right")], rows[:, 1]
         since_boot = stamp_us + shift[np.searchsorted(reboots, arrived_us, side="right")]
         t_us = np.select([stamp_us <= 0, stamp_us < _UNIX_US], [arrived_us, since_boot], stamp_us)
-        columns = dict(zip(_FIELDS[name], rows[:, 2:].T, strict=True))
+        columns = dict(zip(_FIELDS[name], rows[:, 3:].T, strict=True))
         tables[name] = _Table(_ns(t_us), _ns(arrived_us), columns)
     return tables
 
@@ -197,7 +229,7 @@ def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:
     if position is None or attitude is None:
         notes.append("no reference in it (LOCAL_POSITION_NED with ATTITUDE)")
         return None
-    notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+    notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     order = np.argsort(attitude.t_ns, kind="stable")
     q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], _q_nb(attitude)[order], _GAP_NS)
     return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)

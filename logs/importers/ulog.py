@@ -10,7 +10,7 @@ receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg an
 """
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -31,6 +31,7 @@ _WANTED = (
     "vehicle_attitude", "vehicle_local_position", "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
+_FIX_3D = 3  # fix_type
 _FAR_US = np.uint64(4 * 10**15)  # beyond any date; a damaged stamp may be
 _UNIX_US = 10**14  # stamps above it count from 1970
 
@@ -43,7 +44,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         progress(0.8)
     topics: dict[str, Topic] = {d.name: d.data for d in reversed(log.data_list)}  # of several instances the first
     notes: list[str] = [f"{source.name}: damaged in places; the rest was read"] if log.file_corruption else []
-    receiver = next((topics[name] for name in ("vehicle_gps_position", "sensor_gps") if name in topics), None)
+    receiver = _receiver(log.data_list, notes)
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_attitude(topics, clock)]
@@ -55,7 +56,23 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(aids[0], truth, delay_s, origin)
     altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
-    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes)
+    reference = recording.AUTOPILOT if truth and not _simulated(topics) else ""
+    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes, reference)
+
+
+def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
+    """The receiver with the most 3-D fixes, of equal ones the autopilot's choice, then the first; a note where it is another."""
+    receivers = [d for name in ("vehicle_gps_position", "sensor_gps") for d in data if d.name == name]
+    if not receivers:
+        return None
+    fixes = [int(np.count_nonzero(d.data["fix_type"] >= _FIX_3D)) for d in receivers]
+    k = int(np.argmax(fixes))
+    if k:
+        notes.append(
+            f"GNSS of {receivers[k].name} {receivers[k].multi_id}: {receivers[0].name} has {fixes[0]} fixes, it has {fixes[k]}"
+        )
+    topic: Topic = receivers[k].data
+    return topic
 
 
 class _Finite(io.BufferedReader):
@@ -163,15 +180,20 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
         notes.append("GNSS heights are above sea level (no other known); set [map] geoid_m to have them above the ellipsoid")
     t_ns, arrived_ns = _times(topic, clock_us)
     status = sensors.navsat_status(topic["fix_type"])
-    variance = np.square(_vector(topic, "eph", "eph", "epv"))  # PX4 takes eph as one sigma per axis
+    variance = _squared(_vector(topic, "eph", "eph", "epv"))  # PX4 takes eph as one sigma per axis
     moving = np.flatnonzero((topic["vel_ned_valid"] != 0) & (status >= 0))
     v_n = _vector(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")[moving]
     speed_sigma = topic["s_variance_m_s"][moving].astype(np.float64)  # m/s, despite its name
-    speed_variance = np.repeat(speed_sigma[:, np.newaxis] ** 2, 3, axis=1)
+    speed_variance = np.repeat(_squared(speed_sigma)[:, np.newaxis], 3, axis=1)
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))
     return streams
+
+
+def _squared(sigma: Array) -> Array:
+    """Variance; nan where a sigma of 0 says that it is not known."""
+    return np.where(sigma > 0.0, np.square(sigma), np.nan)
 
 
 def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
@@ -189,11 +211,16 @@ def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
     return [recording.attitude(*_times(topic, clock_us), _vector(topic, "q[0]", "q[1]", "q[2]", "q[3]"))]
 
 
+def _simulated(topics: Mapping[str, Topic]) -> bool:
+    """Whether the log has the simulator's ground truth."""
+    return "vehicle_local_position_groundtruth" in topics
+
+
 def _truth(
     topics: Mapping[str, Topic], receiver: Topic | None, clock_us: int, notes: list[str]
 ) -> tuple[Stream | None, Vec3 | None]:
     """Ground truth, else the autopilot's own estimate, at the stamps of its position; and where its origin is."""
-    suffix = "_groundtruth" if "vehicle_local_position_groundtruth" in topics else ""
+    suffix = "_groundtruth" if _simulated(topics) else ""
     position, attitude = topics.get(f"vehicle_local_position{suffix}"), topics.get(f"vehicle_attitude{suffix}")
     if position is None or attitude is None:
         notes.append("no reference in it (vehicle_local_position with vehicle_attitude)")
@@ -203,7 +230,7 @@ def _truth(
         notes.append("no reference in it: vehicle_local_position is never valid")
         return None, None
     if not suffix:
-        notes.append("/truth is the autopilot's own estimate: same sensors, for reference only")
+        notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     origin = None
     if np.isfinite(position["ref_lat"][valid]).any():
         k = np.flatnonzero(valid & np.isfinite(position["ref_lat"]))[-1]

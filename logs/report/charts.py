@@ -9,6 +9,7 @@ from logs.report.buckets import Buckets
 from models.messages import Array
 
 Colour = Literal["black", "blue", "green", "vermillion", "sky", "orange", "purple", "grey"]
+Shape = Literal["dot", "diamond", "cross", "plus", "triangle", "square"]
 Numbers = list[float | None]
 
 
@@ -72,6 +73,7 @@ class Stay(msgspec.Struct, frozen=True):
     end: float
     colour: Colour
     text: str
+    name: str  # of the colour, in the legend
 
 
 class StripChart(msgspec.Struct, frozen=True, tag="strip"):
@@ -99,6 +101,7 @@ class Path(msgspec.Struct, frozen=True):
     x: Numbers
     y: Numbers
     t: Numbers
+    dashed: bool = False  # what the estimate is compared with
 
 
 class Ellipse(msgspec.Struct, frozen=True):
@@ -126,7 +129,7 @@ class Marks(msgspec.Struct, frozen=True):
 
     name: str
     colour: Colour
-    shape: Literal["dot", "cross", "ring"]
+    shape: Shape
     x: Numbers
     y: Numbers
     text: list[str]

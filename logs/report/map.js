@@ -38,8 +38,8 @@ class BarChart {
 class MapChart {
   constructor(figure, chart) {
     Object.assign(this, { figure, chart, height: 560 });
-    const names = [...chart.paths.map((p) => [p.name, p.colour]), ...chart.marks.map((m) => [m.name, m.colour])];
-    if (chart.ellipses.length) names.push(["95 % ellipses", "sky"]);
+    const names = [...chart.paths.map((p) => [p.name, p.colour, p.dashed ? "dashed" : "line"]), ...chart.marks.map((m) => [m.name, m.colour, m.shape])];
+    if (chart.ellipses.length) names.push(["95 % ellipses", "sky", "ellipse"]);
     if (chart.places.length) names.push(["landmarks of the map", "grey"]);
     if (chart.places.some((place) => place.used)) names.push(["landmarks used", "green"]);
     this.hidden = legend(figure, names, () => this.draw());
@@ -104,7 +104,7 @@ class MapChart {
     for (const path of this.chart.paths)
       path.x.forEach((px, k) => {
         const away = Math.hypot(px - x, path.y[k] - y);
-        if (px !== null && path.name !== "truth" && away < (best?.away ?? reach)) best = { away, t: path.t[k], name: path.name };
+        if (px !== null && !path.dashed && away < (best?.away ?? reach)) best = { away, t: path.t[k], name: path.name };
       });
     for (const marks of this.chart.marks)
       marks.x.forEach((px, k) => Math.hypot(px - x, marks.y[k] - y) < 0.6 * reach && words.length < 5 && words.push(`${marks.name}: ${marks.text[k]}`));
@@ -137,18 +137,15 @@ class MapChart {
       for (const e of this.chart.ellipses)
         this.svg.append(element("ellipse", { class: "ellipse", rx: e.a / this.metres, ry: e.b / this.metres, transform: `translate(${x(e.x)} ${y(e.y)}) rotate(${-e.turn_deg})` }));
     for (const path of this.chart.paths)
-      if (!this.hidden.has(path.name) && path.x.length > 1) this.svg.append(element("path", { class: `line ${path.colour}`, d: `M${spot(path.x, path.y).join("L")}` }));
+      if (!this.hidden.has(path.name) && path.x.length > 1) this.svg.append(element("path", { class: `line ${path.colour}${path.dashed ? " dashed" : ""}`, d: `M${spot(path.x, path.y).join("L")}` }));
     for (const marks of this.chart.marks) if (!this.hidden.has(marks.name)) this.svg.append(this.marks(marks));
     this.svg.append(label(this.width - 8, 16, "north ↑   metres", "end"));
     this.point(view.cursor);
   }
 
   marks(marks) {
-    const d = marks.x.map((v, k) => {
-      const px = this.x(v).toFixed(1), py = this.y(marks.y[k]).toFixed(1), r = marks.shape === "ring" ? 6 : 2.5;
-      return marks.shape === "cross" ? `M${px - 4} ${py - 4}l8 8m0 -8l-8 8` : `M${px - r} ${py}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0`;
-    });
-    return element("path", { class: `${marks.shape === "dot" ? "point" : "mark"} ${marks.colour}`, d: d.join("") });
+    const d = marks.x.map((v, k) => `M${this.x(v).toFixed(1)} ${this.y(marks.y[k]).toFixed(1)}${GLYPHS[marks.shape]}`);
+    return element("path", { class: `${FILLED.has(marks.shape) ? "point" : "mark"} ${marks.colour}`, d: d.join("") });
   }
 
   point(t) {
@@ -156,7 +153,7 @@ class MapChart {
     if (t === null) return;
     let best = null;
     for (const path of this.chart.paths)
-      if (path.name !== "truth") path.t.forEach((u, k) => Math.abs(u - t) < (best?.away ?? 2) && (best = { away: Math.abs(u - t), x: path.x[k], y: path.y[k] }));
+      if (!path.dashed) path.t.forEach((u, k) => Math.abs(u - t) < (best?.away ?? 2) && (best = { away: Math.abs(u - t), x: path.x[k], y: path.y[k] }));
     if (best) this.svg.append(element("circle", { class: "here", cx: this.x(best.x), cy: this.y(best.y), r: 6 }));
   }
 }

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from logs.evaluation.evidence import Evidence
-from logs.evaluation.metrics import Indices, Times
+from logs.evaluation.metrics import Indices, Mask, Times
 from logs.evaluation.trajectory import Trajectory
-from logs.report.charts import Colour, Ellipse, MapChart, Marks, Numbers, Path, Place
+from logs.report.charts import Colour, Ellipse, MapChart, Marks, Numbers, Path, Place, Shape
 from logs.report.gather import Gathered, seconds
 from logs.report.plots import MODES
 from models.maps.landmarks import Landmark
@@ -17,6 +17,8 @@ from models.messages import Array
 _MOST_POINTS: Final = 2000
 _MOST_PLACES: Final = 3000
 _ELLIPSES: Final = 30
+# whether of GNSS -> marks of a fix that was used, and that was not; others are of landmarks and poses
+_SHAPES: Final[dict[bool, tuple[Shape, Shape]]] = {True: ("dot", "cross"), False: ("diamond", "plus")}
 _HOLE_NS: Final = 2_000_000_000
 _SIGMAS_95_PLANE: Final = 2.447747
 
@@ -27,7 +29,7 @@ def flight(evidence: Evidence, gathered: Gathered, outages: list[tuple[int, int]
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     paths = _by_mode(estimate, gathered, start_ns)
     if len(truth):
-        paths = [*_paths("truth", "black", truth[_few(len(truth))], start_ns), *paths]
+        paths = [*_paths(evidence.yardstick, "black", truth[_few(len(truth))], start_ns, dashed=True), *paths]
     box = _box(np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
     used = {name for look in gathered.looks.values() if look.fix for name in look.fix.landmarks}
     return MapChart(
@@ -56,13 +58,13 @@ def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Pa
     return paths
 
 
-def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int) -> list[Path]:
+def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int, *, dashed: bool = False) -> list[Path]:
     """A line, or several where there is a hole in time: no line leads over what is not known."""
     step = np.diff(way.t_ns)
     longest = max(_HOLE_NS, 3.0 * float(np.median(step))) if len(step) else _HOLE_NS
     holes = np.flatnonzero(step > longest) + 1
     parts = (way[rows] for rows in np.split(np.arange(len(way)), holes))
-    return [Path(name, colour, _m(part.p[:, 0]), _m(part.p[:, 1]), _s(part.t_ns, start_ns)) for part in parts]
+    return [Path(name, colour, _m(part.p[:, 0]), _m(part.p[:, 1]), _s(part.t_ns, start_ns), dashed) for part in parts]
 
 
 def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: int, view_m: float) -> list[Ellipse]:
@@ -101,19 +103,26 @@ def _places(landmarks: Sequence[Landmark], used: Collection[str], box: tuple[flo
 
 def _marks(evidence: Evidence, estimate: Trajectory, start_ns: int) -> list[Marks]:
     marks = []
+    gnss = {aid.topic for aid in evidence.aids if aid.kind == "gnss_position"}
+    attitudes = {aid.topic for aid in evidence.aids if aid.kind == "attitude"}  # that have no position
     for topic, fixes in sorted(evidence.fixes.items()):
-        for rows, name, colour, shape in (
-            (fixes.used, f"{topic} used", "green", "dot"),
-            (~fixes.used, f"{topic} not used", "vermillion", "cross"),
-        ):
+        if topic in attitudes:
+            continue
+        used, not_used = _SHAPES[topic in gnss]
+        kinds: tuple[tuple[Mask, str, Colour, Shape], ...] = (
+            (fixes.used, f"{topic} used", "green", used),
+            (~fixes.used, f"{topic} not used", "vermillion", not_used),
+        )
+        for rows, name, colour, shape in kinds:
             told = np.flatnonzero(rows & np.isfinite(fixes.p[:, :2]).all(axis=1))
             told = told[_few(len(told))]
             if len(told):
                 text = [f"{t:.1f} s" for t in seconds(fixes.t_ns[told], start_ns).tolist()]
-                marks.append(Marks(name, colour, shape, _m(fixes.p[told, 0]), _m(fixes.p[told, 1]), text))  # type: ignore[arg-type]
-    for row, name in ((0, "start"), (-1, "end")):
+                marks.append(Marks(name, colour, shape, _m(fixes.p[told, 0]), _m(fixes.p[told, 1]), text))
+    ends: tuple[tuple[int, str, Shape], ...] = ((0, "start", "triangle"), (-1, "end", "square"))
+    for row, name, shape in ends:
         x, y = estimate.p[row, :2]
-        marks.append(Marks(name, "black", "ring", _m(np.array([x])), _m(np.array([y])), [name]))
+        marks.append(Marks(name, "black", shape, _m(np.array([x])), _m(np.array([y])), [name]))
     return marks
 
 

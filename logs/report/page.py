@@ -19,6 +19,7 @@ from logs.report import map as report_map
 from logs.report import plots as report_plots
 from logs.report.charts import Chart, Drawing, Span
 from logs.report.gather import Gathered
+from logs.report.no_estimate import topics
 from logs.report.words import Finding, Level, duration, refusals, summary
 from models import web_page
 from models.maps.landmarks import Landmark
@@ -106,7 +107,7 @@ def page(m: Material) -> str:
         or _faint("The health messages in this log hold no biases."),
         "Health": _health(m, sheet),
         "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
-        + web_page.table(_traffic(m))
+        + web_page.table(topics(m.gathered, m.start_ns))
         + _daemon(m),
         "Configuration and calibration": _attachments(m),
     }
@@ -247,18 +248,13 @@ def _health(m: Material, sheet: _Sheet) -> str:
 
 
 def _remarks(m: Material) -> web_page.Table:
-    rows = [(_at(m, s.t_ns), s.state) for s in m.gathered.details if s.state]
-    return "What it said of itself", ("at s", ""), rows[:_MOST_WORDS]
-
-
-def _traffic(m: Material) -> web_page.Table:
-    rows = []
-    for topic, t in sorted(m.gathered.traffic.items()):
-        span = (t.last_ns - t.first_ns) * 1e-9
-        rate = f"{(t.count - 1) / span:.1f}" if span > 0 else "-"
-        silent = (f"{t.silence_ns * 1e-9:.3g}", _at(m, t.silent_from_ns)) if t.count > 1 else ("-", "-")
-        rows.append((topic, t.schema, str(t.count), rate, *silent))
-    return "Topics in the log", ("topic", "type", "messages", "Hz", "longest silence s", "from s"), rows
+    """Each remark once: when it was made first, and how often."""
+    remarks: dict[str, list[int]] = {}
+    for s in m.gathered.details:
+        if s.state:
+            remarks.setdefault(s.state, []).append(s.t_ns)
+    rows = [(_at(m, at[0]), str(len(at)), remark) for remark, at in remarks.items()]
+    return "Remarks of the estimator", ("first at s", "times", ""), rows[:_MOST_WORDS]
 
 
 def _daemon(m: Material) -> str:

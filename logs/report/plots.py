@@ -100,7 +100,7 @@ def states(evidence: Evidence, gathered: Gathered) -> Charts:
         turn = 360.0 if k == 8 else 0.0
         parts: list[Line | Band | Points] = [band("95 % band", "sky", signals, k, 9 + k, start_ns)]
         if truth is not None and np.isfinite(truth.low[:, k]).any():
-            parts.append(line("truth", "black", truth, k, start_ns, turn))
+            parts.append(line(evidence.yardstick, "black", truth, k, start_ns, turn))
         parts.append(line("estimate", "blue", signals, k, start_ns, turn))
         charts[f"state{k}"] = TimeChart(title, unit, parts, height=165)
     return charts
@@ -262,7 +262,9 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
     for t, report in looks:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
-        rows.setdefault(report.outcome.replace("_", " "), []).append(Stay(at, at + step, colour, report.detail or report.outcome))
+        rows.setdefault(report.outcome.replace("_", " "), []).append(
+            Stay(at, at + step, colour, report.detail or report.outcome, "fix" if colour == "green" else "no fix")
+        )
     span = (looks[-1][0] - looks[0][0]) * 1e-9 / MOST_POINTS
     strips = {outcome: _joined(stays, span) for outcome, stays in sorted(rows.items(), key=lambda r: -len(r[1]))}
     charts: Charts = {"outcomes": StripChart("What came of each pair of pictures", strips)}
@@ -298,7 +300,13 @@ def _joined(stays: list[Stay], span: float) -> list[Stay]:
 def _stays(stretches: list[Stretch], colours: dict[str, Colour], start_ns: int, end_ns: int) -> list[Stay]:
     ends = [s.t_ns for s in stretches[1:]] + [max(end_ns, stretches[-1].t_ns)]
     return [
-        Stay(round((s.t_ns - start_ns) * 1e-9, 3), round((e - start_ns) * 1e-9, 3), colours.get(s.state, "grey"), s.state)
+        Stay(
+            round((s.t_ns - start_ns) * 1e-9, 3),
+            round((e - start_ns) * 1e-9, 3),
+            colours.get(s.state, "grey"),
+            s.state,
+            s.state.replace("_", " "),
+        )
         for s, e in zip(stretches, ends, strict=True)
     ]
 

@@ -6,7 +6,7 @@ class OverTime {
   constructor(figure, chart) {
     Object.assign(this, { figure, chart, height: chart.height || ROW * Object.keys(chart.rows || {}).length + TOP + BOTTOM });
     figure.append(html("figcaption", "", chart.title + (chart.unit ? ` [${chart.unit}]` : "")));
-    this.hidden = chart.parts ? legend(figure, chart.parts.map((p) => [p.name, p.colour]), () => this.draw()) : new Set();
+    this.hidden = chart.parts ? legend(figure, chart.parts.map((p) => [p.name, p.colour, p.shape ?? (p.type === "line" ? "line" : "")]), () => this.draw()) : new Set();
     this.readout = html("div", "readout");
     this.svg = element("svg", { role: "img", "aria-label": chart.title });
     figure.append(this.readout, this.svg);
@@ -193,6 +193,13 @@ class TimeChart extends OverTime {
 }
 
 class StripChart extends OverTime {
+  constructor(figure, chart) {
+    super(figure, chart);
+    const row = html("div", "legend"), stays = Object.values(chart.rows).flat();
+    for (const [name, colour] of new Map(stays.map((stay) => [stay.name, stay.colour]))) row.append(html("span", "", html("i", colour), name));
+    figure.querySelector("figcaption").after(row);
+  }
+
   draw() {
     const body = this.frame();
     Object.entries(this.chart.rows).forEach(([name, stays], row) => {

@@ -50,10 +50,31 @@ const asinh = (linear) => ({
   },
 });
 
+// Outlines of marks, drawn from their middle.
+const GLYPHS = {
+  dot: "m-2.5 0a2.5 2.5 0 1 0 5 0a2.5 2.5 0 1 0 -5 0",
+  diamond: "m0 -5l4 5l-4 5l-4 -5z",
+  cross: "m-4 -4l8 8m0 -8l-8 8",
+  plus: "m-4.5 0h9m-4.5 -4.5v9",
+  tick: "m0 -5v10",
+  top: "m0 -5v10",
+  triangle: "m0 -7l6 11h-12z",
+  square: "m-5 -5h10v10h-10z",
+  line: "m-7 0h14",
+  dashed: "m-7 0h14",
+  ellipse: "m-6 0a6 3.5 0 1 0 12 0a6 3.5 0 1 0 -12 0",
+};
+const FILLED = new Set(["dot"]);
+const swatch = (colour, shape) => {
+  if (!GLYPHS[shape]) return html("i", colour);
+  const kind = shape === "line" || shape === "dashed" ? `line ${shape}` : FILLED.has(shape) ? "point" : "mark";
+  return element("svg", { class: "swatch", viewBox: "-8 -8 16 16" }, element("path", { class: `${kind} ${colour}`, d: `M0 0${GLYPHS[shape]}` }));
+};
+
 const legend = (figure, names, redraw) => {
   const hidden = new Set(), row = html("div", "legend");
-  for (const [name, colour] of new Map(names)) {
-    const key = html("button", "", html("i", colour), name);
+  for (const [name, [colour, shape]] of new Map(names.map(([name, ...mark]) => [name, mark]))) {
+    const key = html("button", "", swatch(colour, shape), name);
     key.type = "button";
     key.onclick = () => {
       if (!hidden.delete(name)) hidden.add(name);

@@ -61,7 +61,8 @@ def summary(e: Evaluation, gathered: Gathered) -> str:
         words.append("It was never without absolute fixes for long.")
     if e.accuracy:
         a = e.accuracy
-        errors = f"Against the truth the position error was {a.position_m.rmse:.2f} m (RMS), {a.position_m.max:.2f} m at most"
+        p, what = a.position_m, "position error" if e.compared_with == "truth" else "difference in position"
+        errors = f"Against the {e.compared_with} the {what} was {p.rmse:.2f} m (RMS), {p.max:.2f} m at most"
         aided = f"; {a.aided_position_m.rmse:.2f} m outside outages" if outages and a.aided_position_m.n else ""
         attitude = f"; attitude {a.attitude_deg.rmse:.2f}° RMS" if a.attitude_deg.n else ""
         words.append(f"{errors}{aided}{attitude}.")
@@ -95,10 +96,12 @@ def _honesty(e: Evaluation) -> list[Finding]:
         return []
     covered = e.honesty.radius95_covered
     level = Level.FINE if covered >= 0.9 else Level.LOOK if covered >= 0.75 else Level.WRONG
-    found = [Finding(level, f"the error was inside the reported 95 % radius {covered:.0%} of the time")]
+    what = "error" if e.compared_with == "truth" else "difference from the reference"
+    found = [Finding(level, f"the {what} was inside the reported 95 % radius {covered:.0%} of the time")]
     for name, c in (("position", e.honesty.position), ("attitude", e.honesty.attitude), ("velocity", e.honesty.velocity)):
         found += _too_sure(name, c)
-    return found
+    # The reference may be what is wrong: no verdict rests on it alone
+    return found if e.compared_with == "truth" else [Finding(min(f.level, Level.LOOK), f.text) for f in found]
 
 
 def _too_sure(name: str, c: Consistency) -> list[Finding]:
@@ -181,7 +184,8 @@ def _vision(gathered: Gathered) -> list[Finding]:
 
 
 def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
-    found = [Finding(Level.LOOK, note) for note in e.notes if not note.startswith(("no truth", "the truth has no attitude"))]
+    notes = [note for note in e.notes if not note.startswith("no truth") and not note.endswith("has no attitude")]
+    found = [Finding(Level.FINE if note.endswith("are no errors") else Level.LOOK, note) for note in notes]
     if evidence.skipped_chunks:
         found.append(Finding(Level.LOOK, f"{evidence.skipped_chunks} damaged places in the log were skipped"))
     if gathered.unreadable:

@@ -14,8 +14,9 @@ from typing import Final
 import msgspec
 
 from logs.evaluation.evaluate import assess, find_outages
-from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, read
+from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, NoEstimateError, read
 from logs.evaluation.records import Evaluation
+from logs.report import no_estimate
 from logs.report.gather import Gathered
 from logs.report.page import Illustrations, Material, page
 from logs.report.words import findings
@@ -31,13 +32,18 @@ def no_illustrations(_: Evidence, __: Gathered) -> Illustrations:
     return Illustrations()
 
 
-class Written(msgspec.Struct, frozen=True):
+class Page(msgspec.Struct, frozen=True):
     """What was written, and what it says."""
 
     report: str
     size: int
     verdict: str
     findings: list[str]
+
+
+class Written(Page, frozen=True):
+    """The page of an estimate."""
+
     evaluation: Evaluation
 
 
@@ -49,10 +55,19 @@ def write(
     outage_s: float | None = None,
     illustrate: Illustrate = no_illustrations,
     progress: Callable[[float], None] | None = None,
-) -> Written:
-    """Write the report of a log to `out`. Raises LogError where there is no estimate, `out` is the log, or cannot be written."""
+) -> Page:
+    """Write the report of a log to `out`. Of a log that the estimator made nothing of, the page says why.
+
+    Raises LogError for a log that never went through the estimator, where `out` is the log, or cannot be written.
+    """
     check_output(out, log)
-    return compose(*gather(log, truth_topic, progress), log.name, out, outage_s=outage_s, illustrate=illustrate)
+    gathered = Gathered()
+    try:
+        evidence = _read(log, truth_topic, progress, gathered)
+    except NoEstimateError as missing:
+        size = _save(out, no_estimate.page(log.name, missing, gathered))
+        return Page(str(out), size, "no estimate", [str(missing)])
+    return compose(evidence, gathered, log.name, out, outage_s=outage_s, illustrate=illustrate)
 
 
 def gather(
@@ -60,9 +75,13 @@ def gather(
 ) -> tuple[Evidence, Gathered]:
     """What a report is made of, in one pass over the log. Raises LogError."""
     gathered = Gathered()
+    return _read(log, truth_topic, progress, gathered), gathered
+
+
+def _read(log: Path, truth_topic: str, progress: Callable[[float], None] | None, gathered: Gathered) -> Evidence:
     evidence = read(log, truth_topic, progress, most=_MOST, see=gathered.see)
     gathered.close()
-    return evidence, gathered
+    return evidence
 
 
 def compose(
@@ -76,12 +95,18 @@ def compose(
 ) -> Written:
     """Write the report of what was gathered to `out`. Raises LogError where it cannot be written."""
     evaluation = assess(evidence, name, outage_s=outage_s)
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"]
+    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"].spans
     found = findings(evaluation, evidence, gathered)
     material = Material(evidence, gathered, evaluation, outages, found, illustrate(evidence, gathered))
-    content = page(material).encode()
+    size = _save(out, page(material))
+    return Written(str(out), size, material.level.word, [f.text for f in found], evaluation)
+
+
+def _save(out: Path, content: str) -> int:
+    """Its size in bytes. Raises LogError."""
+    data = content.encode()
     try:
-        out.write_bytes(content)
+        out.write_bytes(data)
     except OSError as error:
         raise LogError(f"{out}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
-    return Written(str(out), len(content), material.level.word, [f.text for f in found], evaluation)
+    return len(data)

@@ -70,6 +70,11 @@ class PartsReader:
         return list(dict.fromkeys(a for part in self._parts for a in part.attachments))
 
     @property
+    def imported_as(self) -> str:
+        """The kind of importer that wrote the log (ulog, dataflash ...), empty where none did."""
+        return self._parts[0].metadata.get(METADATA_NAME, {}).get("import_kind", "")
+
+    @property
     def missing(self) -> str:
         """What the flight had before or between these parts, as "part 0", "parts 1, 2"; "": nothing that is known of."""
         there = {number for part in self._parts if (number := _number(part)) is not None}

@@ -1,6 +1,7 @@
 """Reading a log: its CDR messages in the order they arrived, to the last whole record of a torn file."""
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -102,5 +103,6 @@ class LogReader:
         if channel.message_encoding != "cdr" or schema is None:
             self.foreign[channel.topic] = channel.message_encoding if schema else f"{channel.message_encoding} without a schema"
             return None
-        self._schemas[schema.name] = schema
-        return channel.topic, schema.name, missing_end(schema.name, schema.data)
+        name = re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema.name)  # sensor_msgs/Imu, as ROS 1 names it and some writers do
+        self._schemas[name] = schema
+        return channel.topic, name, missing_end(name, schema.data)

@@ -11,6 +11,7 @@ import contextlib
 import mmap
 import os
 import re
+import shlex
 import struct
 import zlib
 from collections.abc import Iterator
@@ -43,11 +44,26 @@ _CONTENT: Final = {
     Opcode.STATISTICS: Statistics.read,
 }
 _VAIN_RATIO: Final = 4
+_IMPORTED: Final = {b"ULog\x01\x12\x35": ("a PX4", "ulog"), b"\xa3\x95\x80\x80": ("an ArduPilot dataflash", "dataflash")}
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _NOTES: Final = {
     b"": "is empty",
     b"#ROSBAG ": "is a ROS 1 bag; convert it to MCAP (rosbags-convert)",
     b"SQLite f": "is an SQLite bag; convert it to MCAP (ros2 bag convert, rosbags-convert)",
 }
+
+
+def _what(start: bytes, path: Path) -> str:
+    """What a file is that does not begin as MCAP does, and what to do with it."""
+    out = f"{shlex.quote(str(path))} -o {shlex.quote(path.stem + '.mcap')}"
+    for magic, (name, kind) in _IMPORTED.items():
+        if start.startswith(magic):
+            return f"{name} log: landfix import {kind} {out}"
+    if len(start) == len(MAGIC) and path.suffix.lower() == ".tlog":
+        return f"a MAVLink telemetry log: landfix import tlog {out}"
+    if start.startswith(_ZSTD):
+        return f"is compressed as a whole; unpack it first: zstd -d {shlex.quote(str(path))}"
+    return _NOTES.get(start, "is not an MCAP file, or its first bytes are damaged")
 
 
 class LogError(Exception):
@@ -74,7 +90,7 @@ class RecordFile:
         start = self._file.read(len(MAGIC))
         if start != MAGIC:
             self._file.close()
-            raise LogError(f"{path}: {_NOTES.get(start, 'is not an MCAP file, or its first bytes are damaged')}")
+            raise LogError(f"{path}: {_what(start, self.path)}")
         self._reset()
         for opcode, content, position in self._frames():
             if opcode == Opcode.HEADER:

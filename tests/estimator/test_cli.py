@@ -116,7 +116,9 @@ def test_import_csv(tmp_path: Path) -> None:
     (tmp_path / "imu.csv").write_text("t_s,gx,gy,gz,fx,fy,fz\n" + "\n".join(rows) + "\n")
     out = tmp_path / "out.mcap"
     assert json.loads(run("import", "csv", tmp_path, "-o", out, "--json").stdout)["messages"] == {"/imu": 300}
-    assert run("replay", out, "-o", tmp_path / "est.mcap", "-c", out.with_suffix(".toml")).exit_code == 0
+    alone = run("replay", out, "-o", tmp_path / "est.mcap", "-c", out.with_suffix(".toml"))
+    assert alone.exit_code == 1
+    assert alone.stderr.startswith("landfix: no estimate: no GNSS or pose fix in the log")
 
 
 def test_recover(flight: Path, tmp_path: Path) -> None:

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from estimator.config import Config
+from estimator.fusion import Fusion
+from estimator.replay.summary import Tally
 from estimator.tools.doctor.machine import Check, judge
 from logs.store.reader import LogError, LogReader
+from logs.store.recorder import METADATA_NAME
 from models.frames import GRAVITY
-from models.messages import ATTITUDE_TOPIC, Array, ImuSample, Input, Unusable
+from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Unusable
 
 _SCHEMAS = {  # what a topic must carry to feed an input
     "imu": "sensor_msgs/msg/Imu",
@@ -25,6 +28,8 @@ _STILL_WINDOW_S = 1.0
 _GRAVITY_BAND = (9.3, 10.3)  # m/s^2, mean over the stillest second
 _FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
 _SWIFT_RAD_S = 3.0
+_FEW_SPIKES = 1e-3  # of all samples; in deg/s more are beyond
+_HALF_EMPTY = 0.1  # of all samples
 
 
 class _Topic:
@@ -48,7 +53,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     """All checks of one log."""
     topics: dict[str, _Topic] = {}
     imu: dict[str, list[tuple[float, ...]]] = {}
-    decoder = config.decoder()
+    decoder, alignment = config.decoder(), _Alignment(config)
     try:
         with LogReader(path) as reader:
             for count, record in enumerate(reader):
@@ -56,11 +61,13 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
                 message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
                 if message is not None:
                     topic.add(message)
+                    alignment.step(message, record.log_time_ns)
                 if isinstance(message, ImuSample):
                     imu.setdefault(message.topic, []).append((*message.gyro_b, *message.accel_b))
                 if progress and count % 2000 == 0:
                     progress(reader.fraction)
             torn, skipped = reader.torn, reader.skipped_chunks
+            kind = reader.metadata.get(METADATA_NAME, {}).get("import_kind", "")
     except LogError as error:
         return [
             judge("log", str(error), fail=True, advice="landfix recover may save the whole records" if path.is_file() else "")
@@ -77,7 +84,29 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
             checks += _stream(name, topic)
     for name, rows in sorted(imu.items()):
         checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9, config.imu.axes)
-    return checks
+    return [*checks, alignment.judged(kind)]
+
+
+class _Alignment:
+    """The estimator itself, on the log until its first estimate: whether one comes is no matter of rules of thumb."""
+
+    def __init__(self, config: Config) -> None:
+        self._fusion, self._tally, self._aligned = Fusion(config.fusion()), Tally(), False
+
+    def step(self, message: Input, log_time_ns: int) -> None:
+        """The next message."""
+        if not self._aligned:
+            self._tally.record(log_time_ns)
+            outputs = self._fusion.handle(message)
+            self._tally.step(message, outputs)
+            self._aligned = any(isinstance(output, Estimate) for output in outputs)
+
+    def judged(self, kind: str) -> Check:
+        """Whether the log leads to an estimate."""
+        summary = self._tally.summary(0.0, [], 0, "", kind)
+        if summary.first_estimate_s is None:
+            return judge("alignment", "this log leads to no estimate", fail=True, advice=summary.advice)
+        return judge("alignment", f"first estimate {summary.first_estimate_s:.1f} s after the log's first measurement")
 
 
 def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
@@ -147,7 +176,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
     checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
     checks.append(_axes(name, still[3:], axes))
-    return checks
+    return checks + _halves(name, samples)
 
 
 def _stillest(samples: Array, width: int) -> Array:
@@ -173,10 +202,22 @@ def _gravity(name: str, length: float) -> Check:
 
 def _turn_rate(name: str, rate: Array) -> Check:
     """No vehicle but a spinning one turns at 3 rad/s (170 deg/s) on average."""
-    fastest, mean = float(rate.max()), float(rate.mean())
-    wrong = fastest > _FASTEST_RAD_S or mean > _SWIFT_RAD_S
-    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s"
-    return judge(f"{name} turn rate", found, fail=wrong, advice="looks like deg/s: landfix wants rad/s")
+    fastest, mean, beyond = float(rate.max()), float(rate.mean()), int(np.count_nonzero(rate > _FASTEST_RAD_S))
+    wrong = beyond > _FEW_SPIKES * len(rate) or mean > _SWIFT_RAD_S
+    found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
+        f", {beyond} samples beyond any gyroscope" if beyond else ""
+    )
+    advice = "looks like deg/s: landfix wants rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
+    return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
+
+
+def _halves(name: str, samples: Array) -> list[Check]:
+    """Some drivers send gyroscope and accelerometer in messages of their own, the other zero."""
+    empty = [float(np.mean(~samples[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
+    if max(empty) < _HALF_EMPTY:
+        return []
+    found = f"gyroscope exactly zero in {empty[0]:.0%}, accelerometer in {empty[1]:.0%} of the samples"
+    return [judge(f"{name} content", found, fail=True, advice="put rate and force of one moment into one message")]
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:

@@ -145,7 +145,7 @@ def test_what_is_not_one_flight_is_refused(parts: list[Path], config: Config, tm
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A log with a calibration and a map of its own."""
+    """A log with a calibration and a map of its own, and of one IMU sample: a replay makes no estimate of it and exits with 1."""
     path = tmp_path / "in.mcap"
     encoded = encode_input(ImuSample(1, 1, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)))
     return _written(path, 0, [Record(encoded.topic, encoded.schema, 1, encoded.data)], [RIG, MAP])
@@ -155,10 +155,10 @@ def test_files_that_the_configuration_names_take_the_place_of_the_logs_own(log: 
     (tmp_path / "new.yaml").write_bytes(b"another rig")
     config, out = tmp_path / "c.toml", tmp_path / "out.mcap"
     config.write_text('[rig]\nfile = "new.yaml"\n')
-    assert _run("replay", log, "-o", out, "-c", config).exit_code == 0
+    assert _run("replay", log, "-o", out, "-c", config).exit_code == 1
     first = _attachments(out)
     assert [(a.name, a.data) for a in first[1:]] == [("calibration/new.yaml", b"another rig"), (MAP.name, MAP.data)]
-    assert _run("replay", out, "-o", tmp_path / "again.mcap", "-c", config).exit_code == 0
+    assert _run("replay", out, "-o", tmp_path / "again.mcap", "-c", config).exit_code == 1
     assert (tmp_path / "again.mcap").read_bytes() == out.read_bytes()
 
 
@@ -166,6 +166,6 @@ def test_a_file_that_is_not_there_is_told_and_the_logs_own_is_kept(log: Path, tm
     config, out = tmp_path / "c.toml", tmp_path / "out.mcap"
     config.write_text('[rig]\nfile = "gone.yaml"\n')
     result = _run("replay", log, "-o", out, "-c", config)
-    assert result.exit_code == 0
+    assert result.exit_code == 1
     assert "gone.yaml: no such file or directory; the output keeps the log's calibration" in result.stderr
     assert [a.name for a in _attachments(out)[1:]] == [RIG.name, MAP.name]

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
-from logs.evaluation.evidence import HealthPoint, read
+from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
 from logs.evaluation.records import Evaluation, Honesty
 from logs.evaluation.table import print_table
@@ -224,15 +224,28 @@ def test_outages_are_told_by_source_and_of_all() -> None:
     b = [aid(t, "/b", "gnss_position") for t in range(41) if not 15 < t < 40]
     velocity = [aid(t, "/c", "gnss_velocity") for t in range(41)]
     gated = [aid(17, reason=Reason.GATED)]
-    outages = {name: seconds(spans) for name, spans in find_outages(a + b + velocity + gated, [], estimate).items()}
+    outages = {name: seconds(of.spans) for name, of in find_outages(a + b + velocity + gated, [], estimate).items()}
     assert outages == {"all": [(15.0, 20.0)], "/a": [(10.0, 20.0)], "/b": [(15.0, 40.0)]}
-    assert seconds(find_outages(a + b, [], estimate, longer_than_s=6.0)["all"]) == []
+    assert seconds(find_outages(a + b, [], estimate, longer_than_s=6.0)["all"].spans) == []
     late = [aid(t, late_s=1.5) for t in range(41) if not 10 < t < 20]
-    assert seconds(find_outages(late, [], estimate)["all"]) == [(10.0, 21.5)]
-    assert seconds(find_outages(gated, [], estimate)["all"]) == [(0.0, 40.0)]
-    assert seconds(find_outages([], [], estimate)["all"]) == []  # nothing tells
+    assert seconds(find_outages(late, [], estimate)["all"].spans) == [(10.0, 21.5)]
+    assert seconds(find_outages(gated, [], estimate)["all"].spans) == [(0.0, 40.0)]
+    assert seconds(find_outages([], [], estimate)["all"].spans) == []  # nothing tells
     health = [HealthPoint(EPOCH_NS + t * S, "aided", max(0.0, t - 30.0)) for t in range(41)]
-    assert seconds(find_outages([], health, estimate)["all"]) == [(30.0, 40.0)]
+    assert seconds(find_outages([], health, estimate)["all"].spans) == [(30.0, 40.0)]
+
+
+def test_a_slow_source_does_not_wait_by_the_clock_of_a_fast_one() -> None:
+    """GIVEN /gnss at 10 Hz up to 20 s and landmark fixes each 4 s but for 40 to 70 s, THEN only these 30 s are without both."""
+    estimate = decode(schemas.ODOMETRY, [encode_truth(EPOCH_NS + k * S, *truth_at(k)).data for k in range(101)], [0] * 101)
+    gnss = [aid(0.1 * k, "/gnss", "gnss_position") for k in range(201)]
+    landmarks = [aid(t, "/landfix/fix") for t in range(0, 101, 4) if not 40 < t < 70]
+    outages = find_outages(gnss + landmarks, [], estimate)
+    assert {name: (of.longer_than_s, seconds(of.spans)) for name, of in outages.items()} == {
+        "all": (2.0, [(40.0, 72.0)]),
+        "/gnss": (2.0, [(20.0, 100.0)]),
+        "/landfix/fix": (12.0, [(40.0, 72.0)]),
+    }
 
 
 def test_velocity_errors_are_judged_along_the_body(log: Path) -> None:
@@ -276,8 +289,11 @@ def test_an_estimate_that_is_not_finite_is_left_out_and_told(log: Path, tmp_path
 
 
 def test_bad_files_and_topics_give_one_clear_line(log: Path, tmp_path: Path) -> None:
+    own = ("/landfix/odometry", "/landfix/health", "/landfix/aid_status")
     with pytest.raises(LogError, match="landfix replay"):
-        evaluate(rewritten(log, tmp_path / "no_estimate.mcap", without=("/landfix/odometry",)))
+        evaluate(rewritten(log, tmp_path / "no_estimate.mcap", without=own))
+    with pytest.raises(NoEstimateError, match="made no estimate of it"):
+        evaluate(rewritten(log, tmp_path / "nothing.mcap", without=own[:1]))
     with pytest.raises(LogError, match="holds no /nothing"):
         evaluate(log, "/nothing")
     with pytest.raises(LogError, match="/landfix/aid_status cannot serve as truth"):

@@ -244,7 +244,18 @@ def test_gaps_are_measured_by_what_had_arrived() -> None:
     valid = np.array([0, 10, 20, 80, 90, 30])
     assert m.gaps(valid, valid, 200, 20) == [(30, 80), (90, 200)]
     assert m.gaps(valid, valid + 15, 100, 30) == [(30, 95)]  # each 1.5 steps late
-    assert m.gaps(valid, valid + 15, 100, 20) == [(0, 95)]  # always old: one gap, not many that overlap
+    assert m.gaps(valid, valid + 15, 100, 20) == [(0, 25), (25, 35), (35, 45), (45, 95)]  # always old: no overlap
+
+
+def test_no_gap_holds_information() -> None:
+    """GIVEN fixes 30 apart, each at once, THEN each wait is a gap of its own: 30 long, not 120."""
+    valid = np.arange(0, 121, 30)
+    assert m.gaps(valid, valid, 120, 20) == [(0, 30), (30, 60), (60, 90), (90, 120)]
+
+
+def test_common_spans() -> None:
+    assert m.common([(0, 10), (20, 40)], [(5, 25), (30, 31), (40, 50)]) == [(5, 10), (20, 25), (30, 31)]
+    assert m.common([(0, 10)], []) == []
 
 
 def test_old_information_ends_no_gap() -> None:

@@ -29,7 +29,7 @@ def evidence(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
 
 @pytest.fixture(scope="module")
 def outages(evidence: Evidence) -> plots.Spans:
-    return find_outages(evidence.aids, evidence.health, evidence.estimate)["all"]
+    return find_outages(evidence.aids, evidence.health, evidence.estimate)["all"].spans
 
 
 def lines(axes: Axes) -> dict[str, tuple[np.ndarray, np.ndarray]]:

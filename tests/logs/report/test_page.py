@@ -14,14 +14,15 @@ import pytest
 
 from logs.evaluation.evaluate import assess, evaluate
 from logs.evaluation.evidence import read
+from logs.importers.recording import AUTOPILOT
 from logs.report.charts import Points, StripChart, TimeChart
 from logs.report.gather import Gathered, Look, attitude_deg, sigmas
 from logs.report.map import flight
 from logs.report.plots import MOST_POINTS, thinned, vision
 from logs.report.words import Level, findings
-from logs.report.write import write
+from logs.report.write import Written, write
 from logs.store.reader import LogError, LogReader
-from logs.store.recorder import Recorder
+from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import encode, encode_input, encode_truth
 from logs.wire.encoding import header_of, packed
@@ -227,8 +228,41 @@ def test_the_map_shows_the_way_by_mode_ellipses_and_fixes(page: Page, log: Path)
     variances = np.linalg.eigvalsh(estimate.covariance[row, :2, :2])
     assert (last["b"], last["a"]) == pytest.approx(tuple(2.447747 * np.sqrt(variances)), abs=1e-3)
     assert {(m["name"], m["shape"]) for m in chart["marks"]} == {
-        ("/pose_fix used", "dot"), ("/pose_fix not used", "cross"), ("start", "ring"), ("end", "ring"),
+        ("/pose_fix used", "diamond"), ("/pose_fix not used", "plus"), ("start", "triangle"), ("end", "square"),
     }  # fmt: skip
+
+
+def test_gnss_and_landmark_fixes_have_marks_of_their_own(log: Path) -> None:
+    evidence = read(log)
+    aids = tuple(msgspec.structs.replace(a, kind="gnss_position", topic="/gnss") for a in evidence.aids)
+    both = replace(evidence, aids=(*evidence.aids, *aids), fixes={**evidence.fixes, "/gnss": evidence.fixes["/pose_fix"]})
+    shapes = [m.shape for m in flight(both, Gathered(), [], []).marks]
+    assert sorted(shapes) == ["cross", "diamond", "dot", "plus", "square", "triangle"]
+
+
+def test_an_attitude_is_no_position_on_the_map(log: Path) -> None:
+    evidence = read(log)
+    attitudes = tuple(msgspec.structs.replace(a, kind="attitude") for a in evidence.aids)
+    assert [m.name for m in flight(replace(evidence, aids=attitudes), Gathered(), [], []).marks] == ["start", "end"]
+
+
+def test_the_strip_of_modes_has_names_for_its_colours(page: Page) -> None:
+    stays = page.chart("states")["rows"]["mode"]
+    assert {(stay["name"], stay["colour"]) for stay in stays} == {("aided", "blue"), ("dead reckoning", "orange")}
+
+
+def test_a_reference_is_called_so(log: Path, tmp_path: Path) -> None:
+    """GIVEN a log whose /truth is the autopilot's own estimate, THEN the page compares with a reference and says what it is."""
+    with Recorder(tmp_path / "x.mcap") as recorder, LogReader(log) as reader:
+        recorder.attach(REFERENCE_ATTACHMENT, "text/plain", AUTOPILOT.encode())
+        for record in reader:
+            recorder.write(record.topic, record.schema, record.data, record.log_time_ns)
+    written = write(tmp_path / "x.mcap", tmp_path / "x.html")
+    assert isinstance(written, Written)
+    assert written.evaluation.compared_with == f"reference ({AUTOPILOT})"
+    assert any(AUTOPILOT in note and "no errors" in note for note in written.findings)
+    chart = Page(tmp_path / "x.html").chart("map")
+    assert [p["name"] for p in chart["paths"] if p["dashed"]] == ["reference"]
 
 
 def test_no_line_leads_over_a_hole(log: Path) -> None:
@@ -402,12 +436,18 @@ def test_junk_is_counted_and_told(log: Path, tmp_path: Path) -> None:
 
 def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_line(log: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="landfix replay"):
-        write(rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry",)), tmp_path / "x.html")
+        write(
+            rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry", "/landfix/health", "/landfix/aid_status")),
+            tmp_path / "x.html",
+        )
     with pytest.raises(LogError, match="cannot be written"):
         write(log, tmp_path / "no" / "x.html")
     nan = encode_truth(EPOCH_NS, (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     lost = rewritten(
-        log, tmp_path / "lost.mcap", without=("/landfix/odometry",), extra=(("/landfix/odometry", *nan[1:], EPOCH_NS),)
+        log,
+        tmp_path / "lost.mcap",
+        without=("/landfix/odometry", "/landfix/health", "/landfix/aid_status"),
+        extra=(("/landfix/odometry", *nan[1:], EPOCH_NS),),
     )
     with pytest.raises(LogError, match="none of its 1 estimates is a number"):
         write(lost, tmp_path / "x.html")

@@ -331,3 +331,16 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
         LogReader(tmp_path / "no.mcap")
     with pytest.raises(LogError, match=r"is a directory; name the \.mcap file inside it$"):
         LogReader(tmp_path)
+
+
+def test_a_type_named_as_in_ros_1_is_read_under_its_full_name(tmp_path: Path) -> None:
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("sensor_msgs/Imu", "ros2msg", schemas.schema_text(schemas.IMU).encode())
+        channel = writer.register_channel("/imu", "cdr", schema)
+        writer.add_message(channel, log_time=1, publish_time=1, data=b"\0\1\0\0")
+        writer.finish()  # type: ignore[no-untyped-call]
+    with LogReader(tmp_path / "x.mcap") as reader:
+        assert [record.schema for record in reader] == ["sensor_msgs/msg/Imu"]
+        assert "sensor_msgs/msg/Imu" in reader.schemas

@@ -172,3 +172,25 @@ def test_the_command_exits_with_1_when_something_fails(flight: Path, tmp_path: P
     assert text.exit_code == 1
     assert "fail" in text.stdout
     assert "did you mean 'axes'?" in " ".join(text.stdout.split())
+
+
+def with_imu(simulation: Simulation, path: Path, change: Callable[[int, ImuSample], ImuSample]) -> Path:
+    """The simulated flight with each IMU sample changed, as its number asks."""
+    numbers = {id(m): k for k, m in enumerate(m for m in simulation.messages if isinstance(m, ImuSample))}
+    return rewritten(simulation, path, lambda m: change(numbers[id(m)], m) if isinstance(m, ImuSample) else m)
+
+
+def test_one_wild_gyro_sample_is_no_wrong_unit(simulation: Simulation, tmp_path: Path) -> None:
+    def spike(k: int, m: ImuSample) -> ImuSample:
+        return msgspec.structs.replace(m, gyro_b=(60.0, 60.0, 60.0)) if k == 1500 else m
+
+    check = named(doctor_log.log(with_imu(simulation, tmp_path / "x.mcap", spike), Config()), "/imu turn rate")
+    assert (check.state, "1 samples beyond" in check.found, "deg/s" in check.advice) == (State.WARN, True, False)
+
+
+def test_gyroscope_and_accelerometer_in_messages_of_their_own_are_found(simulation: Simulation, tmp_path: Path) -> None:
+    def split(k: int, m: ImuSample) -> ImuSample:
+        return msgspec.structs.replace(m, **{"gyro_b" if k % 2 else "accel_b": (0.0, 0.0, 0.0)})
+
+    check = named(doctor_log.log(with_imu(simulation, tmp_path / "x.mcap", split), Config()), "/imu content")
+    assert (check.state, "50%" in check.found) == (State.FAIL, True)
