@@ -83,6 +83,7 @@ class Fusion:
         self._history = self._begin()
         self._counts: dict[str, int] = {}
         self._detail = ""
+        self._assumed: dict[str, str] = {}  # topic -> what was taken in place of what it does not give
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
@@ -177,6 +178,8 @@ class Fusion:
         refusal = aid if isinstance(aid, Refusal) else self._future(message)
         if refusal is None and isinstance(aid, Aid) and (reason := self._history.insert_aid(aid)) is not None:
             refusal = Refusal(reason)
+        if refusal is None and isinstance(aid, Aid) and aid.assumed:
+            self._assumed[aid.topic] = aid.assumed
         return [] if refusal is None else [self._refuse(message, refusal)]
 
     def _tick(self, tick: Tick) -> list[Output]:
@@ -320,7 +323,7 @@ class Fusion:
             decision.test_ratio,
             (aid.arrived_ns - aid.t_ns) * 1e-9,
             entry.replayed,
-            decision.detail,
+            "; ".join(filter(None, (decision.detail, aid.assumed))),
         )
 
     def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:
@@ -334,6 +337,11 @@ class Fusion:
 
     def _count(self, reason: Reason) -> None:
         self._counts[reason] = self._counts.get(reason, 0) + 1
+
+    def _say(self, tracker: Tracker) -> str:
+        """What went wrong, else what keeps it from an estimate; and what had to be assumed."""
+        said = self._detail or (tracker.detail if not tracker.is_aligned else "")
+        return "; ".join(filter(None, (said, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items())))))
 
     def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
         hypotheses = tracker.hypotheses
@@ -358,7 +366,7 @@ class Fusion:
             dict(sorted(self._counts.items())),
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,
-            self._detail or (tracker.detail if not tracker.is_aligned else ""),
+            self._say(tracker),
             biases,
         )
 

@@ -218,7 +218,7 @@ class Reason(StrEnum):
     IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
     DUPLICATE = "duplicate"  # same content already there
     NOT_FINITE = "not_finite"
-    NOT_PSD = "not_psd"  # covariance is zero, asymmetric or not positive definite
+    NOT_PSD = "not_psd"  # covariance is asymmetric or not positive definite
     UNSUPPORTED = "unsupported"  # this combination of given components is not a measurement
     NO_FIX = "no_fix"  # the receiver says so
     NO_ORIGIN = "no_origin"  # a geodetic measurement, and a map that is nowhere on Earth
