@@ -200,6 +200,7 @@ class Mode(StrEnum):
 
     STARTING = "starting"  # no plausible IMU stream yet
     ALIGNING = "aligning"  # IMU is there; position, velocity or heading are not yet known
+    ALIGNING_HEADING = "aligning_heading"  # position, velocity and tilt are published, the heading is not known
     AIDED = "aided"  # an absolute source was fused within its timeout
     DEAD_RECKONING = "dead_reckoning"  # IMU alone
     COASTING = "coasting"  # not even an IMU: constant velocity and turn rate
