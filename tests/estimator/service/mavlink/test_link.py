@@ -290,11 +290,11 @@ def test_others_are_not_listened_to() -> None:
         autopilot.until(lambda: link.report()["autopilot"] == "px4", "it is known")
         camera.imu()
         stranger.imu(z=9.8)
-        autopilot.say(mavlink.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0))
+        autopilot.say(mavlink.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0))
         autopilot.imu()
         autopilot.until(lambda: inbox.got and link.report()["strangers"] == 1, "the sample")
         assert [s.accel_b[2] for s in inbox.of(ImuSample)] == pytest.approx([-9.8])
-        assert link.report()["passed_over"] >= 2  # of the camera; ATTITUDE
+        assert link.report()["passed_over"] >= 2  # of the camera; VFR_HUD
         assert stranger.listen(0.1) == []
         for end in (autopilot, camera, stranger):
             end.close()
