@@ -83,6 +83,7 @@ class Fusion:
         self._history = self._begin()
         self._counts: dict[str, int] = {}
         self._detail = ""
+        self._assumed: dict[str, str] = {}  # topic -> what was taken in place of what it does not give
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
@@ -177,6 +178,8 @@ class Fusion:
         refusal = aid if isinstance(aid, Refusal) else self._future(message)
         if refusal is None and isinstance(aid, Aid) and (reason := self._history.insert_aid(aid)) is not None:
             refusal = Refusal(reason)
+        if refusal is None and isinstance(aid, Aid) and aid.assumed:
+            self._assumed[aid.topic] = aid.assumed
         return [] if refusal is None else [self._refuse(message, refusal)]
 
     def _tick(self, tick: Tick) -> list[Output]:
@@ -231,15 +234,18 @@ class Fusion:
         out: list[Output] = []
         changed = self._history.changed()
         last = self._published
-        if tracker.is_aligned and tracker.hypotheses is not None and (last is None or t_ns > last.t_ns):
-            lead = tracker.hypotheses.lead
+        shown = tracker.shown
+        if shown is not None and (last is None or t_ns > last.t_ns):
+            lead = shown.lead
             if not lead.sound:
                 return [self._restart(tracker, t_ns, arrived_ns, Reason.INTERNAL, "internal error: the state is not finite")]
             if violation := tracker.violation(lead):
                 return [self._restart(tracker, t_ns, arrived_ns, Reason.IMPLAUSIBLE, violation)]
             redone = tracker is not self._publisher
             self._publisher = tracker
-            if last is not None and (changed or redone) and (jump := self._jump(last, lead, t_ns)) is not None:
+            covariance = tracker.shown_covariance()
+            doubt = lead.variance_factor * lead.cov if tracker.is_aligned else covariance
+            if last is not None and (changed or redone) and (jump := self._jump(last, lead, doubt, t_ns)) is not None:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
@@ -249,7 +255,7 @@ class Fusion:
                 t_ns,
                 arrived_ns,
                 nav,
-                tracker.hypotheses.covariance(),
+                covariance,
                 (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
                 tracker.mode(self._history.samples.newest_ns, t_ns),
                 self._reset_counter,
@@ -264,13 +270,13 @@ class Fusion:
             out.append(self._health(tracker, t_ns, arrived_ns))
         return out
 
-    def _jump(self, last: Estimate, lead: Eskf, t_ns: int) -> Array | None:
-        """How far the estimate stands from where the last published one has gone since; None where that is within its noise."""
+    def _jump(self, last: Estimate, lead: Eskf, doubt: Array, t_ns: int) -> Array | None:
+        """How far the estimate stands from where the last published one has gone since; None where that is within `doubt`, P."""
         samples = self._history.samples
         old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
         old.propagate(samples, samples.first_after(last.t_ns), t_ns)
         delta = state.local(old.x, lead.x)
-        return delta if state.has_moved(delta, lead.variance_factor * lead.cov, self._config.estimator.reset_sigma) else None
+        return delta if state.has_moved(delta, doubt, self._config.estimator.reset_sigma) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""
@@ -320,7 +326,7 @@ class Fusion:
             decision.test_ratio,
             (aid.arrived_ns - aid.t_ns) * 1e-9,
             entry.replayed,
-            decision.detail,
+            "; ".join(filter(None, (decision.detail, aid.assumed))),
         )
 
     def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:
@@ -335,12 +341,17 @@ class Fusion:
     def _count(self, reason: Reason) -> None:
         self._counts[reason] = self._counts.get(reason, 0) + 1
 
+    def _say(self, tracker: Tracker) -> str:
+        """What went wrong, else what keeps it from an estimate; and what had to be assumed."""
+        said = self._detail or (tracker.detail if not tracker.is_aligned else "")
+        return "; ".join(filter(None, (said, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items())))))
+
     def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
-        hypotheses = tracker.hypotheses
+        hypotheses = tracker.bank
         radius = attitude = math.inf
         biases: dict[str, float] = {}
-        if hypotheses is not None and tracker.is_aligned:
-            cov = hypotheses.covariance()  # as it is published
+        if hypotheses is not None and tracker.shown is not None:
+            cov = tracker.shown_covariance()  # as it is published
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
@@ -358,7 +369,7 @@ class Fusion:
             dict(sorted(self._counts.items())),
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,
-            self._detail or (tracker.detail if not tracker.is_aligned else ""),
+            self._say(tracker),
             biases,
         )
 

@@ -200,6 +200,7 @@ class Mode(StrEnum):
 
     STARTING = "starting"  # no plausible IMU stream yet
     ALIGNING = "aligning"  # IMU is there; position, velocity or heading are not yet known
+    ALIGNING_HEADING = "aligning_heading"  # position, velocity and tilt are published, the heading is not known
     AIDED = "aided"  # an absolute source was fused within its timeout
     DEAD_RECKONING = "dead_reckoning"  # IMU alone
     COASTING = "coasting"  # not even an IMU: constant velocity and turn rate
@@ -218,7 +219,7 @@ class Reason(StrEnum):
     IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
     DUPLICATE = "duplicate"  # same content already there
     NOT_FINITE = "not_finite"
-    NOT_PSD = "not_psd"  # covariance is zero, asymmetric or not positive definite
+    NOT_PSD = "not_psd"  # covariance is asymmetric or not positive definite
     UNSUPPORTED = "unsupported"  # this combination of given components is not a measurement
     NO_FIX = "no_fix"  # the receiver says so
     NO_ORIGIN = "no_origin"  # a geodetic measurement, and a map that is nowhere on Earth

@@ -59,6 +59,15 @@ class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     velocity_m_s: Annotated[
         float, Meta(ge=1e-3, le=1000, description="m/s: velocity sigma below which the estimate is aligned")
     ] = 3.0
+    publish_after_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: so long after the first position an estimate is published without a heading")
+    ] = 3.0
+    course_sigma_deg: Annotated[
+        float,
+        Meta(
+            ge=0, le=60, description="deg: of the nose against the course over ground, to begin the alignment with; 0: not used"
+        ),
+    ] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +213,12 @@ def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:
     """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough."""
     attitude, velocity = _sigmas(bank)
     return attitude < math.radians(config.heading_deg) and velocity < config.velocity_m_s
+
+
+def lacks_attitude_alone(bank: Hypotheses, config: InitialiseConfig) -> bool:
+    """The velocity is known well enough, the attitude is not."""
+    attitude, velocity = _sigmas(bank)
+    return attitude >= math.radians(config.heading_deg) and velocity < config.velocity_m_s
 
 
 def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:

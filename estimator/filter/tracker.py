@@ -12,10 +12,11 @@ import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
-from estimator.filter import contradiction, initialise
+from estimator.filter import contradiction, heading, initialise
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.heading import Resting
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
@@ -107,6 +108,9 @@ class Tracker:
         self.is_aligned = False
         self.still: Still | None = None
         self.prior: tuple[int, Pose] | None = None
+        self.resting: Resting | None = None
+        self.waits_since_ns: int | None = None  # for its heading
+        self.shows_unaligned = False
         self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
@@ -123,6 +127,7 @@ class Tracker:
         other = object.__new__(Tracker)
         other.__dict__.update(self.__dict__)
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
+        other.resting = self.resting.copy() if self.resting else None
         other.sources = self.sources.copy()
         return other
 
@@ -135,9 +140,24 @@ class Tracker:
         return other
 
     @property
+    def bank(self) -> Hypotheses | None:
+        """The filters there are, aligned or not."""
+        return self.resting.bank if self.hypotheses is None and self.resting is not None else self.hypotheses
+
+    @property
+    def shown(self) -> Hypotheses | None:
+        """The filters to publish from; None: nothing may be published yet."""
+        return self.bank if self.is_aligned or self.shows_unaligned else None
+
+    def shown_covariance(self) -> Array:
+        """Of what is shown."""
+        assert self.shown is not None
+        return self.shown.covariance() if self.is_aligned else heading.covariance(self.shown, self.config.initialise)
+
+    @property
     def is_sound(self) -> bool:
         """Every number of the leading filter is finite, every variance positive."""
-        return self.hypotheses is None or self.hypotheses.lead.sound
+        return self.bank is None or self.bank.lead.sound
 
     def violation(self, eskf: Eskf) -> str:
         """What of the state is beyond any vehicle's; '' where nothing is."""
@@ -175,15 +195,19 @@ class Tracker:
         """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
         if to_ns - self.t_ns > _LOST_NS:
             self.hypotheses, self.stretch, self.is_aligned = None, None, False
-        if self.hypotheses is not None and self.t_ns < to_ns:
+            self.resting, self.waits_since_ns, self.shows_unaligned = None, None, False
+        bank = self.bank
+        if bank is not None and self.t_ns < to_ns:
             index = samples.first_after(self.t_ns)
-            for member in self.hypotheses.members:
+            for member in bank.members:
                 member.filter.propagate(samples, index, to_ns)
         self.t_ns = to_ns
 
     def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
         """What an estimate for t_ns rests on."""
         if self.hypotheses is None or not self.is_aligned:
+            if self.shown is not None:
+                return Mode.ALIGNING_HEADING
             return Mode.STARTING if self.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
         if t_ns - newest_imu_ns > self._gap_ns:
             return Mode.COASTING
@@ -208,10 +232,13 @@ class Tracker:
             self.absolute |= {aid.topic}
         gyro_b = self._gyro(samples) if isinstance(z, Velocity) else _NO_RATE  # no other measurement asks for it
         if self.hypotheses is None or not self.is_aligned:
+            if isinstance(z, Velocity):
+                self._note_course(z, samples)
             decision = self._align(aid, z, samples, gyro_b)
             if self.hypotheses is not None:
                 state = replace(state, fused_ns=aid.t_ns)
                 self._note_absolute(aid, z)
+            self._wait_for_heading(aid, z, gyro_b)
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
@@ -283,6 +310,38 @@ class Tracker:
             return Decision(Reason.THINNED, detail="for the alignment alone")
         self.prior = (aid.t_ns, z) if isinstance(z, Pose) else None
         return Decision(Reason.ALIGNING, detail=_NO_POSITION)
+
+    def _note_course(self, z: Velocity, samples: ImuBuffer) -> None:
+        """The course is a prior where nobody gives a better one."""
+        stretch = self._stretch(samples) if self.config.initialise.course_sigma_deg else None
+        if stretch is None or (self.prior is not None and self.t_ns - self.prior[0] <= _FRESH_NS):
+            return
+        at = initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False)
+        course = heading.from_course(z, at, self.config.initialise)
+        self.prior = (self.t_ns, course) if course else None
+
+    def _wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
+        """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
+        if self.is_aligned or self.hypotheses is not None or self.still is None:
+            self.resting = None
+        elif self.resting is not None:
+            self.resting.take(aid, z, gyro_b)
+            self.resting = None if self.resting.is_refuted else self.resting
+        elif self.still.level.t_ns == self.t_ns:
+            begun = initialise.start_from_position(
+                self.t_ns, self.still.z, self.still.level, self.constants, self.config.initialise
+            )
+            self.resting = Resting(begun)
+        if self.is_aligned or self.bank is None:
+            self.waits_since_ns, self.shows_unaligned = None, False
+            return
+        if self.waits_since_ns is None:
+            self.waits_since_ns = self.t_ns
+        config = self.config.initialise
+        has_waited = (self.t_ns - self.waits_since_ns) * 1e-9 >= config.publish_after_s
+        self.shows_unaligned |= has_waited and self._is_proven() and initialise.lacks_attitude_alone(self.bank, config)
+        if self.resting is not None and aid.absolute:
+            self.last_absolute_ns = self.t_ns
 
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from models import so3
-from models.messages import Array, Estimate, Output, PictureName, VisionRequest, vec3
+from models.messages import Array, Estimate, Mode, Output, PictureName, VisionRequest, vec3
 from models.state import E, X
 
 _SECOND_NS: Final = 1_000_000_000
@@ -118,8 +118,8 @@ class Track:
         self._estimates: deque[Estimate] = deque(maxlen=_KEPT)
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """Keep what Fusion said."""
-        self._estimates.extend(o for o in outputs if isinstance(o, Estimate))
+        """Keep what Fusion said; without a heading nobody knows where to look."""
+        self._estimates.extend(o for o in outputs if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
 
     @property
     def mode(self) -> str:

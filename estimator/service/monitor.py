@@ -27,7 +27,14 @@ from models import so3
 
 _STALE_S: Final = 2.0
 _RECENT: Final = 200  # measurements of a source whose fate is shown, and estimates whose rate is
-_MODES: Final = {"aided": "green", "dead_reckoning": "yellow", "coasting": "red", "aligning": "yellow", "starting": "yellow"}
+_MODES: Final = {
+    "aided": "green",
+    "dead_reckoning": "yellow",
+    "coasting": "red",
+    "aligning": "yellow",
+    "aligning_heading": "yellow",
+    "starting": "yellow",
+}
 _WIDTH: Final = 100
 _REFRESH_HZ: Final = 5.0
 _ANSWER_S: Final = 3.0

@@ -21,14 +21,17 @@ from estimator.sources.source import (
     covariance_refusal,
     log_false,
     order,
+    with_default,
 )
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import Array, GnssFix, GnssVelocity, Reason
+from models.messages import GnssFix, GnssVelocity, Reason
 
 _AXES = np.arange(3)
 _FASTEST_M_S = 500.0
 _HIGHEST_M = 50_000.0
+_NOTHING = np.zeros((3, 3))  # is known of the accuracy
+_NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
 
 
 _Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
@@ -66,9 +69,11 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         0.0,
         0.0,
     )
-    horizontal_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no covariance")] = 1.5
-    vertical_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no covariance")] = 3.0
-    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: where the receiver gives no covariance")] = 0.3
+    horizontal_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no accuracy, or 0")] = 1.5
+    vertical_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4, description="m: where the receiver gives no accuracy, or 0")] = 3.0
+    velocity_sigma_m_s: Annotated[
+        float, Meta(ge=1e-3, le=1000, description="m/s: where the receiver gives no accuracy, or 0")
+    ] = 0.3
     slow_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: slow part of the position error, horizontal; 0: none")] = (
         0.5
     )
@@ -86,9 +91,8 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         return Refusal(Reason.IMPLAUSIBLE, "no place on Earth: latitude and longitude are expected in degrees, height in metres")
     if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
         return Refusal(Reason.NO_FIX, "latitude and longitude are exactly zero")
-    noise = fix.covariance_n
-    if noise is None:
-        noise = np.diag([config.horizontal_sigma_m**2, config.horizontal_sigma_m**2, config.vertical_sigma_m**2])
+    sigmas = (config.horizontal_sigma_m, config.horizontal_sigma_m, config.vertical_sigma_m)
+    noise, is_assumed = with_default(_NOTHING if fix.covariance_n is None else fix.covariance_n, sigmas)
     if refusal := covariance_refusal(noise, 3):
         return refusal
     lever = np.array(config.antenna_b_m)
@@ -111,6 +115,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         measurement=measurement,
         slow_errors=(SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s),) if slow else (),
         geodetic=place,
+        assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
 
 
@@ -121,7 +126,8 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         return Refusal(Reason.NOT_FINITE, "velocity")
     if np.abs(v_n).max() > _FASTEST_M_S:
         return Refusal(Reason.IMPLAUSIBLE, f"faster than {_FASTEST_M_S:.0f} m/s: metres per second are expected")
-    noise: Array = velocity.covariance_n if velocity.covariance_n is not None else np.eye(3) * config.velocity_sigma_m_s**2
+    sigmas = (config.velocity_sigma_m_s,) * 3
+    noise, is_assumed = with_default(_NOTHING if velocity.covariance_n is None else velocity.covariance_n, sigmas)
     if refusal := covariance_refusal(noise, 3):
         return refusal
     z = Velocity(v_n, noise, np.array(config.antenna_b_m))
@@ -137,4 +143,5 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
         measurement=lambda _: z,
         receiver=velocity.topic.rpartition("/")[0] or None,  # /gnss/velocity comes from /gnss
+        assumed=_NO_ACCURACY.format(f"velocity_sigma_m_s {config.velocity_sigma_m_s:g}") if is_assumed else "",
     )

@@ -20,10 +20,11 @@ from estimator.sources.source import (
     covariance_refusal,
     log_false,
     order,
+    with_default,
 )
 from models import so3
 from models.measurements import Measurement, Pose
-from models.messages import Array, LandmarkFix, PoseFix, Reason
+from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason
 from models.state import X
 
 _XYZ, _SIX = 3, 6
@@ -34,6 +35,9 @@ _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
 _NOTHING = np.zeros((6, 6))
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
+_EAST = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # no rotation from map to base_link, ENU and FLU
+_BLANK = (_LEVEL, _EAST, (0.0, 0.0, 0.0, 0.0))
+_NO_ACCURACY = "a fix without accuracy: position_sigma_m {:g}, attitude_sigma_deg {:g} taken"
 _unit = cache(np.eye)
 _ATTITUDES: dict[tuple[bool, ...], str] = {
     (True, True, True): "full",
@@ -52,6 +56,12 @@ _Mount: TypeAlias = Annotated[
     ),
 ]
 
+_PositionSigma: TypeAlias = Annotated[
+    float, Meta(ge=1e-3, le=300, description="m: of a position whose variance is 0, which says that it is unknown")
+]
+_AttitudeSigma: TypeAlias = Annotated[
+    float, Meta(ge=0.01, le=180, description="deg: of an attitude whose variance is 0, which says that it is unknown")
+]
 _Share: TypeAlias = Annotated[
     float, Meta(ge=0, lt=1, description="share of the variance that a fix claims for itself that the next one still has")
 ]
@@ -60,6 +70,8 @@ _Share: TypeAlias = Annotated[
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes from outside are judged."""
 
+    position_sigma_m: _PositionSigma = 0.5
+    attitude_sigma_deg: _AttitudeSigma = 3.0
     noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations that fixes claim")] = 1.0
     tilt_deg: _Tilt = 0.2
     mount_deg: _Mount = 0.17
@@ -123,10 +135,13 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     covariance = np.array(fix.covariance, dtype=float, order="C")  # as compiled code wants it
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
+    if _is_forgotten(fix.q_nb_wxyz, covariance):
+        covariance[_XYZ:, _XYZ:] = np.nan
     given = given_components(covariance)
     if given.attitude is None or not given.widths:
         return Refusal(Reason.UNSUPPORTED, "attitude is given whole, as roll and pitch, as yaw, or not at all")
     noise = (covariance if given.whole else covariance[np.ix_(given.rows, given.rows)]) * config.noise_scale**2
+    noise, is_assumed = with_default(noise, _default_sigmas(config.position_sigma_m, config.attitude_sigma_deg)[given.rows])
     if refusal := covariance_refusal(noise):
         return refusal
     pose = pose_of(fix, given)
@@ -151,7 +166,19 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         log_false=log_false(config, given.widths),
         measurement=lambda _: z,
         slow_errors=slow_errors,
+        assumed=_NO_ACCURACY.format(config.position_sigma_m, config.attitude_sigma_deg) if is_assumed else "",
     )
+
+
+def _is_forgotten(q: Quat, covariance: Array) -> bool:
+    """An attitude without accuracy that is exactly that of a message nobody filled in: none, or along the axes of n or map."""
+    return not covariance[_XYZ:, _XYZ:].any() and any(math.dist(q, blank) < _ROUNDING for blank in _BLANK)
+
+
+@cache
+def _default_sigmas(position_m: float, attitude_deg: float) -> Array:
+    """(6,) m and rad."""
+    return np.array([position_m] * _XYZ + [math.radians(attitude_deg)] * _XYZ)
 
 
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:

@@ -66,7 +66,8 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
     order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
     on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
-    there is to say of it once it is judged; alignment_only: a prior, not fused in flight.
+    there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
+    accuracy that the message does not give.
     """
 
     t_ns: int
@@ -83,6 +84,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     receiver: str | None = None
     detail: str = ""
     alignment_only: bool = False
+    assumed: str = ""
 
     @property
     def resembles(self) -> bool:
@@ -139,6 +141,18 @@ def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[in
     """Where a measurement stands among all: by time, then kind, topic and content, so that arrival plays no part."""
     raw = b"".join([c if isinstance(c, bytes) else _FLOAT.pack(c) for c in content])
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
+
+
+def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bool]:
+    """The covariance (k, k) with sigma_i^2 where nothing is known of component i, and whether there was such a component.
+
+    Nothing is known where the whole row and column are 0: half of the drivers say "unknown" so (ROS COVARIANCE_TYPE_UNKNOWN,
+    ArduPilot's GPA, PX4's eph, MAVLink's h_acc of 0), and nobody measures without error.
+    """
+    if cov.shape != (len(sigmas), len(sigmas)) or cov.diagonal().all():  # nearly every call
+        return cov, False
+    unknown = ~(cov.any(axis=0) | cov.any(axis=1))
+    return cov + np.diag(np.where(unknown, np.square(sigmas), 0.0)), bool(unknown.any())
 
 
 _FLAWS = {

@@ -43,6 +43,7 @@ class Settings(msgspec.Struct, frozen=True):
             "gnss_velocity": [t for t in topics if t.startswith("/gnss") and t.endswith("/velocity")],
             "pose_fix": [t for t in topics if t.startswith("/pose_fix")],
             "baro": [t for t in topics if t.startswith("/baro")],
+            "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
         lines = [
             f"# Written by: landfix import {kind} {source.name}   (importing again writes it anew: copy it before you change it)",
@@ -55,10 +56,6 @@ class Settings(msgspec.Struct, frozen=True):
             "[inputs]",
             *(f"{name} = [{', '.join(map(_quoted, found))}]" for name, found in inputs.items() if found),
         ]
-        if ATTITUDE_TOPIC in topics:
-            lines.append(
-                f"# attitude = [{_quoted(ATTITUDE_TOPIC)}]  # the autopilot's, to begin with where GNSS does not show the heading"
-            )
         if inputs["gnss"]:
             antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
             lines += ["", "[gnss]", f"delay_s = {round(self.gnss_delay_s, 6)!r}", f"antenna_b_m = [{antenna}]"]

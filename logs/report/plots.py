@@ -18,6 +18,7 @@ from models.messages import AidStatus, Array, Mode, Reason
 MODES: Final[dict[str, Colour]] = {
     Mode.STARTING: "grey",
     Mode.ALIGNING: "purple",
+    Mode.ALIGNING_HEADING: "sky",
     Mode.AIDED: "blue",
     Mode.DEAD_RECKONING: "orange",
     Mode.COASTING: "vermillion",

@@ -11,6 +11,7 @@ from logs.wire.axes import ImuMounting
 from logs.wire.schemas import STORE
 from models import so3
 from models.messages import (
+    ATTITUDE_TOPIC,
     AidStatus,
     Array,
     AttitudePrior,
@@ -49,7 +50,7 @@ class Topics(msgspec.Struct, frozen=True):
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
     baro: tuple[str, ...] = ()  # off until configured
-    attitude: tuple[str, ...] = ()  # off until configured
+    attitude: tuple[str, ...] = (ATTITUDE_TOPIC,)
     pose_fix: tuple[str, ...] = ("/pose_fix",)
     left_image: tuple[str, ...] = ("/left/image",)
     right_image: tuple[str, ...] = ("/right/image",)

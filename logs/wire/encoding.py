@@ -49,6 +49,7 @@ _OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/msg/DiagnosticStatus
 _LEVEL: Final = {
     Mode.STARTING: _WARN,
     Mode.ALIGNING: _WARN,
+    Mode.ALIGNING_HEADING: _WARN,
     Mode.AIDED: _OK,
     Mode.DEAD_RECKONING: _WARN,
     Mode.COASTING: _ERROR,
@@ -82,18 +83,22 @@ def encode(output: Output) -> list[Encoded]:
 def encode_slow(estimate: Estimate) -> list[Encoded]:
     """The estimate for viewers: PoseStamped, TF and, where the origin is known, NavSatFix. At most 30 Hz, says the caller."""
     p_n, q = vec3(estimate.nav[X.P]), estimate.nav[X.Q]
+    if origin := Origin.of(estimate.origin):
+        lla = origin.to_geodetic(p_n)
+        slow = [_nav_sat_fix("/landfix/global", estimate.t_ns, _BODY, lla, estimate.covariance[E.P, E.P], 0)]
+    else:
+        slow = []
+    if estimate.mode is Mode.ALIGNING_HEADING:  # these two types cannot say that the heading is unknown
+        return slow
     header = header_of(estimate.t_ns, _MAP)
     pose = _pose(p_n, (float(q[0]), float(q[1]), float(q[2]), float(q[3])))
     transform = _new("geometry_msgs/msg/Transform", translation=_vector(axes.world(p_n)), rotation=pose.orientation)
     stamped = _new("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=_BODY, transform=transform)
-    slow = [
+    return [
         packed("/landfix/pose", schemas.POSE, header=header, pose=pose),
         packed("/tf", schemas.TF, transforms=[stamped]),
+        *slow,
     ]
-    if origin := Origin.of(estimate.origin):
-        lla = origin.to_geodetic(p_n)
-        slow.append(_nav_sat_fix("/landfix/global", estimate.t_ns, _BODY, lla, estimate.covariance[E.P, E.P], 0))
-    return slow
 
 
 def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Array | Quat) -> Encoded:

@@ -50,8 +50,8 @@ def flown(name: str) -> tuple[list[Run], list[list[float]]]:
         )
         run = fly(simulation, config)
         runs.append(run)
-        if run.estimates:
-            nees.append([normalised_squared(error_of(e, simulation), e.covariance) for e in chosen(run.estimates)])
+        if run.aligned:
+            nees.append([normalised_squared(error_of(e, simulation), e.covariance) for e in chosen(run.aligned)])
     return runs, nees
 
 

@@ -11,7 +11,7 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid
 from models import so3
-from models.messages import AidStatus, Array, Estimate, Health, ImuSample, Input, PoseFix, Reason, Reset, Vec3, vec3
+from models.messages import AidStatus, Array, Estimate, Health, ImuSample, Input, Mode, PoseFix, Reason, Reset, Vec3, vec3
 from models.sim.scenario import EPOCH_NS, Simulation, Truth, simulate
 from models.sim.scenario_file import loads
 from models.state import E, X, local
@@ -43,6 +43,11 @@ class Run:
                     case Reset():
                         self.resets.append(out)
         return self
+
+    @property
+    def aligned(self) -> list[Estimate]:
+        """The estimates with a heading."""
+        return [e for e in self.estimates if e.mode is not Mode.ALIGNING_HEADING]
 
     def last_words(self, topic: str) -> dict[tuple[int, str], AidStatus]:
         """The highest revision of what was said about each measurement of a topic, by (t_ns, kind)."""

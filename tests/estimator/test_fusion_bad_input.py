@@ -83,7 +83,6 @@ BAD: dict[str, tuple[Input, Reason]] = {
     "quaternion zero": (_pose(q_nb_wxyz=(0.0, 0.0, 0.0, 0.0)), Reason.IMPLAUSIBLE),
     "quaternion denormal": (_pose(q_nb_wxyz=(TINY, TINY, TINY, TINY)), Reason.IMPLAUSIBLE),
     "quaternion NaN": (_pose(q_nb_wxyz=(math.nan, 0.0, 0.0, 1.0)), Reason.NOT_FINITE),
-    "pose covariance zero": (_pose(covariance=np.zeros((6, 6))), Reason.NOT_PSD),
     "pose covariance asymmetric": (_pose(covariance=_asymmetric(6)), Reason.NOT_PSD),
     "pose covariance of rank one": (_pose(covariance=_full(1.0)), Reason.NOT_PSD),
     "pose covariance NaN": (_pose(covariance=_full(math.nan)), Reason.UNSUPPORTED),
@@ -97,7 +96,6 @@ BAD: dict[str, tuple[Input, Reason]] = {
     "GNSS in 1e-7 deg": (_gnss(lat_deg=470_000_000.0), Reason.IMPLAUSIBLE),
     "GNSS at null island": (_gnss(lat_deg=0.0, lon_deg=0.0), Reason.NO_FIX),
     "GNSS without fix": (_gnss(status=-1), Reason.NO_FIX),
-    "GNSS covariance zero": (_gnss(covariance_n=np.zeros((3, 3))), Reason.NOT_PSD),
     "GNSS covariance negative": (_gnss(covariance_n=-np.eye(3)), Reason.NOT_PSD),
     "GNSS covariance Inf": (_gnss(covariance_n=_full(math.inf, 3)), Reason.NOT_FINITE),
     "GNSS covariance of wrong shape": (_gnss(covariance_n=np.eye(2)), Reason.MALFORMED),
@@ -105,7 +103,6 @@ BAD: dict[str, tuple[Input, Reason]] = {
     "attitude covariance of wrong shape": (AttitudePrior(NOW, NOW, (1.0, 0.0, 0.0, 0.0), np.eye(6)), Reason.MALFORMED),
     "velocity NaN": (_velocity(v_n=(math.nan, 0.0, 0.0)), Reason.NOT_FINITE),
     "velocity in mm/s": (_velocity(v_n=(15_000.0, 0.0, 0.0)), Reason.IMPLAUSIBLE),
-    "velocity covariance zero": (_velocity(covariance_n=np.zeros((3, 3))), Reason.NOT_PSD),
     "tick far ahead": (Tick(NOW + 60 * SECOND, NOW), Reason.IN_FUTURE),
 }
 
@@ -130,6 +127,19 @@ def test_bad_input_has_its_reason_and_changes_no_bit(what: str, undisturbed: Run
     if reason is not Reason.GATED:  # what fails the gate leaves a doubt
         assert same(run.estimates[-1], undisturbed.estimates[-1])
     assert _is_finite(run)
+
+
+def test_an_accuracy_of_zero_ends_no_estimate_and_is_said() -> None:
+    fixes = [pose_fix(EPOCH_NS + k * SECOND // 2 + 1, yaw=0.3) for k in range(1, 16)]
+    forgetful = [msgspec.structs.replace(fix, covariance=np.zeros((6, 6))) for fix in fixes]
+    gnss = [GnssFix(fix.t_ns + 1, fix.t_ns + 1, *HOME, np.zeros((3, 3))) for fix in fixes]
+    samples = [m for m in hover(8.0) if isinstance(m, ImuSample)]
+    run = Run(Fusion(CONFIG)).feed(by_arrival([*samples, *forgetful, *gnss]))
+    assert run.estimates[-1].mode is Mode.AIDED
+    for topic, key in (("/pose_fix", "position_sigma_m"), ("/gnss", "horizontal_sigma_m")):
+        assert run.reasons(topic)[Reason.FUSED] > 2
+        assert all(key in s.detail for s in run.statuses if s.topic == topic)
+        assert f"{topic}: " in run.health[-1].detail
 
 
 def test_a_message_of_no_known_kind_is_reported() -> None:

@@ -89,8 +89,9 @@ class Handover:
 
 
 def newest(outputs: Sequence[Output]) -> Estimate | None:
-    """The estimate among the outputs of one input, if there is one."""
-    return next((o for o in reversed(outputs) if isinstance(o, Estimate)), None)
+    """The estimate among the outputs of one input, if there is one; none without a heading, which no message can leave out."""
+    known = (o for o in reversed(outputs) if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
+    return next(known, None)
 
 
 def is_sound(e: Estimate) -> bool:

@@ -14,7 +14,7 @@ import msgspec
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.log.recovery import FILE_MODE
 from logs.wire.codec import encode_input
-from models.messages import Checkpoint, Estimate, Health, LastGnss, Output
+from models.messages import Checkpoint, Estimate, Health, LastGnss, Mode, Output
 
 _PERIOD_S: Final = 0.5
 _FORMAT: Final = 1
@@ -76,7 +76,8 @@ class StateKeeper:
     def note(self, output: Output) -> None:
         """Called by the loop."""
         if isinstance(output, Estimate):
-            self._newest = output
+            if output.mode is not Mode.ALIGNING_HEADING:  # who goes on from it would be aligned
+                self._newest = output
         elif isinstance(output, Health):
             self._last_gnss = output.last_gnss
 

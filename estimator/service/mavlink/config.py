@@ -38,11 +38,9 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = True
     baro: Annotated[bool, Meta(description="whether its barometer is the first topic of [inputs] baro")] = True
     attitude_sigma_deg: Annotated[
-        tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]] | None,
-        Meta(
-            description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude; none: not used"
-        ),
-    ] = None
+        tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]],
+        Meta(description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude, if any"),
+    ] = (2.0, 4.0)
     imu_hz: Annotated[float, Meta(ge=0.01, le=1000, description="Hz: asked of the autopilot")] = 200.0
     gnss_hz: Annotated[float, Meta(ge=0.01, le=25, description="Hz: asked of the autopilot")] = 5.0
     odometry: Annotated[bool, Meta(description="whether ODOMETRY is sent, at [autopilot] odometry_hz")] = True

@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from estimator.service.base.clock import SECOND_NS
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
-from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
 from models.messages import Input
 
@@ -30,12 +29,11 @@ _NEVER: Final = -(2**62)
 
 
 class Inputs:
-    """Of one link. Raises ConfigError."""
+    """Of one link."""
 
     def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float) -> None:
-        if config.attitude_sigma_deg and not topics.attitude:
-            raise ConfigError('mavlink.attitude_sigma_deg: name a topic for it, [inputs] attitude = "/attitude"')
-        self._attitude_sigma_deg, self._attitude_topics = config.attitude_sigma_deg, topics.attitude
+        self._attitude_sigma_deg = config.attitude_sigma_deg
+        self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
         self._baro_topic = topics.baro[0] if config.baro and topics.baro else None
@@ -44,7 +42,7 @@ class Inputs:
         self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
         self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
         imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset({_IMU} if self._baro_topic else ())
-        attitudes = frozenset({_ATTITUDE} if self._attitude_sigma_deg else ())
+        attitudes = frozenset({_ATTITUDE} if self._attitude_topic else ())
         self.wanted = imus | attitudes | self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
@@ -81,8 +79,8 @@ class Inputs:
             if kind == "HIGHRES_IMU" and self._baro_topic:
                 yield from self._pressure(message, t_ns, self._baro_topic)
             return
-        if number == _ATTITUDE and self._attitude_sigma_deg:
-            yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topics[0])
+        if number == _ATTITUDE and self._attitude_topic:
+            yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
             yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
         if number in self._velocities:
@@ -106,7 +104,7 @@ class Inputs:
         """What is wanted, and how often."""
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
-        if self._attitude_sigma_deg:
+        if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
         if self._baro_topic:
             wanted[_IMU] = self._gnss_us

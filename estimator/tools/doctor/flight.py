@@ -16,7 +16,6 @@ from calib.files.formats import load_rig
 from estimator.config import Config
 from estimator.service.log.recovery import FolderError, claim
 from estimator.service.mavlink.config import Serial, address_of, signing_key
-from estimator.service.mavlink.inputs import Inputs
 from estimator.service.zenoh.config import Endpoint, is_local, session_config
 from estimator.service.zenoh.keys import plain_key
 from estimator.strict_toml import ConfigError
@@ -143,7 +142,6 @@ def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
     try:
         address = address_of(config)
         key = signing_key(config, folder)
-        Inputs(config, whole.inputs, whole.map.geoid_m)
     except ConfigError as error:
         yield judge("mavlink", str(error), fail=True, advice="landfix doctor --config lists the keys of [mavlink]")
         return

@@ -8,11 +8,13 @@ import numpy as np
 from estimator.config import Config
 from estimator.fusion import Fusion
 from estimator.replay.summary import Tally
+from estimator.sources.aids import aid_of
+from estimator.sources.source import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
 from models.frames import GRAVITY
-from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Unusable
+from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Reason, Unusable
 
 _SCHEMAS = {  # what a topic must carry to feed an input
     "imu": "sensor_msgs/msg/Imu",
@@ -40,11 +42,20 @@ class _Topic:
         self.stamps: list[int] = []
         self.arrivals: list[int] = []
         self.bad: list[str] = []
+        self.count = 0
+        self.assumed = ""
+        self.assumptions = 0
 
-    def add(self, message: Input) -> None:
+    def add(self, message: Input, made: Aid | Refusal | None) -> None:
+        """made: the measurement in the message, or why there is none."""
+        self.count += 1
         if isinstance(message, Unusable):
             self.bad.append(message.detail)
         else:
+            if isinstance(made, Refusal) and made.reason is not Reason.NO_FIX:  # which is normal under a roof
+                self.bad.append(f"{made.reason} {made.detail}".strip())
+            elif isinstance(made, Aid) and made.assumed:
+                self.assumed, self.assumptions = made.assumed, self.assumptions + 1
             self.stamps.append(message.t_ns)
             self.arrivals.append(message.arrived_ns)
 
@@ -53,14 +64,14 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     """All checks of one log."""
     topics: dict[str, _Topic] = {}
     imu: dict[str, list[tuple[float, ...]]] = {}
-    decoder, alignment = config.decoder(), _Alignment(config)
+    decoder, sources, alignment = config.decoder(), config.fusion(), _Alignment(config)
     try:
         with LogReader(path) as reader:
             for count, record in enumerate(reader):
                 topic = topics.setdefault(record.topic, _Topic(record.schema))
                 message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
                 if message is not None:
-                    topic.add(message)
+                    topic.add(message, aid_of(message, sources))
                     alignment.step(message, record.log_time_ns)
                 if isinstance(message, ImuSample):
                     imu.setdefault(message.topic, []).append((*message.gyro_b, *message.accel_b))
@@ -134,8 +145,12 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
     """Rate, order of stamps, delay from validity to arrival, messages that could not be read."""
     checks = []
     if topic.bad:
-        found = f"{len(topic.bad)} of {len(topic.bad) + len(topic.stamps)} unusable, the first: {topic.bad[0]}"
-        checks.append(judge(f"{name} content", found, fail=not topic.stamps, warn=True, advice="see what writes this topic"))
+        found = f"{len(topic.bad)} of {topic.count} unusable, the first: {topic.bad[0]}"
+        fail = len(topic.bad) == topic.count
+        checks.append(judge(f"{name} content", found, fail=fail, warn=True, advice="see what writes this topic"))
+    if topic.assumed:
+        found = f"{topic.assumptions} of {topic.count}: {topic.assumed}"
+        checks.append(judge(f"{name} accuracy", found, warn=True, advice="let the driver tell it, or set what fits the receiver"))
     if not topic.stamps:
         return checks
     t, arrived = np.array(topic.stamps), np.array(topic.arrivals)

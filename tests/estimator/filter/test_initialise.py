@@ -154,7 +154,7 @@ def _flight(kind: str, seed: int, duration_s: float = 40.0) -> Simulation:
 def test_heading_shows_in_motion_whichever_way_the_nose_points(kind: str, seed: int) -> None:
     simulation = _flight(kind, seed)
     run = fly(simulation)
-    first, last = run.estimates[0], run.estimates[-1]
+    first, last = run.aligned[0], run.aligned[-1]
     off = error(first, simulation.truth)
     assert math.degrees(np.linalg.norm(off[E.THETA])) < 25.0
     assert np.linalg.norm(off[E.V]) < 1.0
@@ -185,8 +185,8 @@ def _at_rest_with_gnss(duration_s: float) -> list[Input]:
 
 def test_at_rest_it_waits_and_says_so() -> None:
     run = Run(Fusion(FusionConfig(origin=HOME))).feed(_at_rest_with_gnss(20.0))
-    assert not run.estimates
-    assert run.health[-1].mode is Mode.ALIGNING
+    assert not run.aligned
+    assert run.health[-1].mode is Mode.ALIGNING_HEADING
     words = run.last_words("/gnss")
     assert {s.reason for s in words.values()} == {Reason.ALIGNING}
     assert "at rest" in list(words.values())[-1].detail
@@ -204,7 +204,7 @@ def test_until_it_is_aligned_health_says_in_numbers_what_is_missing() -> None:
         if k % 20 == 10:
             messages.append(GnssFix(t + 1, t + 1, *origin.to_geodetic(rng.normal(scale=0.5, size=3)), np.eye(3) * 0.25))
     run = Run(Fusion(FusionConfig(origin=HOME))).feed(messages)
-    assert not run.estimates
+    assert not run.aligned
     assert run.health[0].detail.startswith("waiting for a position with 5 IMU samples")
     assert run.health[-1].detail.startswith("heading unknown")
     assert "pose fix with attitude" in run.health[-1].detail
@@ -214,7 +214,7 @@ def test_a_pose_fix_ends_the_wait() -> None:
     messages = _at_rest_with_gnss(10.0)
     fix = pose_fix(EPOCH_NS + 5 * SECOND + 3, sigma_m=0.2)
     run = Run(Fusion(FusionConfig(origin=HOME))).feed(by_arrival([*messages, fix]))
-    waited_ns = run.estimates[0].t_ns - fix.t_ns
+    waited_ns = run.aligned[0].t_ns - fix.t_ns
     assert SECOND // 2 < waited_ns < SECOND + SECOND // 5  # so long the IMU has to show that it is right
     assert np.linalg.norm(run.estimates[-1].nav[X.P]) < 1.0
 

@@ -92,6 +92,7 @@ def test_the_last_state_is_found_again(tmp_path: Path) -> None:
     until(path.exists, "it is written by itself")
     keeper.note(Health(T0, T0, Mode.AIDED, 0.0, 1.0, 1.0, 4, {}, {}, 1, LastGnss(47.0, 8.0, 400.0, 3.0, 2.0)))
     keeper.note(_estimate(T0 + 7))
+    keeper.note(msgspec.structs.replace(_estimate(T0 + 8), mode=Mode.ALIGNING_HEADING))  # nothing to go on from as if aligned
     keeper.close()
     saved = state_file.load(path)
     assert saved is not None

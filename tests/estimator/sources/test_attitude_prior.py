@@ -54,12 +54,12 @@ def _drawn(seed: int) -> tuple[float, float, float]:
 
 def test_with_it_the_estimate_begins_at_once_and_is_honest() -> None:
     """GIVEN a hover in which GNSS does not show the heading; THEN it begins after 3 s, with NEES / 15 about 1."""
-    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([]).estimates)
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([]).aligned)
     nees = []
     for seed in range(1, 6):
         simulation = _simulation(seed)
         run = _flown([_prior(simulation, k, _drawn(seed)) for k in range(24)], seed)
-        first = run.estimates[0]
+        first = run.aligned[0]
         assert first.t_ns < EPOCH_NS + 3 * SECOND
         off = error(first, simulation.truth)
         nees.append(off @ np.linalg.solve(first.covariance, off) / E.SIZE)
@@ -89,16 +89,16 @@ def test_a_real_flight_begins_with_its_first_position(landfix_data: Path) -> Non
     """A copter that stands: without a prior its heading shows a minute after the first fix, in the air."""
     recording = dataflash.read(landfix_data / "native_logs/ardupilot_log171.bin")
     text = recording.settings.toml("dataflash", Path("log.bin"), tuple(s.topic for s in recording.streams))
-    config = parse(text.replace("# attitude", "attitude"))
+    config = parse(text)
     assert config.inputs.attitude == ("/attitude",)
     messages = [m for m in recording if not isinstance(m, Truth)]
     first_fix = next(m for m in messages if isinstance(m, GnssFix) and m.status >= 0)
     run = Run(Fusion(config.fusion())).feed(m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND)
-    assert 0 < run.estimates[0].t_ns - first_fix.t_ns < 3 * SECOND
+    assert 0 < run.aligned[0].t_ns - first_fix.t_ns < 3 * SECOND
     without = Run(Fusion(config.fusion())).feed(
         m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND and not isinstance(m, AttitudePrior)
     )
-    assert not without.estimates
+    assert not without.aligned
 
 
 def _without_motion(rate: float, duration_s: float = 6.0) -> list[Input]:
@@ -125,7 +125,7 @@ def test_a_prior_is_turned_on_by_the_gyroscope_until_it_is_used() -> None:
     rate = 0.7
     messages = [m for m in _without_motion(rate) if not (isinstance(m, GnssFix) and m.t_ns < EPOCH_NS + 2.5 * SECOND)]
     run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, _believed(1.0, rate * 1.0)]))
-    first = run.estimates[0]
+    first = run.aligned[0]
     assert first.t_ns > EPOCH_NS + 2.5 * SECOND  # the prior was 1.5 s old, and 60 degrees off by then
     off = so3.to_euler(first.nav[X.Q])[2] - rate * (first.t_ns - EPOCH_NS) * 1e-9
     assert abs(math.remainder(off, 2.0 * math.pi)) < math.radians(4.0)
@@ -134,10 +134,10 @@ def test_a_prior_is_turned_on_by_the_gyroscope_until_it_is_used() -> None:
 def test_a_prior_that_comes_during_the_search_ends_it() -> None:
     """GNSS alone has begun with eight headings; an autopilot that speaks up two seconds later is heard."""
     messages = _without_motion(0.0)
-    assert not Run(Fusion(FusionConfig())).feed(messages).estimates
+    assert not Run(Fusion(FusionConfig())).feed(messages).aligned
     run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, *(_believed(3.0 + 0.1 * k, 2.0) for k in range(20))]))
-    assert EPOCH_NS + 3 * SECOND < run.estimates[0].t_ns < EPOCH_NS + 5 * SECOND
-    assert abs(so3.to_euler(run.estimates[0].nav[X.Q])[2] - 2.0) < math.radians(4.0)
+    assert EPOCH_NS + 3 * SECOND < run.aligned[0].t_ns < EPOCH_NS + 5 * SECOND
+    assert abs(so3.to_euler(run.aligned[0].nav[X.Q])[2] - 2.0) < math.radians(4.0)
     assert run.reasons("/attitude")[Reason.THINNED] > 5  # once it has begun, it changes nothing
 
 
@@ -146,8 +146,8 @@ def test_a_prior_that_the_search_has_ruled_out_changes_nothing() -> None:
     simulation = simulated(TOML.replace("multirotor", "fixed_wing").replace("12.0", "20.0"), 1)
     opposite = [_prior(simulation, k, (0.0, 0.0, math.pi)) for k in range(12, 39)]
     alone, lied_to = fly(simulation), fly(simulation, messages=by_arrival([*simulation.messages, *opposite]))
-    assert len(alone.estimates) == len(lied_to.estimates) > 50
-    assert all(same(a, b) for a, b in zip(alone.estimates, lied_to.estimates, strict=True))
+    assert len(alone.aligned) == len(lied_to.aligned) > 50
+    assert all(same(a, b) for a, b in zip(alone.aligned, lied_to.aligned, strict=True))
 
 
 def test_the_odds_of_a_heading_count_where_a_prior_agrees_with_it() -> None:
@@ -161,19 +161,19 @@ def test_the_odds_of_a_heading_count_where_a_prior_agrees_with_it() -> None:
 @pytest.mark.parametrize("off_n", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0)])
 def test_one_against_gravity_is_not_begun_with(off_n: tuple[float, float, float]) -> None:
     run = _flown([_prior(_simulation(), k, off_n) for k in range(24)])
-    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in run.estimates)
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in run.aligned)
     assert not run.internal_errors()
 
 
 def test_one_of_long_ago_is_not_begun_with() -> None:
     believed = _prior(_simulation(), 0)
     stale = AttitudePrior(EPOCH_NS - 2 * SECOND, EPOCH_NS, believed.q_nb_wxyz, believed.covariance)
-    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([stale]).estimates)
+    assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([stale]).aligned)
 
 
 def test_it_starts_with_its_covariance_about_the_bodys_axes() -> None:
     run = _flown([_prior(_simulation(), k) for k in range(24)])
-    first = run.estimates[0]
+    first = run.aligned[0]
     r_nb = so3.matrix(first.nav[X.Q])
     sigma = np.sqrt(np.diag(r_nb @ first.covariance[E.THETA, E.THETA] @ r_nb.T))
     drift = InitialiseConfig().gyro_bias_sigma * 1.0  # rad: of the first second, until it has proved itself
@@ -185,7 +185,7 @@ def test_it_starts_with_its_covariance_about_the_bodys_axes() -> None:
     ("prior", "reason"),
     [
         (AttitudePrior(1, 1, (1.0, 0.0, 0.0, 0.0), np.diag([1e-3, 1e-3, 100.0])), Reason.UNSUPPORTED),
-        (AttitudePrior(1, 1, (1.0, 0.0, 0.0, 0.0), np.zeros((3, 3))), Reason.NOT_PSD),
+        (AttitudePrior(1, 1, (1.0, 0.0, 0.0, 0.0), np.zeros((3, 3))), Reason.UNSUPPORTED),
         (AttitudePrior(1, 1, (math.nan, 0.0, 0.0, 0.0), NOISE), Reason.NOT_FINITE),
         (AttitudePrior(1, 1, (2.0, 0.0, 0.0, 0.0), NOISE), Reason.IMPLAUSIBLE),
     ],

@@ -10,7 +10,7 @@ from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.source import Aid, Refusal
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import GnssFix, GnssVelocity, Reason
+from models.messages import Array, GnssFix, GnssVelocity, Reason
 
 HOME = Origin(47.0, 8.0, 500.0)
 NOISE = np.diag([1.0, 2.0, 3.0])
@@ -107,8 +107,8 @@ def test_velocities_may_be_older_than_positions_of_the_same_stamp() -> None:
         ({"lon_deg": -180.1}, Reason.IMPLAUSIBLE),
         ({"lat_deg": 470_010_000.0}, Reason.IMPLAUSIBLE),
         ({"alt_m": 1e308}, Reason.IMPLAUSIBLE),
-        ({"covariance_n": np.zeros((3, 3))}, Reason.NOT_PSD),
         ({"covariance_n": np.diag([1.0, -1.0, 1.0])}, Reason.NOT_PSD),
+        ({"covariance_n": np.array([[0.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 1.0]])}, Reason.NOT_PSD),
         ({"covariance_n": np.full((3, 3), math.nan)}, Reason.NOT_FINITE),
     ],
 )
@@ -125,13 +125,41 @@ def test_an_unusable_fix_has_its_reason(changes: dict[str, Any], reason: Reason)
         ({"v_n": (0.0, -math.inf, 0.0)}, Reason.NOT_FINITE),
         ({"v_n": (1e150, 1e150, 0.0)}, Reason.IMPLAUSIBLE),
         ({"v_n": (501.0, 0.0, 0.0)}, Reason.IMPLAUSIBLE),
-        ({"covariance_n": np.zeros((3, 3))}, Reason.NOT_PSD),
+        ({"covariance_n": -np.eye(3)}, Reason.NOT_PSD),
     ],
 )
 def test_an_unusable_velocity_has_its_reason(changes: dict[str, Any], reason: Reason) -> None:
     refusal = velocity_aid(_velocity(**changes), GnssConfig())
     assert isinstance(refusal, Refusal)
     assert refusal.reason is reason
+
+
+@pytest.mark.parametrize(
+    ("given", "taken"),
+    [
+        (None, [2.0, 2.0, 5.0]),
+        (np.zeros((3, 3)), [2.0, 2.0, 5.0]),
+        (np.diag([0.0, 0.0, 0.49]), [2.0, 2.0, 0.7]),
+        (np.diag([0.25, 0.25, 0.0]), [0.5, 0.5, 5.0]),
+    ],
+)
+def test_an_accuracy_of_zero_is_unknown(given: Array | None, taken: list[float]) -> None:
+    config = GnssConfig(horizontal_sigma_m=2.0, vertical_sigma_m=5.0)
+    aid = _aid(position_aid(_fix(covariance_n=given), config))
+    z = aid.measurement(HOME)
+    assert isinstance(z, Position)
+    np.testing.assert_allclose(z.noise, np.diag(np.square(taken)))
+    assert "horizontal_sigma_m 2, vertical_sigma_m 5" in aid.assumed
+    assert not _aid(position_aid(_fix(), config)).assumed
+
+
+@pytest.mark.parametrize("given", [None, np.zeros((3, 3))])
+def test_an_accuracy_of_zero_of_a_velocity_is_unknown(given: Array | None) -> None:
+    aid = _aid(velocity_aid(_velocity(covariance_n=given), GnssConfig(velocity_sigma_m_s=0.4)))
+    z = aid.measurement(None)
+    assert isinstance(z, Velocity)
+    np.testing.assert_allclose(z.noise, np.eye(3) * 0.4**2)
+    assert "velocity_sigma_m_s 0.4" in aid.assumed
 
 
 def test_another_reading_of_one_instant_has_another_place() -> None:

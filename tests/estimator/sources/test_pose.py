@@ -106,8 +106,7 @@ def test_a_quaternion_that_is_nearly_of_length_one_is_made_so() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"covariance": np.zeros((6, 6))}, Reason.NOT_PSD),
-        ({"covariance": np.diag([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])}, Reason.NOT_PSD),
+        ({"covariance": _without([2], 0.0) + 0.05 * (np.eye(6)[[2, 1, 0, 3, 4, 5]] - np.eye(6)).clip(0)}, Reason.NOT_PSD),
         ({"covariance": GIVEN + 0.2 * np.eye(6)[[1, 0, 2, 3, 4, 5]]}, Reason.NOT_PSD),
         ({"covariance": np.eye(3)}, Reason.MALFORMED),
         ({"covariance": np.full((6, 6), math.nan)}, Reason.UNSUPPORTED),
@@ -265,3 +264,28 @@ def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() 
 def test_landmark_fixes_last_and_others_do_not_unless_told_so() -> None:
     assert _aid(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.0)).slow_errors == ()
     assert [s.block for s in _aid(_landmark_fix(Q), LandmarkFixConfig()).slow_errors][-1] == "/landfix/fix.look"
+
+
+def test_an_accuracy_of_zero_is_unknown() -> None:
+    config = PoseConfig(position_sigma_m=0.4, attitude_sigma_deg=2.0)
+    taken = np.diag([0.4**2] * 3 + [math.radians(2.0) ** 2] * 3)
+    np.testing.assert_allclose(_measurement(_fix(covariance=np.zeros((6, 6))), config).noise, taken)
+    assert "position_sigma_m 0.4, attitude_sigma_deg 2" in _aid(_fix(covariance=np.zeros((6, 6))), config).assumed
+    in_part = GIVEN * np.diag([1, 1, 0, 1, 1, 1])
+    np.testing.assert_allclose(_measurement(_fix(covariance=in_part), config).noise, in_part + np.diag([0, 0, 0.16, 0, 0, 0]))
+    without_yaw = np.diag([0.0, 0.0, 0.0, 0.01, 0.02, -1.0])
+    np.testing.assert_allclose(_measurement(_fix(covariance=without_yaw), config).noise, np.diag([0.16] * 3 + [0.01, 0.02]))
+    assert not _aid(_fix(), config).assumed
+
+
+def test_the_default_is_not_scaled_as_what_a_fix_claims() -> None:
+    z = _measurement(_fix(covariance=np.zeros((6, 6))), PoseConfig(position_sigma_m=0.4, noise_scale=3.0))
+    np.testing.assert_allclose(z.noise[:3, :3], 0.16 * np.eye(3))
+
+
+@pytest.mark.parametrize("blank", [(1.0, 0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), (0.0, 0.0, 0.0, 0.0)])
+def test_an_attitude_that_nobody_filled_in_is_not_given(blank: Quat) -> None:
+    z = _measurement(_fix(q_nb_wxyz=blank, covariance=np.zeros((6, 6))))
+    assert z.attitude == "none"
+    assert z.rows.tolist() == [0, 1, 2]
+    assert _measurement(_fix(q_nb_wxyz=(1.0, 0.0, 0.0, 0.0))).attitude == "full"  # with its accuracy it is one

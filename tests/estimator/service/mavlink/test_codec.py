@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.inputs import Inputs
-from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
 from models import so3
 from models.frames import GRAVITY
@@ -133,11 +132,12 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     assert 30 in inputs.wanted
 
 
-def test_an_attitude_is_not_asked_for_unless_configured() -> None:
-    off = Inputs(MavlinkConfig(), Topics(attitude=("/attitude",)), 0.0)
+def test_an_attitude_is_asked_for_unless_it_has_no_topic() -> None:
+    assert 30 in Inputs(MavlinkConfig(), Topics(), 0.0).wanted
+    off = Inputs(MavlinkConfig(), Topics(attitude=()), 0.0)
     assert 30 not in {*off.wanted, *dict(off.requests(T0, codec.PX4))}
-    with pytest.raises(ConfigError, match="name a topic for it"):
-        Inputs(MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(), 0.0)
+    message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
+    assert not list(off.measured(message, T0, T0, codec.ARDUPILOT))
 
 
 @pytest.mark.parametrize("imu", [True, False])

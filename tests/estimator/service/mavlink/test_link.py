@@ -34,7 +34,7 @@ from tests.estimator.service.flying import (
 )
 
 SECOND = 1_000_000_000
-IMU, GPS, GPS2, SYSTEM_TIME, RAW = 105, 24, 124, 2, 27
+IMU, GPS, GPS2, SYSTEM_TIME, RAW, ATTITUDE = 105, 24, 124, 2, 27, 30
 TOPICS = Topics(gnss=("/gnss", "/gnss2"), gnss_velocity=("/gnss/velocity",))
 
 
@@ -104,10 +104,11 @@ def _soon(condition: Callable[[], object], what: str) -> None:
 
 def test_it_says_who_it_is_and_asks_for_what_it_needs() -> None:
     with _px4(imu_hz=250.0, gnss_hz=8.0) as (_, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 4, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
         beat = autopilot.of("HEARTBEAT")[0]
         assert (beat.get_srcSystem(), beat.get_srcComponent(), beat.type, beat.autopilot) == (1, 197, 18, 8)
-        assert _requested(autopilot.heard) == {IMU: 4000.0, GPS: 125_000.0, GPS2: 125_000.0, SYSTEM_TIME: 1e6}
+        wanted = {IMU: 4000.0, GPS: 125_000.0, GPS2: 125_000.0, SYSTEM_TIME: 1e6, ATTITUDE: 500_000.0}
+        assert _requested(autopilot.heard) == wanted
         command = autopilot.of("COMMAND_LONG")[0]
         assert (command.target_system, command.target_component) == (1, 1)
 
@@ -197,7 +198,7 @@ def test_nothing_that_is_not_a_number_is_told_and_nothing_to_nobody() -> None:
 @pytest.mark.parametrize("messages", [("SYSTEM_TIME",), ("HIGHRES_IMU",)])
 def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[str]) -> None:
     with _px4() as (link, inbox, _, autopilot):
-        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 4, "all is set up")
+        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 5, "all is set up")
         autopilot.imu()
         autopilot.booted_ns = time.monotonic_ns() - SECOND
         autopilot.heard.clear()
@@ -207,7 +208,7 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
                 autopilot.say(mavlink.MAVLink_system_time_message(0, autopilot.boot_us() // 1000))
             else:
                 autopilot.imu()
-            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 4
+            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 5
 
         autopilot.until(rebooted, "the reboot is noticed", beats=False)
         got = len(inbox.got)
@@ -220,12 +221,12 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
 def test_after_a_silence_it_asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimator.service.mavlink.link._GONE_NS", SECOND // 2)
     with _px4() as (link, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 4, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
         autopilot.listen(0.7)
         autopilot.heard.clear()
         autopilot.heartbeat()
         autopilot.listen(0.2)
-        assert len(_requested(autopilot.heard)) == 4
+        assert len(_requested(autopilot.heard)) == 5
         assert link.report()["reboots"] == 0
 
 
@@ -289,11 +290,11 @@ def test_others_are_not_listened_to() -> None:
         autopilot.until(lambda: link.report()["autopilot"] == "px4", "it is known")
         camera.imu()
         stranger.imu(z=9.8)
-        autopilot.say(mavlink.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0))
+        autopilot.say(mavlink.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0))
         autopilot.imu()
         autopilot.until(lambda: inbox.got and link.report()["strangers"] == 1, "the sample")
         assert [s.accel_b[2] for s in inbox.of(ImuSample)] == pytest.approx([-9.8])
-        assert link.report()["passed_over"] >= 2  # of the camera; ATTITUDE
+        assert link.report()["passed_over"] >= 2  # of the camera; VFR_HUD
         assert stranger.listen(0.1) == []
         for end in (autopilot, camera, stranger):
             end.close()

@@ -75,7 +75,6 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
         ("[inputs]\nimu = '/imu#1'\n", "zenoh", "a topic cannot be named so"),
         ("[mavlink]\nendpoint = '/dev/null'\nbaud = 12345\n", "mavlink", "is not a speed"),
         ("[mavlink]\nendpoint = '/tmp'\n", "mavlink.endpoint", "is no serial device"),
-        ("[mavlink]\nendpoint = '/dev/null'\nattitude_sigma_deg = [1.0, 2.0]\n", "mavlink", "name a topic for it"),
         ("[mavlink]\nendpoint = 'udp:here'\n", "mavlink", "is not udpin:HOST:PORT"),
         ("[mavlink]\nendpoint = 'udpin:0.0.0.0:14540'\n", "mavlink", "anybody in reach could feed it"),
         ("[mavlink]\nendpoint = 'udpin:127.0.0.1:0'\nsigning_key_file = 'key'\n", "mavlink", "no such file"),

@@ -3,6 +3,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -13,7 +14,7 @@ from estimator.tools.doctor import machine
 from estimator.tools.doctor.machine import Check, State
 from logs.store.recorder import Recorder
 from logs.wire.codec import encode_input
-from models.messages import AttitudePrior, ImuSample, Input, PoseFix
+from models.messages import AttitudePrior, GnssFix, ImuSample, Input, PoseFix
 from models.sim.scenario import Simulation
 from vision.synthetic import WorldSpec, make_world
 
@@ -94,6 +95,24 @@ def test_an_attitude_to_begin_with_is_not_proposed_as_a_pose_fix(simulation: Sim
 
     checks = doctor_log.log(rewritten(simulation, tmp_path / "x.mcap", change), Config())
     assert "/attitude" not in named(checks, "inputs.pose_fix").advice
+
+
+def test_an_accuracy_of_zero_is_reported(simulation: Simulation, tmp_path: Path) -> None:
+    def change(m: Input) -> Input:
+        return msgspec.structs.replace(m, covariance_n=np.zeros((3, 3))) if isinstance(m, GnssFix) else m
+
+    found = named(doctor_log.log(rewritten(simulation, tmp_path / "x.mcap", change), Config()), "/gnss accuracy")
+    assert found.state is State.WARN
+    assert "horizontal_sigma_m 1.5" in found.found
+
+
+def test_measurements_that_are_all_refused_are_reported(simulation: Simulation, tmp_path: Path) -> None:
+    def change(m: Input) -> Input:
+        return msgspec.structs.replace(m, covariance=-np.eye(6)) if isinstance(m, PoseFix) else m
+
+    found = named(doctor_log.log(rewritten(simulation, tmp_path / "x.mcap", change), Config()), "/pose_fix content")
+    assert found.state is State.FAIL
+    assert "unsupported" in found.found
 
 
 def test_without_anything_absolute_it_fails(flight: Path) -> None:

@@ -1,0 +1,89 @@
+"""Before the heading is known: what may be published, and where a first heading may come from.
+
+A vehicle at rest, a boat, a hovering copter or a plane in straight flight shows no heading by its accelerations, but position,
+velocity, roll and pitch are known. They are published from the bank of headings, its spread in the covariance (the moments of a
+Gaussian sum), in a mode of their own:
+
+    P = sum_k w_k (P_k + d_k d_k^T),   d_k = x_k (-) x_lead                                      (Bar-Shalom 2001, eq. 1.4.16)
+
+For n equal headings all around this is a yaw sigma of pi / sqrt(3), 104 degrees, that of no knowledge.
+
+A filter whose heading is wrong takes tilt for accelerometer bias, and turns the one into the other as its heading is
+corrected: it gains what cannot be known (false observability; Huang, Mourikis and Roumeliotis 2010). So nothing is published of
+the accelerometer bias, the tilt has the variance of levelling on top, heading and gyro bias have twice their sigma.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.filter import initialise
+from estimator.filter.hypotheses import Hypotheses
+from estimator.filter.initialise import InitialiseConfig, Level
+from estimator.sources.gating import gate
+from estimator.sources.source import Aid
+from models import so3
+from models.frames import GRAVITY
+from models.measurements import Measurement, Pose, Velocity
+from models.messages import Array
+from models.state import E, X
+
+_REFUTED = 3  # positions in a row that nobody at rest foresees
+_SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
+_NO_HEADING = math.pi / math.sqrt(3.0)  # rad: sigma of a heading that may be any
+_SHARPEST = 0.35  # rad: a course that is less well known than this is none
+
+
+def covariance(bank: Hypotheses, config: InitialiseConfig) -> Array:
+    """Of the leading state's error, (15, 15), as it may be published before the alignment: P and what is added to it."""
+    cov = bank.covariance()
+    down_b = so3.matrix(bank.lead.x[X.Q])[2]
+    heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
+    most = max(_NO_HEADING**2 - heading, 0.0)
+    cov[E.THETA, E.THETA] += min(3.0 * heading, most) * np.outer(down_b, down_b)
+    cov[E.THETA, E.THETA] += math.atan(config.accel_bias_sigma / GRAVITY) ** 2 * np.eye(3)
+    cov[E.BG, E.BG] *= 4.0
+    cov[E.BA], cov[:, E.BA] = 0.0, 0.0
+    cov[E.BA, E.BA] = config.accel_bias_sigma**2 * np.eye(3)
+    return cov
+
+
+@dataclass(slots=True)
+class Resting:
+    """All headings of a vehicle at rest, side by side, equally likely: there no reading is evidence for one of them."""
+
+    bank: Hypotheses
+    unforeseen: int = 0
+
+    @property
+    def is_refuted(self) -> bool:
+        """The positions say that it is elsewhere."""
+        return self.unforeseen >= _REFUTED
+
+    def copy(self) -> "Resting":
+        """An independent one in the same state."""
+        return Resting(self.bank.copy(), self.unforeseen)
+
+    def take(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
+        """Fuse a measurement."""
+        seen = initialise.weigh(self.bank, aid, z, gyro_b)
+        if aid.absolute:
+            foreseen = seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu))
+            self.unforeseen = 0 if foreseen else self.unforeseen + 1
+        for member in self.bank.members:
+            member.weight = 0.0
+
+
+def from_course(z: Velocity, at: Level, config: InitialiseConfig) -> Pose | None:
+    """The attitude of a vehicle that moves along its nose, None where none shows.
+
+    psi = atan2(v_e, v_n),   sigma_psi^2 = sigma_course^2 + sigma_v^2 / v^2;  roll and pitch as levelled.
+    """
+    north, east = z.z_n[:2].tolist()
+    speed, sigma_m_s = math.hypot(north, east), math.sqrt(float(z.noise.diagonal()[:2].max()))
+    if not config.course_sigma_deg or speed < _SLOWEST_M_S or sigma_m_s > _SHARPEST * speed:
+        return None
+    yaw_sigma = math.hypot(math.radians(config.course_sigma_deg), sigma_m_s / speed)
+    noise = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, yaw_sigma**2])
+    return Pose(np.zeros(3), so3.from_euler(at.roll, at.pitch, math.atan2(east, north)), noise, np.arange(3, 6))
