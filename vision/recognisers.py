@@ -77,6 +77,7 @@ class Recognisers:
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
+        right = None if self._rig.one_camera else right
         described = self._pipeline.process(left, right, t_ns, prior)
         if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_picture", "internal"}:
             return described
