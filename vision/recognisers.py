@@ -3,6 +3,7 @@
     landmarks by description   always, where the map has any: pipeline.py
     registration               where they gave nothing, the map holds a picture, and the prior says where to look: registration.py
     features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
+    peak                       where neither succeeded: position by the place where registration's search found the whole, peak.py
 
 All of them end in a LandmarkFix; the picture counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
@@ -19,8 +20,9 @@ from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground.peak import PeakConfig, fit_peak
 from vision.ground.picture import GroundPicture
-from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, register
+from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
 from vision.identify.identify import Prior
 from vision.identify.sightings import one_eyed
 from vision.image.check import picture_flaw
@@ -38,6 +40,7 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pipeline: PipelineConfig = PipelineConfig()
     registration: RegistrationConfig = RegistrationConfig()
     features: FeatureConfig = FeatureConfig()
+    peak: PeakConfig = PeakConfig()
     memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for a picture that says the same")] = 3.0
 
 
@@ -101,7 +104,21 @@ class Recognisers:
         if told.fix is not None:
             self._likely = None
             return told
-        return replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+        return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
+
+    def _by_peak(self, known: MapPicture, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
+        """What the search alone says, where it is clear; else what became of the blocks."""
+        report = laid.report
+        found = fit_peak(rig, prior, known.picture, peak, self._config.peak)
+        flaw = found if isinstance(found, str) else pose_flaw(found, prior)
+        if flaw or isinstance(found, str):
+            return replace(laid, report=msgspec.structs.replace(report, detail=f"{report.detail}; {flaw}"))
+        evidence = (
+            f"{known.picture.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
+            f"correlation {peak.correlation:.2f}; {report.detail}"
+        )
+        return _fixed(report.t_ns, known.picture.name, found, (1, 1), evidence, peak.correlation)
 
     def _laid(self, known: MapPicture, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
         """What registration found, judged."""
@@ -154,7 +171,9 @@ def _refused(t_ns: int, outcome: str, detail: str, counts: tuple[int, int] = (0,
     return Result(None, VisionReport(t_ns, t_ns, outcome, detail, *counts))
 
 
-def _fixed(t_ns: int, name: str, pose: PoseEstimate, counts: tuple[int, int], detail: str) -> Result:
-    share = counts[1] / counts[0]
+def _fixed(
+    t_ns: int, name: str, pose: PoseEstimate, counts: tuple[int, int], detail: str, similarity: float | None = None
+) -> Result:
+    share = counts[1] / counts[0] if similarity is None else similarity
     report = VisionReport(t_ns, t_ns, "fixed", detail, *counts, (name,), (share,), pose.residual_px)
     return Result(fix_of(pose, t_ns, (name,), share), report, pose=pose)

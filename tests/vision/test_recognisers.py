@@ -10,6 +10,7 @@ from models.messages import Array
 from tests.vision.ground import scene
 from vision import recognisers
 from vision.ground.features import FeatureConfig, FeatureMap
+from vision.ground.peak import PeakConfig
 from vision.ground.registration import RegistrationConfig
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
@@ -93,8 +94,10 @@ def test_defects_do_not_end_the_flight(known: MapPicture, monkeypatch: pytest.Mo
 
 
 def _unsure() -> RecogniserConfig:
-    """One picture is never enough, and features never are."""
-    return RecogniserConfig(registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6))
+    """One picture is never enough, and features and the peak never are."""
+    return RecogniserConfig(
+        registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6), peak=PeakConfig(deviations=1e9)
+    )
 
 
 def test_features_come_in_where_registration_is_not_sure(known: MapPicture) -> None:

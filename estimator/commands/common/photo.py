@@ -1,7 +1,7 @@
 """A photo for a calibrated camera: EXIF orientation, and the size at which the camera was calibrated.
 
 A camera is calibrated in the sensor's pixels, whatever the orientation flag says. A photo is turned upright only where it fits
-the camera's size no other way. EXIF orientation: 1 as stored; 6, 3, 8 shown turned by 1, 2, 3 quarters clockwise; others mirrored.
+the camera's size no other way. EXIF orientation: 1 as stored; 6, 3, 8 turned by 1, 2, 3 quarters clockwise; others mirrored.
 """
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
