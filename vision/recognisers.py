@@ -32,6 +32,7 @@ from vision.pose.pose import PoseEstimate
 from vision.records.reports import Result, fix_of, pose_flaw
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
+_NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another one must have moved on to confirm it
 
 
 class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,7 +42,9 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     registration: RegistrationConfig = RegistrationConfig()
     features: FeatureConfig = FeatureConfig()
     peak: PeakConfig = PeakConfig()
-    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for a picture that says the same")] = 3.0
+    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for another view that says the same")] = (
+        10.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +62,21 @@ class MapPicture:
 
 @dataclass(frozen=True, slots=True)
 class _Likely:
-    """What one picture said of the prior's error: offset_n (3,), its covariance, and the prior's variance then."""
+    """What one image said of the prior's error: offset_n (3,), its covariance, and the prior's variance then.
+
+    shown_n (2,): the middle of what it shows; length_m: of that, at most.
+    """
 
     t_ns: int
     offset_n: Array
     covariance: Array
     prior: Array
+    shown_n: Array
+    length_m: float
+
+    def shows_the_same(self, other: "_Likely") -> bool:
+        """Whether too little of what it shows is new: a false match on the ground would be there again."""
+        return bool(np.linalg.norm(self.shown_n - other.shown_n) < _NEW_VIEW * self.length_m)
 
 
 class Recognisers:
@@ -136,13 +148,24 @@ class Recognisers:
         return _fixed(t_ns, known.picture.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, found: Registered, t_ns: int, prior: Prior) -> bool:
-        """Whether an earlier picture said the same of the prior's error; if not, this one waits for the next."""
+        """Whether an earlier image of another view said the same of the prior's error; if not, this one waits for the next.
+
+        An image of the same view confirms nothing, and the earlier one waits on.
+        """
         if not found.is_likely(self._config.registration):
             return False
         pose, variance = found.pose, np.diag(prior.covariance)[:3]
-        now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance)
-        before, self._likely = self._likely, now
-        if before is None or not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+        length_m = found.peak.q * self._config.registration.coarse
+        now = _Likely(
+            t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, found.peak.shown_n, length_m
+        )  # fmt: skip
+        before = self._likely
+        if before is not None and not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+            before = None
+        if before is not None and now.shows_the_same(before):
+            return False
+        self._likely = now
+        if before is None:
             return False
         apart = now.offset_n - before.offset_n
         drift = np.diag(np.maximum(now.prior - before.prior, 0.0))
