@@ -20,6 +20,7 @@ from models.messages import Vec3
 DEFAULTED = ("height_m", "sigma_m", "ground_alt_m", "colour")  # properties that have a default
 FEW = "fewer than 3 corners"
 
+_UNUSED_HEIGHT = "the third coordinate ({:g}) is not used: give ground_alt_m (above the ellipsoid) and height_m (above it)"
 _Height = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
 _Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
 _Ring: TypeAlias = Sequence[Sequence[float]]
@@ -144,6 +145,10 @@ class Parts:
         polygons = [feature.geometry.coordinates] if isinstance(feature.geometry, _Polygon) else feature.geometry.coordinates
         attributes = map_properties.read(properties, self.defaults)
         self.remarks += [Finding(number, name, text) for text in attributes.remarks]
+        positions = chain.from_iterable(chain.from_iterable(polygons))
+        heights = [position[2] for position in positions if len(position) > 2 and position[2] != 0.0]
+        if heights:
+            self.remarks.append(Finding(number, name, _UNUSED_HEIGHT.format(heights[0])))
         for k, rings in enumerate(polygons, 1):
             if any(len(position) < 2 for ring in rings for position in ring):
                 self.rejected.append(Finding(number, name, "a position has fewer than two coordinates"))

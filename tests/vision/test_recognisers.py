@@ -30,7 +30,8 @@ def _seen(seed: int, sigma: Array = SIGMA, on: float = 0.0) -> tuple[Array, Prio
     """Place, prior, left picture, and what the right camera sees; on: so many m farther north, the prior off by the same."""
     rng = np.random.default_rng(seed)
     p_n, R_nb, prior = scene.flight(rng, sigma)
-    p_n, prior = p_n + (on, 0.0, 0.0), Prior(prior.p_n + (on, 0.0, 0.0), prior.q_nb_wxyz, prior.covariance)
+    step = np.array([on, 0.0, 0.0])
+    p_n, prior = p_n + step, Prior(prior.p_n + step, prior.q_nb_wxyz, prior.covariance)
     beside = R_nb @ scene.R_BC @ np.array([0.3, 0.0, 0.0])
     left, right = (scene.shot(scene.drawing(1), p, R_nb, rng) for p in (p_n, p_n + beside))
     return p_n, prior, left, right

@@ -180,6 +180,14 @@ def test_holes_are_left_out_and_said() -> None:
     assert "holes are left out" in the_map.report.remarks[0].text
 
 
+@pytest.mark.parametrize(("height", "remarks"), [(530.0, 1), (0.0, 0)])
+def test_a_third_coordinate_is_said_to_be_unused(height: float, remarks: int) -> None:
+    the_map = read(feature([[[*position, height] for position in ring()]]))
+    assert len(the_map) == 1
+    texts = [finding.text for finding in the_map.report.remarks]
+    assert sum("third coordinate (530) is not used: give ground_alt_m" in text for text in texts) == remarks
+
+
 def test_the_parts_of_a_multipolygon_are_landmarks_of_their_own() -> None:
     the_map = read(feature([[ring()], [ring(40.0)], [BOW_TIE]], kind="MultiPolygon", id="school"))
     assert [landmark.id for landmark in the_map] == ["school/1", "school/2"]
