@@ -198,6 +198,8 @@ def head_of(data: bytes) -> File:
 
 def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
+    if other := _other_form(data):
+        raise MapError(f"not a GeoJSON map: {other}")
     try:
         head = _decode_file(data)
     except _UNDECODABLE as error:
@@ -209,6 +211,21 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     if head.type == "Feature":
         return head, [msgspec.Raw(data)]
     raise MapError("not a GeoJSON map: it has no features (expected a FeatureCollection)")
+
+
+def _other_form(data: bytes) -> str:
+    """The name of another form of map file and what converts it; empty where it is none that is known."""
+    head = data[:4096]
+    for name, seen in (
+        ("a GeoPackage", head.startswith(b"SQLite format 3\0")),
+        ("a Shapefile", head.startswith(b"\x00\x00\x27\x0a")),
+        ("KML", b"<kml" in head),
+    ):
+        if seen:
+            return f"{name}: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE"
+    if b'"elements"' in head and b'"osm3s"' in head:
+        return "Overpass JSON: export as GeoJSON in overpass-turbo.eu, or convert it with osmtogeojson FILE > map.geojson"
+    return ""
 
 
 def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:

@@ -126,6 +126,8 @@ def command(
         print_json(answer)
     else:
         _print(answer, result)
+    if result.report.outcome == "no_landmark_near":
+        raise LocateError(f"no fix: no_landmark_near: {_how_far(landmarks, start)}")
     if result.fix is None:
         raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
     known_m = answer["with_prior"]["within_m"]
@@ -197,6 +199,25 @@ def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkM
         assert known is not None
         landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
     return landmarks, picture_store.load(known, landmarks.origin) if known else None
+
+
+def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
+    """How far the map is from the prior, and whether latitude and longitude look exchanged."""
+    import numpy as np
+
+    def nearest_m(place: "Array") -> float:
+        return float(np.hypot(*(landmarks.columns.vertices - place[:2]).T).min())
+
+    lat, lon, alt = landmarks.frame.to_geodetic(prior.p_n)
+    here_m = nearest_m(prior.p_n)
+    text = (
+        f"the nearest landmark is {here_m / 1e3:.1f} km from --prior"
+        if here_m > 1e3
+        else f"the nearest one is {here_m:.0f} m away"
+    )
+    if abs(lon) <= 90.0 and nearest_m(np.array(landmarks.frame.to_ned(lon, lat, alt))) < 0.01 * here_m:
+        return f"{text}; with latitude and longitude exchanged it is near: give LAT,LON"
+    return f"{text}, none comes into view: check --prior, --prior-sigma and --mount"
 
 
 def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":

@@ -145,6 +145,17 @@ def test_a_missing_or_bad_file_is_one_line(folder: Path, tmp_path: Path) -> None
         assert "internal error" not in result.stderr
 
 
+def test_a_place_far_from_the_map_says_how_far_and_whether_it_is_exchanged(folder: Path) -> None:
+    lat, lon, *rest = (folder / "prior.txt").read_text().split(",")
+    north = ",".join((f"{float(lat) + 0.2:.6f}", lon, *rest))
+    far = run(folder / "left.png", *options(folder)[:4], "--prior", north)
+    assert far.exit_code == 1
+    assert "the nearest landmark is 22." in far.stderr
+    assert "exchanged" not in far.stderr
+    exchanged = run(folder / "left.png", *options(folder)[:4], "--prior", ",".join((lon, lat, *rest)))
+    assert "latitude and longitude exchanged" in exchanged.stderr
+
+
 def one_camera(folder: Path, out: Path) -> list[object]:
     """The rig's left camera as `calibrate mono` writes it, and --mount: forward is the upper edge of the photo."""
     rig = load_rig(folder / "rig.yaml")

@@ -174,6 +174,20 @@ def test_too_many_corners() -> None:
     assert [finding.text for finding in the_map.report.rejected] == ["more than 1000 corners: simplify the outline"]
 
 
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
+        (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
+        (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
+        (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "osmtogeojson"),
+    ],
+)
+def test_other_forms_of_maps_are_named_with_their_converter(data: bytes, said: str) -> None:
+    with pytest.raises(MapError, match=said):
+        LandmarkMap.from_geojson(data)
+
+
 def test_holes_are_left_out_and_said() -> None:
     the_map = read(feature([ring(), ring(length=3.0, width=3.0)]))
     assert [landmark.size_m2 for landmark in the_map] == pytest.approx([96.0], abs=1e-3)
