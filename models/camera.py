@@ -105,12 +105,19 @@ class StereoRig(Mount, frozen=True, eq=False, dict=True):
     """A mount as calibrated, checked, and how sure that is.
 
     Covariances (6, 6) in order x y z rx ry rz, m^2 and rad^2, about the axes of the frame left of the name (r, b):
-    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp.
+    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp. one_camera: the right
+    camera stands in for none, and an image of it is never used.
     """
 
     covariance_rc: Array | None = None
     covariance_bc: Array | None = None
     time_offset_s: float = 0.0
+    one_camera: bool = False
+
+    @classmethod
+    def of_one(cls, camera: CameraModel, R_bc: Array, p_bc: Array, covariance_bc: Array | None) -> "StereoRig":
+        """One camera on the body: x_b = R_bc @ x_c + p_bc."""
+        return cls(camera, camera, np.eye(3), np.array([-1.0, 0.0, 0.0]), R_bc, p_bc, None, covariance_bc, 0.0, True)
 
     def __post_init__(self) -> None:
         for name, R, t in (("rc", self.R_rc, self.t_rc), ("bc", self.R_bc, self.p_bc)):

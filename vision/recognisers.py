@@ -3,6 +3,7 @@
     landmarks by description   always, where the map has any: pipeline.py
     registration               where they gave nothing, the map holds a picture, and the prior says where to look: registration.py
     features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
+    peak                       where neither succeeded: position by the place where registration's search found the whole, peak.py
 
 All of them end in a LandmarkFix; the picture counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
@@ -19,8 +20,9 @@ from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground.peak import PeakConfig, fit_peak
 from vision.ground.picture import GroundPicture
-from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, register
+from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
 from vision.identify.identify import Prior
 from vision.identify.sightings import one_eyed
 from vision.image.check import picture_flaw
@@ -30,6 +32,7 @@ from vision.pose.pose import PoseEstimate
 from vision.records.reports import Result, fix_of, pose_flaw
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
+_NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another one must have moved on to confirm it
 
 
 class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,7 +41,10 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pipeline: PipelineConfig = PipelineConfig()
     registration: RegistrationConfig = RegistrationConfig()
     features: FeatureConfig = FeatureConfig()
-    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for a picture that says the same")] = 3.0
+    peak: PeakConfig = PeakConfig()
+    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for another view that says the same")] = (
+        10.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +62,21 @@ class MapPicture:
 
 @dataclass(frozen=True, slots=True)
 class _Likely:
-    """What one picture said of the prior's error: offset_n (3,), its covariance, and the prior's variance then."""
+    """What one image said of the prior's error: offset_n (3,), its covariance, and the prior's variance then.
+
+    shown_n (2,): the middle of what it shows; length_m: of that, at most.
+    """
 
     t_ns: int
     offset_n: Array
     covariance: Array
     prior: Array
+    shown_n: Array
+    length_m: float
+
+    def shows_the_same(self, other: "_Likely") -> bool:
+        """Whether too little of what it shows is new: a false match on the ground would be there again."""
+        return bool(np.linalg.norm(self.shown_n - other.shown_n) < _NEW_VIEW * self.length_m)
 
 
 class Recognisers:
@@ -77,6 +92,7 @@ class Recognisers:
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
+        right = None if self._rig.one_camera else right
         described = self._pipeline.process(left, right, t_ns, prior)
         if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_picture", "internal"}:
             return described
@@ -100,7 +116,21 @@ class Recognisers:
         if told.fix is not None:
             self._likely = None
             return told
-        return replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+        return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
+
+    def _by_peak(self, known: MapPicture, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
+        """What the search alone says, where it is clear; else what became of the blocks."""
+        report = laid.report
+        found = fit_peak(rig, prior, known.picture, peak, self._config.peak)
+        flaw = found if isinstance(found, str) else pose_flaw(found, prior)
+        if flaw or isinstance(found, str):
+            return replace(laid, report=msgspec.structs.replace(report, detail=f"{report.detail}; {flaw}"))
+        evidence = (
+            f"{known.picture.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
+            f"correlation {peak.correlation:.2f}; {report.detail}"
+        )
+        return _fixed(report.t_ns, known.picture.name, found, (1, 1), evidence, peak.correlation)
 
     def _laid(self, known: MapPicture, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
         """What registration found, judged."""
@@ -118,13 +148,24 @@ class Recognisers:
         return _fixed(t_ns, known.picture.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, found: Registered, t_ns: int, prior: Prior) -> bool:
-        """Whether an earlier picture said the same of the prior's error; if not, this one waits for the next."""
+        """Whether an earlier image of another view said the same of the prior's error; if not, this one waits for the next.
+
+        An image of the same view confirms nothing, and the earlier one waits on.
+        """
         if not found.is_likely(self._config.registration):
             return False
         pose, variance = found.pose, np.diag(prior.covariance)[:3]
-        now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance)
-        before, self._likely = self._likely, now
-        if before is None or not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+        length_m = found.peak.q * self._config.registration.coarse
+        now = _Likely(
+            t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, found.peak.shown_n, length_m
+        )  # fmt: skip
+        before = self._likely
+        if before is not None and not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
+            before = None
+        if before is not None and now.shows_the_same(before):
+            return False
+        self._likely = now
+        if before is None:
             return False
         apart = now.offset_n - before.offset_n
         drift = np.diag(np.maximum(now.prior - before.prior, 0.0))
@@ -153,7 +194,9 @@ def _refused(t_ns: int, outcome: str, detail: str, counts: tuple[int, int] = (0,
     return Result(None, VisionReport(t_ns, t_ns, outcome, detail, *counts))
 
 
-def _fixed(t_ns: int, name: str, pose: PoseEstimate, counts: tuple[int, int], detail: str) -> Result:
-    share = counts[1] / counts[0]
+def _fixed(
+    t_ns: int, name: str, pose: PoseEstimate, counts: tuple[int, int], detail: str, similarity: float | None = None
+) -> Result:
+    share = counts[1] / counts[0] if similarity is None else similarity
     report = VisionReport(t_ns, t_ns, "fixed", detail, *counts, (name,), (share,), pose.residual_px)
     return Result(fix_of(pose, t_ns, (name,), share), report, pose=pose)

@@ -6,18 +6,39 @@ A file that cannot be used raises CalibrationError with one line that says what 
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import msgspec
 
 from calib.errors import CalibrationError
 from calib.files import kalibr, opencv, rig_yaml, ros
 from calib.files.plain_yaml import parse
 from models.camera import CameraModel, StereoRig
+from models.messages import Array
 
-__all__ = ["CalibrationError", "Format", "load_camera", "load_rig", "save_camera", "save_rig"]
+__all__ = [
+    "BodyPose",
+    "CalibrationError",
+    "Format",
+    "load_camera",
+    "load_cameras",
+    "load_rig",
+    "save_camera",
+    "save_mounted",
+    "save_rig",
+]
 
 _LONGEST_BASELINE_M = 20.0  # of a rig on a vehicle; a larger number is in millimetres
 _SHORTEST_BASELINE_M = 1e-3
 _MOST_BYTES = 1_000_000
+
+
+class BodyPose(NamedTuple):
+    """Pose of the (left) camera on the body, x_b = R_bc @ x_c + p_bc, and its covariance (6, 6) as in StereoRig."""
+
+    R_bc: Array
+    p_bc: Array
+    covariance_bc: Array
 
 
 class Format(StrEnum):
@@ -33,12 +54,23 @@ def load_rig(path: str | Path) -> StereoRig:
     """A stereo rig from any of the formats; of ROS camera_info either of the two files NAME_left.yaml, NAME_right.yaml.
 
     A file that does not say where the cameras sit on the body gets a forward-looking camera at the IMU whose covariance
-    is "not given" (rig_yaml.UNKNOWN_POSE). Raises CalibrationError.
+    is "not given" (rig_yaml.UNKNOWN_POSE). Raises CalibrationError, for a file of one camera as well.
+    """
+    rig = load_cameras(path)
+    if rig.one_camera:
+        raise CalibrationError(f"{path}: this is one camera, two are needed here: landfix calibrate stereo makes a rig of them")
+    return rig
+
+
+def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
+    """A stereo rig, or one camera that says where it sits on the body (body_from_camera); mount replaces what the file says.
+
+    Raises CalibrationError.
     """
     path = Path(path)
     text = _read(path)
     try:
-        rig = _rig(path, text)
+        rig = _on_body(path, text, mount)
     except ValueError as error:  # the camera's and the rig's own checks
         raise error if isinstance(error, CalibrationError) else CalibrationError(f"{path}: {error}") from None
     if not _SHORTEST_BASELINE_M < rig.baseline_m < _LONGEST_BASELINE_M:
@@ -94,14 +126,52 @@ def save_camera(path: str | Path, camera: CameraModel, form: Format | None = Non
     return [path]
 
 
+def save_mounted(path: str | Path, rig: StereoRig) -> list[Path]:
+    """Write the one camera of a rig and where it sits on the body, in our form, the only one that has a place for it."""
+    path = Path(path)
+    if _form_of(path) is not Format.LANDFIX:
+        raise CalibrationError(f"{path}: a camera with --mount is written as .yaml only")
+    _write(path, rig_yaml.mounted_text(rig))
+    return [path]
+
+
+def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
+    """The rig or the one camera of a file, where the file or mount says that it sits."""
+    camera, rig = _one_camera(path, text)
+    if camera is None:
+        rig = _rig(path, text)
+    if rig is not None:
+        return rig if mount is None else msgspec.structs.replace(rig, **mount._asdict())
+    if mount is None:
+        raise CalibrationError(
+            f"{path}: this is one camera, and where it sits on the body is missing: --mount X,Y,Z,ROLL,PITCH,YAW of landfix "
+            "locate or calibrate mono; landfix calibrate stereo makes a rig of two"
+        )
+    assert camera is not None
+    return StereoRig.of_one(camera, *mount)
+
+
+def _one_camera(path: Path, text: str) -> tuple[CameraModel | None, StereoRig | None]:
+    """The camera of a file that holds one only, and, where the file says it, that camera on the body."""
+    where = str(path)
+    if _is_opencv(text):
+        return (opencv.read_camera(text, where) if opencv.holds_one_camera(text, where) else None), None
+    value: dict[str, Any] = parse(text, where)
+    if value.get("format") == rig_yaml.CAMERA_FORMAT:
+        return rig_yaml.read_camera(value, where), rig_yaml.read_mount(value, where)
+    if "cam0" in value and "cam1" not in value:
+        return kalibr.camera(value, "cam0", where), None
+    if "camera_matrix" in value and path not in ros.pair_of(path):
+        return ros.camera(value, where), None
+    return None, None
+
+
 def _rig(path: Path, text: str) -> StereoRig:
     if _is_opencv(text):
         return opencv.read_rig(text, str(path))
     value: dict[str, Any] = parse(text, str(path))
     if value.get("format") == rig_yaml.RIG_FORMAT:
         return rig_yaml.read_rig(value, str(path))
-    if value.get("format") == rig_yaml.CAMERA_FORMAT:
-        raise CalibrationError(f"{path}: this is one camera, a rig has two: landfix calibrate stereo makes it")
     if "cam0" in value:
         return kalibr.rig(value, str(path))
     if "camera_matrix" in value:

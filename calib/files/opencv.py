@@ -35,11 +35,15 @@ def read_camera(text: str, where: str, side: str = "left") -> CameraModel | None
     raise CalibrationError(f"{where}: no camera_matrix (nor M1) in it: this is no OpenCV camera file")
 
 
+def holds_one_camera(text: str, where: str) -> bool:
+    """Whether a FileStorage text holds a camera and no rig. Raises CalibrationError."""
+    storage = _open(text, where)
+    return storage.getNode("M1").empty() and not storage.getNode("camera_matrix").empty()
+
+
 def read_rig(text: str, where: str) -> StereoRig:
     """The rig in a FileStorage text. Raises CalibrationError, or ValueError from the rig's own checks."""
     storage = _open(text, where)
-    if storage.getNode("M1").empty() and not storage.getNode("camera_matrix").empty():
-        raise CalibrationError(f"{where}: this is one camera, a rig has two: landfix calibrate stereo makes it")
     missing = [name for name in ("M1", "D1", "M2", "D2", "R", "T") if storage.getNode(name).empty()]
     if missing:
         raise CalibrationError(f"{where}: {', '.join(missing)} missing: this is no OpenCV stereo rig (needed: M1 D1 M2 D2 R T)")

@@ -61,6 +61,7 @@ class _CameraFile(msgspec.Struct, forbid_unknown_fields=True):
     format: str
     version: int
     camera: _Camera
+    body_from_camera: _Pose | None = None
 
 
 _File = TypeVar("_File", _RigFile, _CameraFile)
@@ -88,6 +89,17 @@ def read_camera(value: dict[str, Any], where: str) -> CameraModel:
     return _convert(value, _CameraFile, where).camera.model()
 
 
+def read_mount(value: dict[str, Any], where: str) -> StereoRig | None:
+    """The camera of a parsed camera file on its body; None where the file does not say where it sits."""
+    _check_version(value, where)
+    file = _convert(value, _CameraFile, where)
+    bc = file.body_from_camera
+    if bc is None:
+        return None
+    covariance_bc = _covariance(bc.covariance, where, "body_from_camera")
+    return StereoRig.of_one(file.camera.model(), np.array(bc.rotation), np.array(bc.translation_m), covariance_bc)
+
+
 def rig_text(rig: StereoRig) -> str:
     """The rig as a file; a pose on the body that is not known is left out."""
     text = (
@@ -104,6 +116,12 @@ def rig_text(rig: StereoRig) -> str:
 def camera_text(camera: CameraModel) -> str:
     """The camera as a file."""
     return f"# A camera. Pixels, radians.\nformat: {CAMERA_FORMAT}\nversion: {VERSION}\ncamera:\n{_camera(camera)}"
+
+
+def mounted_text(rig: StereoRig) -> str:
+    """The one camera of a rig and where it sits on the body, as a file."""
+    where = f"body_from_camera:  # x_b = rotation @ x_c + translation_m\n{_pose(rig.R_bc, rig.p_bc, rig.covariance_bc)}"
+    return f"{camera_text(rig.left)}# Metres, radians; c = camera (right, down, forward), b = body (FRD at the IMU).\n{where}"
 
 
 def _camera(camera: CameraModel) -> str:

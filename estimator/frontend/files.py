@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from calib.errors import CalibrationError
-from calib.files.formats import load_rig
+from calib.files.formats import load_cameras
 from estimator.frontend.processor import Sight
 from estimator.map_files import picture as picture_store
 from estimator.map_files import store as map_store
@@ -22,7 +22,7 @@ def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, pictu
         else:
             landmarks = LandmarkMap.from_landmarks(origin or _picture_origin(picture), [])
         known = picture_store.load(picture, landmarks.origin) if picture else None
-        return Sight(load_rig(rig_file), landmarks, known)
+        return Sight(load_cameras(rig_file), landmarks, known)
     except (CalibrationError, MapError, ValueError) as error:
         raise ConfigError(str(error)) from None
     except OSError as error:

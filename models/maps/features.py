@@ -20,6 +20,7 @@ from models.messages import Vec3
 DEFAULTED = ("height_m", "sigma_m", "ground_alt_m", "colour")  # properties that have a default
 FEW = "fewer than 3 corners"
 
+_UNUSED_HEIGHT = "the third coordinate ({:g}) is not used: give ground_alt_m (above the ellipsoid) and height_m (above it)"
 _Height = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
 _Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
 _Ring: TypeAlias = Sequence[Sequence[float]]
@@ -144,6 +145,10 @@ class Parts:
         polygons = [feature.geometry.coordinates] if isinstance(feature.geometry, _Polygon) else feature.geometry.coordinates
         attributes = map_properties.read(properties, self.defaults)
         self.remarks += [Finding(number, name, text) for text in attributes.remarks]
+        positions = chain.from_iterable(chain.from_iterable(polygons))
+        heights = [position[2] for position in positions if len(position) > 2 and position[2] != 0.0]
+        if heights:
+            self.remarks.append(Finding(number, name, _UNUSED_HEIGHT.format(heights[0])))
         for k, rings in enumerate(polygons, 1):
             if any(len(position) < 2 for ring in rings for position in ring):
                 self.rejected.append(Finding(number, name, "a position has fewer than two coordinates"))
@@ -193,6 +198,8 @@ def head_of(data: bytes) -> File:
 
 def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
+    if other := _other_form(data):
+        raise MapError(f"not a GeoJSON map: {other}")
     try:
         head = _decode_file(data)
     except _UNDECODABLE as error:
@@ -204,6 +211,21 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
     if head.type == "Feature":
         return head, [msgspec.Raw(data)]
     raise MapError("not a GeoJSON map: it has no features (expected a FeatureCollection)")
+
+
+def _other_form(data: bytes) -> str:
+    """The name of another form of map file and what converts it; empty where it is none that is known."""
+    head = data[:4096]
+    for name, seen in (
+        ("a GeoPackage", head.startswith(b"SQLite format 3\0")),
+        ("a Shapefile", head.startswith(b"\x00\x00\x27\x0a")),
+        ("KML", b"<kml" in head),
+    ):
+        if seen:
+            return f"{name}: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE"
+    if b'"elements"' in head and b'"osm3s"' in head:
+        return "Overpass JSON: export as GeoJSON in overpass-turbo.eu, or convert it with osmtogeojson FILE > map.geojson"
+    return ""
 
 
 def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:

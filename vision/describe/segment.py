@@ -45,6 +45,16 @@ class Tolerance:
     grey_saturation: float = 0.22  # below it a colour counts as grey: hue means nothing
     grey_lightness_ratio: float = 1.35
 
+    def scaled(self, by: float) -> "Tolerance":
+        """Every width times so much, ratios in logarithm; where grey begins stays."""
+        return Tolerance(
+            self.hue_deg * by,
+            self.saturation_ratio**by,
+            self.lightness_ratio**by,
+            self.grey_saturation,
+            self.grey_lightness_ratio**by,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Seeds:

@@ -13,7 +13,16 @@ from vision.describe import epipolar
 from vision.describe.correspond import Match, Search, Unmatched, correspond
 from vision.describe.measure import Accuracy, Level, Measured, Unmeasured, measure
 from vision.describe.regions import Limits, Region, find_regions
-from vision.describe.segment import Labels, Space, classes, colour_table, segment_colours, segment_intensity, segment_seeds
+from vision.describe.segment import (
+    Labels,
+    Space,
+    Tolerance,
+    classes,
+    colour_table,
+    segment_colours,
+    segment_intensity,
+    segment_seeds,
+)
 from vision.image import check, enhance
 from vision.image.rectify import Image, Mask, Rectification, rectify
 
@@ -24,6 +33,7 @@ class Settings:
 
     colours_bgr: tuple[tuple[float, float, float], ...] = ()
     space: Space = "hsv"
+    tolerance: Tolerance = field(default_factory=Tolerance)
     median_window: int = 3
     limits: Limits = field(default_factory=Limits)
     search: Search = field(default_factory=Search)
@@ -76,7 +86,7 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
     if image.ndim == 2:
         labels = segment_intensity(smooth)
     elif settings.colours_bgr:
-        labels = segment_colours(enhance.unveil(smooth), _table(settings.colours_bgr, settings.space))
+        labels = segment_colours(enhance.unveil(smooth), _table(settings.colours_bgr, settings.space, settings.tolerance))
     else:
         labels = segment_seeds(smooth, settings.space)
     return find_regions(image, labels, settings.limits, valid)
@@ -96,5 +106,5 @@ def grey(image: Image) -> Image:
 
 
 @lru_cache(maxsize=8)
-def _table(colours_bgr: tuple[tuple[float, float, float], ...], space: Space) -> Labels:
-    return colour_table(classes(colours_bgr, space), space)
+def _table(colours_bgr: tuple[tuple[float, float, float], ...], space: Space, tolerance: Tolerance) -> Labels:
+    return colour_table(classes(colours_bgr, space), space, tolerance)

@@ -66,27 +66,56 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 @dataclass(frozen=True, slots=True)
+class Peak:
+    """The best place of the search. p_n, R_nb: the pose there; ratio: of first to second peak; correlation: coefficient at it.
+
+    deviations: correlation over the standard deviation of those of all other places; seen_n (3,): ground where by the prior the
+    middle of what is seen lies; shown_n (2,): where by the map; q: points of the search are so many m apart; curvature (2, 2):
+    -d^2 rho / d(north, east)^2 [1/m^2], None where the peak has no one place, or lies at the border of the search.
+    """
+
+    p_n: Array
+    R_nb: Array
+    ratio: float
+    correlation: float
+    deviations: float
+    seen_n: Array
+    shown_n: Array
+    q: float
+    curvature: Array | None
+
+
+@dataclass(frozen=True, slots=True)
 class NotRegistered:
-    """Why not: no_ground | outside | prior_too_wide | no_structure | not_found | no_pose."""
+    """Why not: no_ground | outside | prior_too_wide | no_structure | not_found | no_pose; peak: of the search, if it had one."""
 
     reason: str
     detail: str = ""
+    peak: Peak | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Registered:
     """A pose with the evidence for it.
 
-    tried, agreed: blocks; chance: probability of that by chance; ratio: of first to second peak; correlation: coefficient at the
-    peak of the search.
+    tried, agreed: blocks; chance: probability of that by chance; peak: of the search.
     """
 
     pose: PoseEstimate
     tried: int
     agreed: int
     chance: float
-    ratio: float
-    correlation: float
+    peak: Peak
+
+    @property
+    def ratio(self) -> float:
+        """Of the first to the second peak."""
+        return self.peak.ratio
+
+    @property
+    def correlation(self) -> float:
+        """Coefficient at the peak of the search."""
+        return self.peak.correlation
 
     def is_sure(self, config: RegistrationConfig) -> bool:
         """Whether one picture is enough."""
@@ -110,14 +139,6 @@ class _Matched:
         return cls(Points(np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2, 2))), 0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    p_n: Array
-    R_nb: Array
-    ratio: float
-    correlation: float
-
-
 def register(
     rig: StereoRig, image: Image, prior: Prior, picture: GroundPicture, config: RegistrationConfig | None = None
 ) -> Registered | NotRegistered:
@@ -132,18 +153,18 @@ def register(
     for points, reach in zip(config.fine, config.search, strict=True):
         matched = _blocks(rig, levels, pose, picture, (points, reach, config.block))
         if len(matched.points.px) < _POINTS.least:
-            return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a place")
+            return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a place", place)
         found = fit_points(rig, matched.points, pose, prior, picture.shared_sigma, _POINTS)
         if isinstance(found, str):
-            return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}")
+            return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}", place)
         fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
     assert fit is not None
     tried = matched.tried
     agreed = int(np.sum(np.linalg.norm(fit.residual, axis=1) < _AGREES_PX * matched.point_px))
     if agreed < config.least_blocks:
-        return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {place.correlation:.2f}")
+        return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {place.correlation:.2f}", place)
     chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE))  # of so many or more, binomial
-    return Registered(fit.estimate, tried, agreed, chance, place.ratio, place.correlation)
+    return Registered(fit.estimate, tried, agreed, chance, place)
 
 
 def structure(view: Float) -> Float:
@@ -166,7 +187,7 @@ def shift_of_ground(arm_n: Array) -> Array:
 
 def _search(
     rig: StereoRig, levels: tuple[Image, ...], prior: Prior, picture: GroundPicture, config: RegistrationConfig
-) -> _Place | NotRegistered:
+) -> Peak | NotRegistered:
     """The place, heading and height where the picture's structure is most like the map's."""
     camera: Camera = (rig.left, *rig.camera_pose(prior.p_n, prior.R_nb))
     grid = make_grid(camera, picture, config.coarse)
@@ -224,7 +245,7 @@ def _correlation(image: Float, template: Float, mask: Float) -> Float:
 
 def _stands_out(
     scores: Float, inside: Mask, turns: list[tuple[float, float]], grid: Grid, ground: Array, prior: Prior
-) -> _Place | NotRegistered:
+) -> Peak | NotRegistered:
     """The best of all places and turns, and how far it stands out of the rest: (rho_1 - median) / (rho_2 - median)."""
     k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
     best, reach = float(scores[k, i, j]), len(inside) // 2
@@ -241,8 +262,36 @@ def _stands_out(
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     arm = R @ (ground - prior.p_n) * scale
-    shifted = grid.centre + turned.q * turned.axes @ np.array([float(j) - reach, float(i) - reach])
-    return _Place(np.append(shifted, ground[2]) - arm, R @ prior.R_nb, ratio, best)
+    to_n = turned.q * turned.axes
+    shifted = grid.centre + to_n @ np.array([float(j) - reach, float(i) - reach])
+    scatter = float(scores[k][elsewhere].std()) if elsewhere.any() else math.inf
+    shape = _curvature(scores[k], int(i), int(j)) if _surrounded(inside, int(i), int(j)) else None
+    shown, curvature = shifted, None
+    if shape is not None:
+        K, step = shape
+        to_grid = np.linalg.inv(to_n)
+        shown, curvature = shifted + to_n @ step, to_grid.T @ K @ to_grid
+    return Peak(
+        np.append(shifted, ground[2]) - arm, R @ prior.R_nb, ratio, best, best / scatter if scatter > 0.0 else 0.0, ground, shown,
+        turned.q, curvature,
+    )  # fmt: skip
+
+
+def _surrounded(inside: Mask, i: int, j: int) -> bool:
+    """Whether a place and its eight neighbours were searched."""
+    return 0 < i < len(inside) - 1 and 0 < j < inside.shape[1] - 1 and bool(inside[i - 1 : i + 2, j - 1 : j + 2].all())
+
+
+def _curvature(rho: Float, i: int, j: int) -> tuple[Array, Array] | None:
+    """K = -d^2 rho / d(column, row)^2 (2, 2) at a summit, and the step (2,) to the parabola's top; None where there is none."""
+    n = rho[i - 1 : i + 2, j - 1 : j + 2].astype(np.float64)
+    slope = 0.5 * np.array([n[1, 2] - n[1, 0], n[2, 1] - n[0, 1]])
+    twist = 0.25 * (n[2, 2] + n[0, 0] - n[0, 2] - n[2, 0])
+    K = -np.array([[n[1, 2] + n[1, 0] - 2.0 * n[1, 1], twist], [twist, n[2, 1] + n[0, 1] - 2.0 * n[1, 1]]])
+    if np.linalg.eigvalsh(K)[0] < 1e-3:
+        return None
+    step = np.linalg.solve(K, slope)
+    return (K, step) if np.abs(step).max() <= 1.0 else None
 
 
 def _blocks(
@@ -274,15 +323,10 @@ def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
     best = float(rho[i, j])
     if not (0 < i < len(rho) - 1 and 0 < j < len(rho) - 1) or best <= 0.0:
         return None
-    n = rho[i - 1 : i + 2, j - 1 : j + 2].astype(np.float64)
-    slope = 0.5 * np.array([n[1, 2] - n[1, 0], n[2, 1] - n[0, 1]])
-    twist = 0.25 * (n[2, 2] + n[0, 0] - n[0, 2] - n[2, 0])
-    K = -np.array([[n[1, 2] + n[1, 0] - 2.0 * n[1, 1], twist], [twist, n[2, 1] + n[0, 1] - 2.0 * n[1, 1]]])
-    if np.linalg.eigvalsh(K)[0] < 1e-3:
+    shape = _curvature(np.asarray(rho, dtype=np.float32), int(i), int(j))
+    if shape is None:
         return None
-    step = np.linalg.solve(K, slope)
-    if np.abs(step).max() > 1.0:
-        return None
+    K, step = shape
     noise = (1.0 - best**2) / best * _SAME_NOISE_PX / block.size
     return np.array([float(j), float(i)]) + step, noise * np.linalg.inv(K) + _FLOOR_PX**2 * np.eye(2)
 

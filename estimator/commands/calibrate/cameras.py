@@ -1,7 +1,6 @@
 """landfix calibrate mono, stereo, dlt and convert: cameras and stereo rigs from pictures of a board, and their files."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,9 +8,11 @@ import typer
 
 from estimator.commands.calibrate import options
 from estimator.commands.common.console import Json, print_json, print_table, progress
+from estimator.commands.common.mount import Mount, MountSigma, mount_of
 
 if TYPE_CHECKING:
     from calib.cameras.stereo import Stereo
+    from calib.files.formats import BodyPose
     from models.camera import StereoRig
     from models.messages import Array
 
@@ -26,6 +27,8 @@ def mono_command(
     marker_mm: options.MarkerMm = 0.0,
     dictionary: options.Dictionary = "DICT_5X5_1000",
     lens: options.LensOption = options.LensChoice.FIVE,
+    mount: Mount = "",
+    mount_sigma: MountSigma = "0.02,1",
     topic: Annotated[str, typer.Option(help="In a log: the pictures' topic.")] = "/left/image",
     report_file: options.ReportFile = None,
     json: Json = False,
@@ -33,12 +36,14 @@ def mono_command(
     """One camera.
 
     Needs about 20 pictures of a board, moved through the whole picture and tilted each way. Those that differ most are used.
+    With --mount (0,0,0,0,-90,0 looks down with the picture's upper edge forward) the file is a rig of one camera.
 
     \b
     Examples:
       landfix calibrate mono pictures/ --board 9x6 --square-mm 25 -o camera.yaml
       landfix calibrate mono 'left*.jpg' -o camera.xml --lens 4
       landfix calibrate mono walk.mp4 --square-mm 40 --marker-mm 30 -o camera.yaml
+      landfix calibrate mono pictures/ -o camera.yaml --mount 0.1,0,0.05,0,-90,0 --mount-sigma 0.01,0.5
       landfix calibrate mono camera:0 -o camera.yaml            a live camera, for a minute and a half
     """
     from calib.cameras import mono
@@ -46,14 +51,18 @@ def mono_command(
     from calib.report import page, pictures, verdict
     from estimator.commands.common.picture_source import files_of
     from estimator.commands.common.views import gather
+    from models.camera import StereoRig
 
     options.check_outputs(report_file or out, out, *map(Path, files_of(sources)))
-    pattern = options.board_of(board, square_mm, marker_mm, dictionary)
+    pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
     with progress("calibrate") as told:
         views, unused = gather(sources, topic, pattern, lambda f: told(0.8 * f))
         result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
     judged, tables = verdict.of_mono(result), [*page.mono_tables(result), page.dropped(unused)]
-    written = formats.save_camera(out, result.camera)
+    if placed is None:
+        written = formats.save_camera(out, result.camera)
+    else:
+        written = formats.save_mounted(out, StereoRig.of_one(result.camera, *placed))
     written += page.write(report_file or out, f"Camera {out.name}", judged, tables, pictures.mono_figure(result))
     facts = {
         "rms_px": result.solution.rms, "held_out_rms_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
@@ -71,10 +80,8 @@ def stereo_command(
     marker_mm: options.MarkerMm = 0.0,
     dictionary: options.Dictionary = "DICT_5X5_1000",
     lens: options.LensOption = options.LensChoice.FIVE,
-    mount: Annotated[
-        str, typer.Option(metavar="X,Y,Z,ROLL,PITCH,YAW", help="Left camera on the body: m forward, right, down of the IMU; deg.")
-    ] = "",
-    mount_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="How well --mount is known.")] = "0.02,1",
+    mount: Mount = "",
+    mount_sigma: MountSigma = "0.02,1",
     left_topic: Annotated[str, typer.Option(help="In a log: topic of the left pictures.")] = "/left/image",
     right_topic: Annotated[str, typer.Option(help="In a log: topic of the right pictures.")] = "/right/image",
     report_file: options.ReportFile = None,
@@ -99,12 +106,12 @@ def stereo_command(
     from estimator.commands.common.views import gather_pairs
 
     options.check_outputs(report_file or out, out, *map(Path, files_of([*left, *right])))
-    pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), _mount(mount, mount_sigma)
+    pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
     with progress("calibrate") as told:
         pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: told(0.8 * f))
         result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
     judged, tables = verdict.of_stereo(result), [*page.stereo_tables(result), page.dropped(unused)]
-    rig = placed(result.rig)
+    rig = _placed(result.rig, placed)
     written = formats.save_rig(out, rig)
     written += page.write(report_file or out, f"Stereo rig {out.name}", judged, tables, pictures.stereo_figure(result))
     facts = _stereo_facts(result, rig) if json else None
@@ -189,39 +196,11 @@ def _points(path: Path) -> "tuple[Array, Array]":
     return table[:, :3], table[:, 3:]
 
 
-class _Mount:
-    """Puts a rig on the body."""
+def _placed(rig: "StereoRig", mount: "BodyPose | None") -> "StereoRig":
+    """The rig where it was said to be; as it is where nothing was said."""
+    import msgspec
 
-    def __init__(self, place: Sequence[float], sigma: Sequence[float]) -> None:
-        self._place, self._sigma = place, sigma
-
-    def __call__(self, rig: "StereoRig") -> "StereoRig":
-        """The rig where it was said to be; as it is where nothing was said."""
-        if not self._place:
-            return rig
-        import msgspec
-        import numpy as np
-
-        from calib.files.rig_yaml import FORWARD
-        from models import so3
-
-        roll, pitch, yaw = np.deg2rad(self._place[3:])
-        variances = np.repeat(np.array([self._sigma[0], np.deg2rad(self._sigma[1])]) ** 2, 3)
-        return msgspec.structs.replace(
-            rig, R_bc=so3.matrix(so3.from_euler(roll, pitch, yaw)) @ FORWARD, p_bc=np.array(self._place[:3]),
-            covariance_bc=np.diag(variances),
-        )  # fmt: skip
-
-
-def _mount(place: str, sigma: str) -> _Mount:
-    try:
-        numbers = [float(x) for x in place.split(",")] if place else []
-        spread = [float(x) for x in sigma.split(",")]
-    except ValueError:
-        numbers, spread = [0.0], [0.0]
-    if len(numbers) not in {0, 6} or len(spread) != 2 or min(spread) <= 0:
-        raise typer.BadParameter("needed: --mount x,y,z,roll,pitch,yaw in m and deg, --mount-sigma m,deg", param_hint="--mount")
-    return _Mount(numbers, spread)
+    return rig if mount is None else msgspec.structs.replace(rig, **mount._asdict())
 
 
 def _camera(camera: Any) -> dict[str, Any]:

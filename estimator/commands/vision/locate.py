@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from estimator.commands.common.console import Json, note, print_json, print_table
+from estimator.commands.common.mount import Mount, MountSigma, mount_of
 
 if TYPE_CHECKING:
     from estimator.map_files.picture_file import PictureFile
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from vision.recognisers import MapPicture
 
 
+_APART_NS = 1_000_000_000  # of photos, whose time nobody has said
 _WIDEST_M = 1e7  # a quarter of the way around the Earth
 
 
@@ -28,14 +30,21 @@ class LocateError(ValueError):
 
 
 def command(
-    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
-    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the cameras (YAML or XML).")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="IMAGES...", help="LEFT [RIGHT] of a rig, or photos of one camera in order: PNG, JPEG, TIFF."),
+    ],
+    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of rig or camera (YAML or XML).")],
     prior: Annotated[
-        str,
-        typer.Option(metavar="LAT,LON,ALT,ROLL,PITCH,YAW", help="Prior pose of the vehicle: deg, m above the ellipsoid, deg."),
+        list[str],
+        typer.Option(
+            metavar="LAT,LON,ALT,ROLL,PITCH,YAW",
+            help="Prior pose of the vehicle: deg, m above the ellipsoid, deg. One for all photos, or repeated, one for each.",
+        ),
     ],
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
-    right: Annotated[Path | None, typer.Argument(metavar="[RIGHT]", help="Right picture, taken at the same time.")] = None,
+    mount: Mount = "",
+    mount_sigma: MountSigma = "0.02,1",
     prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
     picture: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
@@ -57,7 +66,11 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
-    """Compute one pose fix from one stereo pair, or from one image.
+    """Say where the vehicle is: a fix from a stereo pair, from one picture, or from several photos of one camera.
+
+    A camera file of landfix calibrate mono needs --mount (0,0,0,0,-90,0 looks down with the photo's upper edge forward), which is
+    that of the photo as a viewer shows it. Photos of another size are scaled where the aspect ratio is the camera's. Of several
+    photos a later one may confirm an earlier one; the answer is that of the last photo with a fix.
 
     Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
     orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.
@@ -69,43 +82,107 @@ def command(
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
+      landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
-    from calib.files.formats import load_rig
-    from estimator.commands.common.picture_source import picture as read_picture
+    from calib.files.formats import load_cameras
     from estimator.map_files.picture_file import PictureFile
-    from vision.recognisers import Recognisers
 
-    believed = _numbers(prior, 6, "--prior", "47.3977,8.5456,560,0,0,90")
+    poses = [_numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90") for text in prior]
     sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
     if within_m is not None and not within_m > 0.0:
         raise typer.BadParameter(f"--within {within_m:g} must be above 0")
     if map_file is None and picture is None:
         raise typer.BadParameter("a map is needed: --map, --picture, or both")
-    rig = load_rig(rig_file)
+    rig = load_cameras(rig_file, mount_of(mount, mount_sigma))
+    if not rig.one_camera and len(files) > 2:
+        raise typer.BadParameter(
+            f"{len(files)} files: a rig of two cameras takes LEFT [RIGHT]; several photos are for one camera"
+        )
+    pair = [(files[0], files[1] if len(files) == 2 else None)]
+    shots: list[tuple[Path, Path | None]] = [(path, None) for path in files] if rig.one_camera else pair
+    if len(poses) not in {1, len(shots)}:
+        raise typer.BadParameter(f"--prior given {len(poses)} times for {len(shots)} photos: give one for all, or one for each")
     known = None
     if picture is not None:
         known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
     landmarks, map_picture = _map(map_file, known)
-    images = [None if path is None else read_picture(path) for path in (left, right)]
-    start = _prior(landmarks, believed, sigma)
-    try:
-        recognisers = Recognisers(rig, landmarks, map_picture)
-    except ValueError as error:
-        raise LocateError(f"{rig_file}: {error}") from None
-    result = recognisers.process(images[0], images[1], 0, start)
-    if out is not None and images[0] is not None:
-        _write_overlay(out, images[0], rig, landmarks, start, result)
+    starts = [_prior(landmarks, pose, sigma) for pose in poses] * (len(shots) if len(poses) == 1 else 1)
+    rig, images = _images(shots, rig, bool(mount))
+    results = _results(rig_file, rig, landmarks, map_picture, images, starts)
+    k = max((k for k, result in enumerate(results) if result.fix is not None), default=len(results) - 1)
+    start, result = starts[k], results[k]
+    left = images[k][0]
+    if out is not None and left is not None:
+        _write_overlay(out, left, rig, landmarks, start, result)
     answer = _as_json(landmarks, start, result)
+    if len(shots) > 1:
+        answer["photo"] = str(files[k])
+        answer["photos"] = [
+            {"file": str(path), "outcome": r.report.outcome, "detail": r.report.detail}
+            for path, r in zip(files, results, strict=True)
+        ]
     if json:
         print_json(answer)
     else:
         _print(answer, result)
+    if result.report.outcome == "no_landmark_near":
+        raise LocateError(f"no fix: no_landmark_near: {_how_far(landmarks, start)}")
     if result.fix is None:
         raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
     known_m = answer["with_prior"]["within_m"]
     if within_m is not None and not known_m <= within_m:
         raise LocateError(f"no fix good to {within_m:g} m: with the prior it is good to {known_m:.2f} m (95 %)")
+
+
+def _images(
+    shots: "list[tuple[Path, Path | None]]", rig: "StereoRig", shown: bool
+) -> "tuple[StereoRig, list[tuple[Image, Image | None]]]":
+    """The images at the cameras' size; shown: the camera's mount is that of the photo as a viewer shows it."""
+    import msgspec
+
+    from estimator.commands.common import photo
+    from estimator.commands.common.picture_source import picture as read_picture
+
+    if not rig.one_camera:
+        return rig, [
+            (
+                photo.fitted(left, read_picture(left), rig.left, 0)[0],
+                None if right is None else photo.fitted(right, read_picture(right), rig.right, 0)[0],
+            )
+            for left, right in shots
+        ]
+    turns = [photo.quarter_turns(left) for left, _ in shots]
+    fitted = [photo.fitted(left, read_picture(left), rig.left, n) for (left, _), n in zip(shots, turns, strict=True)]
+    if shown:
+        left_to_turn = {0 if turned else n for n, (_, turned) in zip(turns, fitted, strict=True)}
+        if len(left_to_turn) > 1:
+            raise LocateError(
+                "the photos' EXIF orientations differ, so that --mount is not the same for all: locate them one by one"
+            )
+        rig = msgspec.structs.replace(rig, R_bc=photo.turned_mount(rig.R_bc, left_to_turn.pop()))
+    return rig, [(image, None) for image, _ in fitted]
+
+
+def _results(
+    rig_file: Path,
+    rig: "StereoRig",
+    landmarks: "LandmarkMap",
+    map_picture: "MapPicture | None",
+    images: "list[tuple[Image, Image | None]]",
+    starts: "list[Prior]",
+) -> "list[Result]":
+    """What is found in each image, one after the other, as a later one may confirm an earlier one."""
+    from vision.recognisers import Recognisers
+
+    try:
+        recognisers = Recognisers(rig, landmarks, map_picture)
+    except ValueError as error:
+        raise LocateError(f"{rig_file}: {error}") from None
+    return [
+        recognisers.process(left, right, k * _APART_NS, start)
+        for k, ((left, right), start) in enumerate(zip(images, starts, strict=True))
+    ]
 
 
 def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
@@ -122,6 +199,25 @@ def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkM
         assert known is not None
         landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
     return landmarks, picture_store.load(known, landmarks.origin) if known else None
+
+
+def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
+    """How far the map is from the prior, and whether latitude and longitude look exchanged."""
+    import numpy as np
+
+    def nearest_m(place: "Array") -> float:
+        return float(np.hypot(*(landmarks.columns.vertices - place[:2]).T).min())
+
+    lat, lon, alt = landmarks.frame.to_geodetic(prior.p_n)
+    here_m = nearest_m(prior.p_n)
+    text = (
+        f"the nearest landmark is {here_m / 1e3:.1f} km from --prior"
+        if here_m > 1e3
+        else f"the nearest one is {here_m:.0f} m away"
+    )
+    if abs(lon) <= 90.0 and nearest_m(np.array(landmarks.frame.to_ned(lon, lat, alt))) < 0.01 * here_m:
+        return f"{text}; with latitude and longitude exchanged it is near: give LAT,LON"
+    return f"{text}, none comes into view: check --prior, --prior-sigma and --mount"
 
 
 def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
@@ -210,6 +306,8 @@ def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict
 
 
 def _print(answer: dict[str, Any], result: "Result") -> None:
+    if "photos" in answer:
+        print_table("Photos", [(p["file"], p["outcome"].replace("_", " "), p["detail"]) for p in answer["photos"]])
     if result.regions:
         rows = [
             (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)

@@ -33,6 +33,10 @@ def command(
         list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to look for, 0..255; repeat for more.")
     ] = None,
     space: Annotated[Literal["hsv", "hsi", "lab", "yuv", "grey"], typer.Option(help="Colour space of the segmentation.")] = "hsv",
+    tolerance: Annotated[
+        float,
+        typer.Option(min=0.1, max=3.0, help="Width of a --colour: below 1 a paler reflection of a thing is not part of it."),
+    ] = 1.0,
     nearest_m: Annotated[float, typer.Option("--nearest", metavar="M", min=0.1, help="Nothing is nearer than this.")] = 4.0,
     most: Annotated[int, typer.Option(min=1, max=200, help="Most regions, the largest first.")] = 20,
     least_px: Annotated[int, typer.Option(min=9, help="Fewest pixels of a region.")] = 60,
@@ -48,18 +52,21 @@ def command(
     Examples:
       landfix measure left.png right.png --rig rig.yaml
       landfix measure left.png right.png --rig rig.xml --colour 190,50,40 --colour 40,80,170 -o regions.png
+      landfix measure left.png right.png --rig rig.yaml --colour 190,50,40 --tolerance 0.5     without its reflection on the floor
       landfix measure left.tif right.tif --rig rig.yaml --json
     """
     from calib.files.formats import load_rig
     from estimator.commands.common.picture_source import picture
     from vision.describe.correspond import Search
     from vision.describe.regions import Limits
+    from vision.describe.segment import Tolerance
     from vision.describe.survey import Settings, survey
 
     rig = load_rig(rig_file)
     settings = Settings(
         colours_bgr=tuple(_colour(c) for c in colours or ()),
         space=space,
+        tolerance=Tolerance().scaled(tolerance),
         limits=Limits(most=most, least_px=least_px),
         search=Search(nearest_m=nearest_m),
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from calib.errors import CalibrationError
-from calib.files.formats import load_rig
+from calib.files.formats import load_cameras
 from estimator.config import Config
 from estimator.service.log.recovery import FolderError, claim
 from estimator.service.mavlink.config import Serial, address_of, signing_key
@@ -57,12 +57,13 @@ def _cameras(config: Config, folder: Path) -> Iterator[Check]:
     if not config.rig.file or not (folder / config.rig.file).is_file():
         return
     try:
-        rig = load_rig(folder / config.rig.file)
+        rig = load_cameras(folder / config.rig.file)
     except CalibrationError as error:
         yield judge("rig", str(error), fail=True, advice="landfix calibrate stereo writes one; convert reads other formats")
         return
-    known = rig.covariance_rc is not None and rig.covariance_bc is not None
-    found = f"{rig.left.width} x {rig.left.height} px, {1e3 * rig.baseline_m:.0f} mm apart"
+    known = rig.covariance_bc is not None and (rig.one_camera or rig.covariance_rc is not None)
+    apart = "one camera" if rig.one_camera else f"{1e3 * rig.baseline_m:.0f} mm apart"
+    found = f"{rig.left.width} x {rig.left.height} px, {apart}"
     advice = "it gives no covariances, so fixes will claim to be better than they are; calibrate with landfix"
     yield judge("rig", found, warn=not known, advice=advice)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calib.errors import CalibrationError
-from calib.files.formats import load_rig
+from calib.files.formats import load_cameras
 from estimator.config import Config, ConfigError, parse, read
 from estimator.map_files import store as map_store
 from estimator.publish import CONFIG_ATTACHMENT
@@ -56,7 +56,7 @@ def scenery(
             paths[kind] = path
         try:
             landmarks = map_store.load(paths["map"], Defaults(origin=config.map.origin))
-            return Scenery(load_rig(paths["calibration"]), landmarks)
+            return Scenery(load_cameras(paths["calibration"]), landmarks)
         except (CalibrationError, MapError, ValueError) as error:
             raise ConfigError(str(error).replace(f"{unpacked}/", f"{log}, ")) from None
         except OSError as error:

@@ -8,7 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.files.formats import CalibrationError, Format, load_camera, load_rig, save_camera, save_rig
+from calib.files.formats import (
+    BodyPose,
+    CalibrationError,
+    Format,
+    load_camera,
+    load_cameras,
+    load_rig,
+    save_camera,
+    save_mounted,
+    save_rig,
+)
 from calib.files.rig_yaml import FORWARD
 from models import so3
 from models.camera import CameraModel, StereoRig
@@ -223,3 +233,28 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
     path.write_text("%YAML:1.0\n" + "# nothing\n" * 100_000)
     with pytest.raises(CalibrationError, match="rig: is larger than 1_000_000 bytes"):
         load_rig(path)
+
+
+def test_one_camera_on_the_body_comes_back(tmp_path: Path) -> None:
+    """It is no rig of two, says where it sits, or is given that; its covariance too."""
+    known = rig()
+    alone = StereoRig.of_one(known.left, known.R_bc, known.p_bc, known.covariance_bc)
+    save_mounted(tmp_path / "camera.yaml", alone)
+    back = load_cameras(tmp_path / "camera.yaml")
+    assert back.one_camera
+    assert_same(alone, back, 0.0)
+    np.testing.assert_array_equal(back.covariance_bc, known.covariance_bc)
+    assert load_camera(tmp_path / "camera.yaml").width == known.left.width
+    with pytest.raises(CalibrationError, match="one camera"):
+        load_rig(tmp_path / "camera.yaml")
+    with pytest.raises(CalibrationError, match="yaml only"):
+        save_mounted(tmp_path / "camera.xml", alone)
+    assert known.covariance_bc is not None
+    mount = BodyPose(known.R_bc, known.p_bc, known.covariance_bc)
+    for name, form in (("a.yaml", None), ("b.xml", None), ("c.yaml", Format.ROS), ("d.yaml", Format.KALIBR)):
+        save_camera(tmp_path / name, known.left, form)
+        with pytest.raises(CalibrationError, match="--mount"):
+            load_cameras(tmp_path / name)
+        given = load_cameras(tmp_path / name, mount)
+        assert given.one_camera
+        assert_same(alone, given, 1e-12)

@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
-from calib.files.formats import load_camera, load_rig, save_rig
+from calib.files.formats import load_camera, load_cameras, load_rig, save_rig
 from calib.synthetic import motion as synthetic_motion
 from calib.synthetic import views as synthetic
 from calib.synthetic.motion import EUROC_NOISE, Truth
@@ -73,6 +73,17 @@ def test_mono_writes_camera_report_and_picture(folder: Path, tmp_path: Path) -> 
     assert facts["verdict"] in {"good", "usable"}
     assert 0.02 < facts["rms_px"] < 0.4
     assert len(facts["camera"]["sigma"]) == 8
+
+
+def test_mono_with_a_mount_writes_a_rig_of_one_camera(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "camera.yaml"
+    text = run("mono", folder / "left_*.png", *SIZE, "-o", out, "--mount", "0.1,0.0,0.05,0,-90,0")
+    assert text.exit_code == 0, text.output
+    rig = load_cameras(out)
+    assert rig.one_camera
+    np.testing.assert_allclose(rig.p_bc, (0.1, 0.0, 0.05))
+    np.testing.assert_allclose(rig.R_bc @ (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), atol=1e-12)  # it looks down,
+    np.testing.assert_allclose(rig.R_bc @ (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), atol=1e-12)  # the upper edge is forward
 
 
 def test_stereo_writes_a_rig_that_is_where_the_mount_says(folder: Path, tmp_path: Path) -> None:

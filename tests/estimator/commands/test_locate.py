@@ -7,11 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner, Result
 
-from calib.files.formats import save_rig
+from calib.errors import CalibrationError
+from calib.files.formats import load_rig, save_camera, save_rig
+from calib.files.rig_yaml import FORWARD
 from estimator.cli import app
+from estimator.commands.common import photo
 from models import so3
+from models.camera import CameraModel
 from models.frames import Origin
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render_pair
@@ -111,7 +116,8 @@ def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> No
     ],
 )
 def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> None:
-    result = run(folder / "left.png", *options(folder), *given)
+    usual = options(folder)[: 4 if given[0] == "--prior" else None]
+    result = run(folder / "left.png", *usual, *given)
     assert result.exit_code == 2
     assert said in " ".join(result.stderr.replace("│", " ").split())
 
@@ -137,3 +143,96 @@ def test_a_missing_or_bad_file_is_one_line(folder: Path, tmp_path: Path) -> None
         assert result.stderr.startswith("landfix: ")
         assert result.stderr.count("\n") == 1
         assert "internal error" not in result.stderr
+
+
+def test_a_place_far_from_the_map_says_how_far_and_whether_it_is_exchanged(folder: Path) -> None:
+    lat, lon, *rest = (folder / "prior.txt").read_text().split(",")
+    north = ",".join((f"{float(lat) + 0.2:.6f}", lon, *rest))
+    far = run(folder / "left.png", *options(folder)[:4], "--prior", north)
+    assert far.exit_code == 1
+    assert "the nearest landmark is 22." in far.stderr
+    assert "exchanged" not in far.stderr
+    exchanged = run(folder / "left.png", *options(folder)[:4], "--prior", ",".join((lon, lat, *rest)))
+    assert "latitude and longitude exchanged" in exchanged.stderr
+
+
+def one_camera(folder: Path, out: Path) -> list[object]:
+    """The rig's left camera as `calibrate mono` writes it, and --mount: forward is the upper edge of the photo."""
+    rig = load_rig(folder / "rig.yaml")
+    save_camera(out / "camera.yaml", rig.left)
+    mount = [*rig.p_bc, *(math.degrees(a) for a in so3.to_euler(so3.from_matrix(rig.R_bc @ FORWARD.T)))]
+    assert rig.covariance_bc is not None
+    metres, radians = np.sqrt(np.diag(rig.covariance_bc))[[0, 3]].tolist()
+    sigma = f"{metres:.6f},{math.degrees(radians):.6f}"
+    place = ",".join(f"{x:.9f}" for x in mount)
+    return ["--rig", out / "camera.yaml", *options(folder)[2:], "--json", "--mount-sigma", sigma, "--mount", place]
+
+
+def test_one_camera_gives_the_fix_of_the_rig_s_left_one(folder: Path, tmp_path: Path) -> None:
+    """Where the camera is half as large, the photo at twice its size gives nearly the same."""
+    given = one_camera(folder, tmp_path)
+    of_rig = json.loads(run(folder / "left.png", *options(folder), "--prior-sigma", "5,1", "--json").stdout)["fix"]
+    result = run(folder / "left.png", *given, "--prior-sigma", "5,1")
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose(json.loads(result.stdout)["fix"]["p_n_m"], of_rig["p_n_m"], atol=0.3)
+    left = cv2.imread(str(folder / "left.png"))
+    assert left is not None
+    cv2.imwrite(str(tmp_path / "large.png"), cv2.resize(left, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC))
+    large = run(tmp_path / "large.png", *given, "--prior-sigma", "5,1")
+    assert large.exit_code == 0, large.output
+    np.testing.assert_allclose(json.loads(large.stdout)["fix"]["p_n_m"], of_rig["p_n_m"], atol=0.5)
+    cv2.imwrite(str(tmp_path / "narrow.png"), left[:, 100:])
+    narrow = run(tmp_path / "narrow.png", *given)
+    assert narrow.exit_code == 1
+    assert "another aspect ratio" in narrow.stderr
+
+
+def test_several_photos_of_one_camera(folder: Path, tmp_path: Path) -> None:
+    black = tmp_path / "black.png"
+    cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
+    given = [*one_camera(folder, tmp_path), "--prior-sigma", "5,1"]
+    answer = json.loads(run(folder / "left.png", black, *given).stdout)
+    assert [p["outcome"] for p in answer["photos"]] == ["fixed", "no_picture"]
+    assert answer["photo"] == str(folder / "left.png")
+    three = run(folder / "left.png", black, black, *given, "--prior", "47,8,500,0,0,0")
+    assert three.exit_code == 2
+    assert "2 times for 3 photos" in " ".join(three.stderr.replace("│", " ").split())
+
+
+def test_one_camera_without_a_mount_or_where_two_are_needed(folder: Path, tmp_path: Path) -> None:
+    given = one_camera(folder, tmp_path)
+    assert "--mount X,Y,Z,ROLL,PITCH,YAW" in run(folder / "left.png", *given[:-2]).stderr
+    pair = folder / "left.png", folder / "right.png"
+    measured = CliRunner().invoke(app, ["measure", *map(str, pair), "--rig", str(tmp_path / "camera.yaml")])
+    assert measured.exit_code == 1
+    assert "one camera" in measured.stderr
+
+
+@pytest.mark.parametrize(("flag", "turns"), [(1, 0), (6, 1), (3, 2), (8, 3)])
+def test_the_mount_is_that_of_the_photo_as_it_is_shown(tmp_path: Path, flag: int, turns: int) -> None:
+    """The same ray on the body, through the sensor's pixel, and through the pixel of the photo as OpenCV shows it upright."""
+    marked = np.zeros((60, 80, 3), np.uint8)
+    marked[8:13, 18:23] = 255
+    exif = Image.Exif()
+    exif[0x0112] = flag
+    Image.fromarray(marked).save(tmp_path / "photo.jpg", exif=exif)
+    shown = cv2.imread(str(tmp_path / "photo.jpg"))  # OpenCV obeys the flag
+    assert shown is not None
+    assert photo.quarter_turns(tmp_path / "photo.jpg") == turns
+    height, width = shown.shape[:2]
+    sensor, upright = (CameraModel(w, h, 50.0, 50.0, 0.5 * (w - 1), 0.5 * (h - 1)) for w, h in ((80, 60), (width, height)))
+    at = np.argwhere(shown[..., 0] > 128).mean(axis=0)[::-1]
+    turned = photo.turned_mount(FORWARD, turns) @ sensor.ray(np.array([[20.0, 10.0]]))[0]
+    np.testing.assert_allclose(turned, FORWARD @ upright.ray(at[None])[0], atol=0.01)
+    image, was_turned = photo.fitted(tmp_path / "photo.jpg", marked, upright, turns)
+    assert was_turned == (turns % 2 == 1)
+    if was_turned:
+        np.testing.assert_allclose(image.astype(float), shown.astype(float), atol=60)
+
+
+def test_a_mirrored_photo_is_refused(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 5
+    Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(tmp_path / "photo.jpg", exif=exif)
+    with pytest.raises(CalibrationError, match="mirrored"):
+        photo.quarter_turns(tmp_path / "photo.jpg")

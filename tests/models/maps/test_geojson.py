@@ -174,10 +174,32 @@ def test_too_many_corners() -> None:
     assert [finding.text for finding in the_map.report.rejected] == ["more than 1000 corners: simplify the outline"]
 
 
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
+        (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
+        (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
+        (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "osmtogeojson"),
+    ],
+)
+def test_other_forms_of_maps_are_named_with_their_converter(data: bytes, said: str) -> None:
+    with pytest.raises(MapError, match=said):
+        LandmarkMap.from_geojson(data)
+
+
 def test_holes_are_left_out_and_said() -> None:
     the_map = read(feature([ring(), ring(length=3.0, width=3.0)]))
     assert [landmark.size_m2 for landmark in the_map] == pytest.approx([96.0], abs=1e-3)
     assert "holes are left out" in the_map.report.remarks[0].text
+
+
+@pytest.mark.parametrize(("height", "remarks"), [(530.0, 1), (0.0, 0)])
+def test_a_third_coordinate_is_said_to_be_unused(height: float, remarks: int) -> None:
+    the_map = read(feature([[[*position, height] for position in ring()]]))
+    assert len(the_map) == 1
+    texts = [finding.text for finding in the_map.report.remarks]
+    assert sum("third coordinate (530) is not used: give ground_alt_m" in text for text in texts) == remarks
 
 
 def test_the_parts_of_a_multipolygon_are_landmarks_of_their_own() -> None:

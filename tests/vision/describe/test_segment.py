@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vision.describe.segment import (
     Seeds,
     Space,
+    Tolerance,
     classes,
     colour_table,
     cylinder,
@@ -154,3 +155,12 @@ def test_a_thing_is_found_whether_darker_or_brighter_on_ground_of_any_level() ->
 def test_an_empty_picture_has_no_things_however_faint_its_noise() -> None:
     noise = np.random.default_rng(3).normal(100.0, 1.0, (240, 320)).astype(np.uint8)
     assert not segment_intensity(noise).any()
+
+
+def test_a_narrower_tolerance_leaves_a_paler_reflection_out() -> None:
+    """A red box, and the same red mixed with a floor's grey, of the same hue and 0.6 times its saturation."""
+    box, reflection = (40, 50, 190), (96, 102, 190)
+    picture = np.array([[box, reflection]], dtype=np.uint8)
+    usual, narrow = (segment_colours(picture, colour_table([box], "hsv", Tolerance().scaled(f)))[0].tolist() for f in (1.0, 0.5))
+    assert usual == [1, 1]
+    assert narrow == [1, 0]

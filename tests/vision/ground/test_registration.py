@@ -1,5 +1,7 @@
 """Registration against a picture of the ground: rendered ground, true poses, drawn priors."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -173,8 +175,9 @@ def test_evidence_is_needed_of_both_kinds() -> None:
     *_, found = _case(0)
     assert isinstance(found, Registered)
     fields = {name: getattr(found, name) for name in found.__dataclass_fields__}
-    assert not Registered(**{**fields, "ratio": 1.1}).is_sure(_CONFIG)
-    assert Registered(**{**fields, "ratio": 1.1}).is_likely(_CONFIG)
+    lower = replace(found.peak, ratio=1.1)
+    assert not Registered(**{**fields, "peak": lower}).is_sure(_CONFIG)
+    assert Registered(**{**fields, "peak": lower}).is_likely(_CONFIG)
     assert not Registered(**{**fields, "chance": 1e-3}).is_likely(_CONFIG)
     strict = msgspec.structs.replace(_CONFIG, sure=1e-30)
     assert not found.is_sure(strict)

@@ -1,0 +1,89 @@
+"""A fix by the peak of the search alone: drawn ground in another season, true poses, drawn priors; blocks never agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from models import so3
+from models.messages import Array
+from tests.vision.ground import scene
+from vision.ground.peak import PeakConfig, fit_peak, peak_flaw
+from vision.ground.picture import GroundPicture, Heights
+from vision.ground.registration import NotRegistered, Peak, RegistrationConfig, register
+from vision.identify.identify import Prior
+from vision.pose.pose import difference
+
+_SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
+_NO_BLOCKS = RegistrationConfig(least_blocks=10**6)
+
+
+def _case(seed: int, known: Array | None = None) -> tuple[Array, Array, Prior, GroundPicture, Peak | None]:
+    rng = np.random.default_rng(seed)
+    picture = scene.map_picture(scene.drawing(seed, 1) if known is None else known)
+    p_n, R_nb, prior = scene.flight(rng, _SIGMA)
+    found = register(scene.RIG, scene.shot(scene.drawing(seed), p_n, R_nb, rng), prior, picture, _NO_BLOCKS)
+    assert isinstance(found, NotRegistered)
+    return p_n, R_nb, prior, picture, found.peak
+
+
+def test_the_peak_is_a_partial_fix_whose_covariance_holds() -> None:
+    """North and east alone: two directions, height and yaw of the joint are the prior's."""
+    alone, joint = [], []
+    for seed in range(12):
+        p_n, R_nb, prior, picture, peak = _case(seed)
+        assert peak is not None
+        fit = fit_peak(scene.RIG, prior, picture, peak)
+        assert not isinstance(fit, str), (seed, fit)
+        assert fit.directions is not None
+        assert fit.directions.shape == (2, 6)
+        alone.append(scene.chi_square(fit, p_n, R_nb) / 3.0)  # of 2
+        e = difference(p_n, R_nb, fit.joint_p_n, so3.from_matrix(np.ascontiguousarray(fit.joint_R_nb)))
+        joint.append(float(e @ np.linalg.solve(fit.joint_covariance, e)))
+        assert fit.joint_covariance[2, 2] == pytest.approx(prior.covariance[2, 2], rel=0.05)
+        assert np.diag(fit.joint_covariance)[:2].max() < 0.1 * prior.covariance[0, 0]
+    assert max(alone) < chi2.ppf(1.0 - 1e-4, 2)
+    assert max(joint) < chi2.ppf(1.0 - 1e-4, 6)
+    assert 0.05 < np.mean(alone) / 2.0 < 1.4
+
+
+@pytest.mark.parametrize("decoy", ["turned", "another place", "another ground"])
+def test_a_wrong_map_has_no_such_peak(decoy: str) -> None:
+    for seed in range(12):
+        ground = scene.drawing(seed)
+        known = {
+            "turned": ground[::-1, ::-1],
+            "another place": np.roll(ground, 500, (0, 1)),
+            "another ground": scene.drawing(seed + 99),
+        }[decoy]
+        peak = _case(seed, known)[-1]
+        assert peak is None or peak_flaw(peak, PeakConfig())
+
+
+def test_each_condition_counts() -> None:
+    *_, prior, picture, peak = _case(0)
+    assert peak is not None
+    for change, said in (
+        ({"ratio": 1.24}, "times the second"),
+        ({"correlation": 0.19}, "correlation 0.19"),
+        ({"deviations": 4.9}, "standard deviations"),
+        ({"curvature": None}, "no one place"),
+    ):
+        flaw = fit_peak(scene.RIG, prior, picture, replace(peak, **change))
+        assert isinstance(flaw, str)
+        assert said in flaw
+
+
+def test_the_less_is_explained_the_less_is_claimed() -> None:
+    """What moves the peak is common to all images: it does not average out."""
+    *_, prior, picture, peak = _case(0)
+    picture = replace(picture, heights=Heights.level(float(picture.heights.down[0, 0])))
+    assert peak is not None
+    sigma = []
+    for rho in (0.8, 0.4, 0.25):
+        fit = fit_peak(scene.RIG, prior, picture, replace(peak, correlation=rho))
+        assert not isinstance(fit, str)
+        assert fit.directions is not None
+        sigma.append(float(np.sqrt(np.trace(fit.directions @ fit.covariance_common @ fit.directions.T))))
+    assert sigma[0] < sigma[1] < sigma[2]

@@ -1,0 +1,71 @@
+"""Position by the peak of registration's search alone, where its blocks do not agree: north and east of what is seen.
+
+Images of another date have few blocks that fit, but one place where the whole fits best. The middle of what the camera sees, at
+a pixel known by the prior, is the point of the map at the peak. Of each image, and common to all (it counts as the map's error):
+
+    C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
+    s = m unevenness (1 - rho)^4
+
+s: edges that are not where the map has them, of shadows and of what leans over, move the peak, the more the less is explained.
+Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other places.
+"""
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from models.camera import StereoRig
+from vision.ground.picture import GroundPicture
+from vision.ground.registration import Peak
+from vision.identify.identify import Prior
+from vision.pose.point_pose import PointConfig, Points, fit_points
+from vision.pose.pose import PoseEstimate
+
+_POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point says nothing of its own noise
+
+
+class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """When a peak makes a fix, and c, f, m of its covariance."""
+
+    ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second")] = 1.25
+    correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak")] = 0.2
+    deviations: Annotated[float, Meta(ge=0, description="correlation at the peak over the scatter at other places")] = 5.0
+    noise: Annotated[float, Meta(gt=0, description="c: variance of the correlation's noise")] = 2e-3
+    step: Annotated[float, Meta(gt=0, description="f: of the search's step, 1 sigma")] = 0.3
+    moved: Annotated[float, Meta(ge=0, description="m: of the unevenness, 1 sigma, where nothing correlates")] = 1.2
+
+
+def peak_flaw(peak: Peak, config: PeakConfig) -> str:
+    """Why a peak makes no fix; empty where it does."""
+    if peak.curvature is None:
+        return "the peak of the search has no one place within it"
+    if peak.ratio < config.ratio:
+        return f"the peak is {peak.ratio:.2f} times the second, needed {config.ratio:g}"
+    if peak.correlation < config.correlation:
+        return f"correlation {peak.correlation:.2f}, needed {config.correlation:g}"
+    if peak.deviations < config.deviations:
+        return f"the peak is {peak.deviations:.1f} standard deviations of other places high, needed {config.deviations:g}"
+    return ""
+
+
+def fit_peak(
+    rig: StereoRig, prior: Prior, picture: GroundPicture, peak: Peak, config: PeakConfig | None = None
+) -> PoseEstimate | str:
+    """The pose by the prior and the place of the peak, or why there is none; measured along two directions only."""
+    config = config or PeakConfig()
+    if flaw := peak_flaw(peak, config):
+        return flaw
+    assert peak.curvature is not None
+    rho = peak.correlation
+    C = config.noise * (1.0 - rho**2) / rho * np.linalg.inv(peak.curvature) + (config.step * peak.q) ** 2 * np.eye(2)
+    p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
+    x_c = ((peak.seen_n - p_nc) @ R_nc)[None]
+    J = (rig.left.project_jacobian(x_c)[0] @ R_nc.T)[:, :2]
+    point = Points(picture.points(peak.shown_n[None]), rig.left.project(x_c), (J @ C @ J.T)[None])
+    horizontal, height, slope = picture.shared_sigma
+    moved = config.moved * picture.heights.unevenness_m * (1.0 - rho) ** 4
+    found = fit_points(rig, point, (prior.p_n, prior.R_nb), prior, (math.hypot(horizontal, moved), height, slope), _POINT)
+    return found if isinstance(found, str) else found.estimate
