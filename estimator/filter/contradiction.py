@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.filter.eskf import Innovation
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
@@ -68,9 +67,9 @@ class Contradiction(NamedTuple):
 NO_CONTRADICTION = Contradiction()
 
 
-def direction(seen: Innovation) -> tuple[float, ...]:
-    """The innovation in units of its sigma, of length 1, (m,)."""
-    scaled = seen.nu / np.sqrt(seen.s.diagonal())
+def direction(nu: Array, s: Array) -> tuple[float, ...]:
+    """An innovation nu (m,) of covariance s (m, m) in units of its sigma, of length 1, (m,)."""
+    scaled = nu / np.sqrt(s.diagonal())
     return tuple((scaled / max(float(np.linalg.norm(scaled)), _TINY)).tolist())
 
 

@@ -351,7 +351,7 @@ class Tracker:
         limit = gate(aid.rules.gate_probability, len(seen.nu))
         foreseen = seen.distance2 * self.variance_factor.value <= limit
         if aid.absolute:
-            before, self.direction = self.direction, contradiction.direction(seen)
+            before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
             foreseen |= seen.distance2 <= limit and not contradiction.persists(before, self.direction)
             if len(self.hypotheses.members) == 1:
                 self._note_variance(aid, seen)
