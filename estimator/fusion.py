@@ -29,6 +29,7 @@ from models.messages import (
     Health,
     ImuSample,
     Input,
+    LastGnss,
     Output,
     Reason,
     Reset,
@@ -199,6 +200,8 @@ class Fusion:
         refusal = None
         if self._history.samples.count:
             refusal = Refusal(Reason.TOO_OLD, "the estimate has begun already")
+        elif not _is_whole(checkpoint):
+            refusal = Refusal(Reason.MALFORMED, "a state of 16 numbers, its covariance of 15 x 15 and the last GNSS are expected")
         elif not state.sound(checkpoint.nav, checkpoint.covariance):
             refusal = Refusal(Reason.NOT_FINITE)
         elif self._config.origin not in {None, checkpoint.origin}:
@@ -372,6 +375,13 @@ class Fusion:
             self._say(tracker),
             biases,
         )
+
+
+def _is_whole(checkpoint: Checkpoint) -> bool:
+    """Whether its arrays have the shapes that compiled code expects of them."""
+    arrays = ((checkpoint.nav, (X.SIZE,)), (checkpoint.covariance, (E.SIZE, E.SIZE)))
+    fits = all(isinstance(a, np.ndarray) and a.shape == shape and a.dtype == np.float64 for a, shape in arrays)
+    return fits and isinstance(checkpoint.last_gnss, LastGnss | None)
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:

@@ -90,7 +90,14 @@ def test_it_is_refused_once_the_estimate_has_begun(whole: Run) -> None:
 
 @pytest.mark.parametrize(
     ("change", "reason"),
-    [({"nav": np.full(16, np.nan)}, Reason.NOT_FINITE), ({"origin": (1.0, 2.0, 3.0)}, Reason.NO_ORIGIN)],
+    [
+        ({"nav": np.full(16, np.nan)}, Reason.NOT_FINITE),
+        ({"origin": (1.0, 2.0, 3.0)}, Reason.NO_ORIGIN),
+        ({"nav": None}, Reason.MALFORMED),
+        ({"covariance": None}, Reason.MALFORMED),
+        ({"covariance": np.eye(6)}, Reason.MALFORMED),
+        ({"last_gnss": np.zeros(3)}, Reason.MALFORMED),
+    ],
 )
 def test_nonsense_and_another_map_are_refused(whole: Run, change: dict[str, object], reason: Reason) -> None:
     good = _checkpoint(whole.estimates[-1])

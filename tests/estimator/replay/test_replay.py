@@ -77,6 +77,7 @@ def test_the_summary_counts(flight: Path, config: Config, tmp_path: Path) -> Non
     assert sum(summary.fixes["/gnss"].values()) == sum(r.topic == "/gnss" for r in records(flight))
     assert sum(summary.fixes["/pose_fix"].values()) == sum(r.topic == "/pose_fix" for r in records(flight))
     assert summary.fixes["/gnss"]["fused"] > 40
+    assert summary.worst_radius95_m is not None
     assert 0.0 < summary.worst_radius95_m < 100.0
     assert 0.5 < summary.longest_without_absolute_s < 5.0
     assert 15.0 < sum(summary.modes_s.values()) <= 20.0
