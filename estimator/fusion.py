@@ -381,7 +381,8 @@ def _is_whole(checkpoint: Checkpoint) -> bool:
     """Whether its arrays have the shapes that compiled code expects of them."""
     arrays = ((checkpoint.nav, (X.SIZE,)), (checkpoint.covariance, (E.SIZE, E.SIZE)))
     fits = all(isinstance(a, np.ndarray) and a.shape == shape and a.dtype == np.float64 for a, shape in arrays)
-    return fits and isinstance(checkpoint.last_gnss, LastGnss | None)
+    last_gnss: object = checkpoint.last_gnss
+    return fits and isinstance(last_gnss, LastGnss | None)
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
