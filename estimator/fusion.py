@@ -379,7 +379,7 @@ class Fusion:
 
 def _is_whole(checkpoint: Checkpoint) -> bool:
     """Whether its arrays have the shapes that compiled code expects of them."""
-    arrays = ((checkpoint.nav, (X.SIZE,)), (checkpoint.covariance, (E.SIZE, E.SIZE)))
+    arrays: list[tuple[object, tuple[int, ...]]] = [(checkpoint.nav, (X.SIZE,)), (checkpoint.covariance, (E.SIZE, E.SIZE))]
     fits = all(isinstance(a, np.ndarray) and a.shape == shape and a.dtype == np.float64 for a, shape in arrays)
     last_gnss: object = checkpoint.last_gnss
     return fits and isinstance(last_gnss, LastGnss | None)
