@@ -43,6 +43,7 @@ _N = E.SIZE  # compiled code reads plain integers
 _OF_STATE = (slice(0, _N), slice(0, _N))  # of P
 MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 _MOST = 4  # hypotheses at a time
+_HALF_TURN = 3.14  # rad
 _MARGIN = 3.0  # ln: by which another must be better
 _FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, it is not told in the covariance; a gate refuses one in as many good readings
@@ -141,7 +142,7 @@ class Hypotheses:
         """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
         lead = self.members[0]
         if len(self.members) == 1:  # most of the time
-            return lead.filter.variance_factor * lead.filter.cov[_OF_STATE]
+            return _scaled(lead.filter.cov[_OF_STATE].copy(), lead.filter.variance_factor)
         shown = [m for m in self.members if m.shows_beside(lead)]
         weights = [math.exp(m.weight + m.benefit) for m in shown]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
@@ -152,13 +153,14 @@ class Hypotheses:
                 member.filter.cov,
                 local(lead.filter.x, member.filter.x) / math.sqrt(lead.filter.variance_factor),
             )
-        return lead.filter.variance_factor * total
+        return _scaled(total, lead.filter.variance_factor)
 
-    def scale(self, variance_factor: float) -> None:
-        """The errors of every filter are larger than it says. Where they turn out to be, a gate has refused too much."""
+    def scale(self, variance_factor: float, topic: str = "") -> None:
+        """The errors of every filter are larger than it says, as `topic` shows: its gate in the leading one has refused too much."""
+        lead = self.members[0]
+        if variance_factor > lead.filter.variance_factor and (doubt := lead.doubts.get(topic)) and not doubt.deliberate:
+            del lead.doubts[topic]
         for member in self.members:
-            if variance_factor > member.filter.variance_factor:
-                member.doubts = {topic: doubt for topic, doubt in member.doubts.items() if doubt.deliberate}
             member.filter.variance_factor = variance_factor
 
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
@@ -172,7 +174,14 @@ class Hypotheses:
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
-        fused = [self._answer(k, aid, seen[k], passed[k], agreement[k], doubted, born) for k in range(len(self.members))]
+        # Position and velocity of one receiver are false together: to who doubts the position, its velocity is no more news.
+        by_receiver = self._told([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
+        fused: list[bool] = []
+        for k in range(len(self.members)):
+            lead_refuses = k > 0 and not fused[0]
+            fused.append(
+                self._answer(k, aid, seen[k], passed[k], agreement[k], doubted, born, by_receiver, lead_refuses=lead_refuses)
+            )
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
@@ -230,14 +239,28 @@ class Hypotheses:
         return _ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - _ln_sum(weights)
 
     def _answer(
-        self, k: int, aid: Aid, seen: Innovation, passed: bool, agreement: float | None, doubted: float, born: list[Hypothesis]
+        self,
+        k: int,
+        aid: Aid,
+        seen: Innovation,
+        passed: bool,
+        agreement: float | None,
+        doubted: float,
+        born: list[Hypothesis],
+        by_receiver: float,
+        *,
+        lead_refuses: bool,
     ) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
 
-        doubted: weight of the heaviest sceptic that there is already.
+        doubted: weight of the heaviest sceptic that there is already; by_receiver: ln of the density of a velocity to those who
+        believe in its receiver's positions, -inf where nobody does; lead_refuses: the leading hypothesis took it for false.
         """
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
+        if k > 0 and aid.receiver in member.doubts and by_receiver > -math.inf:
+            member.weight += by_receiver
+            return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s, 0.0)
@@ -258,6 +281,9 @@ class Hypotheses:
             member.filter.update(seen)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
+                behind = self.members[0].weight - member.weight
+                if lead_refuses and behind < _FORGET:  # until it is decided, the covariance covers both
+                    member.benefit = max(member.benefit, behind)
             return True
         member.weight += aid.log_false
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
@@ -310,11 +336,22 @@ class Hypotheses:
             lead.benefit = 0.0
             self.switches += 1
         others = [m for m in others if m.matters_beside(lead) and not m.has_settled(t_ns)]
-        others.sort(key=lambda m: -m.weight)
+        others.sort(key=lambda m: -(m.weight + m.benefit))
         self.members = [lead, *others[: _MOST - 1]]
         top = lead.weight
         for member in self.members:
             member.weight -= top
+
+
+def _scaled(cov: Array, factor: float) -> Array:
+    """f P (15, 15); an attitude has no sigma beyond half a turn."""
+    if factor > 1.0:
+        cov = factor * cov
+        sigma = math.sqrt(max(cov.diagonal()[E.THETA].tolist()))
+        if sigma > _HALF_TURN:
+            cov[E.THETA] *= _HALF_TURN / sigma
+            cov[:, E.THETA] *= _HALF_TURN / sigma
+    return cov
 
 
 def _ln_sum(terms: list[float]) -> float:

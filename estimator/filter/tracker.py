@@ -384,7 +384,7 @@ class Tracker:
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu))
-        self.hypotheses.scale(self.variance_factor.value)
+        self.hypotheses.scale(self.variance_factor.value, aid.topic)
 
     def _is_proven(self) -> bool:
         """The newest position was foreseen, by a filter that has gone on for a while."""

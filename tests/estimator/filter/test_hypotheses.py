@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
@@ -16,10 +17,10 @@ from estimator.sources.gnss import GnssConfig, velocity_aid
 from estimator.sources.pose import PoseConfig
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
-from models.messages import Array, Estimate, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
+from models.messages import Array, Estimate, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X, retract
-from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, pose_fix
+from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, fly, pose_fix, position_errors, simulated
 
 NOWHERE: Vec3 = (0.0, 0.0, 0.0)
 LIE: Vec3 = (6.0, -4.0, 1.0)
@@ -364,3 +365,33 @@ def test_a_fix_that_passes_again_is_refused_only_if_the_believer_foretells_it_by
     assert z is not None
     verdict = bank.judge(aid, z, np.zeros(3), trusted=True)
     assert (verdict.passed, verdict.fused) == (True, fused)
+
+
+BOOT = """
+duration_s = 120.0
+[imu]
+rate_hz = 100.0
+[gnss]
+rate_hz = 5.0
+[pose_fix]
+rate_hz = 0.5
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_covers_both() -> None:
+    flight = simulated(BOOT, seed=3)
+
+    def spoofed(m: Input) -> Input | None:
+        if isinstance(m, PoseFix) and m.t_ns < EPOCH_NS + 25 * SECOND:
+            return None
+        return replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0) if isinstance(m, GnssFix) else m
+
+    run = fly(flight, messages=[m for m in map(spoofed, flight.messages) if m is not None])
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND][::20]
+    off = position_errors(late, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    assert off[-1] < 1.0
+    assert (off > 3.0 * radius).mean() < 0.01
+    assert radius[-1] < 2.0  # decided
