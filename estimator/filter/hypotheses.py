@@ -156,7 +156,7 @@ class Hypotheses:
         return _scaled(total, lead.filter.variance_factor)
 
     def scale(self, variance_factor: float, topic: str = "") -> None:
-        """The errors of every filter are larger than it says; `topic` has shown it, so the leading one has refused too much of it."""
+        """The errors of every filter are larger than it says; `topic` has shown it: too much of it was refused."""
         lead = self.members[0]
         if variance_factor > lead.filter.variance_factor and (doubt := lead.doubts.get(topic)) and not doubt.deliberate:
             del lead.doubts[topic]
