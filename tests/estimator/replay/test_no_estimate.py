@@ -31,7 +31,7 @@ def of(simulation: Simulation, path: Path, wanted: Callable[[int, Input], bool],
 
 
 def slow_imu(k: int, m: Input) -> bool:
-    return isinstance(m, GnssFix) or (isinstance(m, ImuSample) and k % 50 == 0)
+    return isinstance(m, GnssFix) or (isinstance(m, ImuSample) and k % 500 == 0)
 
 
 @pytest.mark.parametrize(
