@@ -104,9 +104,10 @@ def find_outages(
 ) -> dict[str, Outages]:
     """Spans without absolute information, of all sources together ("all") and of each topic where there are several.
 
-    A wait runs from the validity of the newest absolute measurement fused to the arrival of a newer one of the same source. It is
-    an outage where it is longer than 3 x the median wait of that source (interval and delay), and than 2 s; or than
-    longer_than_s. "all" is where every source is in an outage, for longer than the shortest of their thresholds. Without
+    A wait runs from the validity of the newest absolute measurement fused, or taken for the alignment, to the arrival of a newer
+    one of the same source. It is an outage where it is longer than 3 x the median wait of that source (interval and delay), and
+    than 2 s; or than longer_than_s. "all" is where every source is in an outage, for longer than the shortest of their
+    thresholds. Without
     AidStatus the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate
     counts as information: it was aligned by some.
     """
@@ -114,7 +115,8 @@ def find_outages(
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     seen: dict[str, list[tuple[int, int]]] = {}
     for aid in aids:
-        if aid.kind in ABSOLUTE_KINDS and aid.reason is Reason.FUSED:
+        in_alignment = aid.reason is Reason.ALIGNING and aid.t_ns >= start  # an estimate with an unknown heading takes it
+        if aid.kind in ABSOLUTE_KINDS and (aid.reason is Reason.FUSED or in_alignment):
             seen.setdefault(aid.topic, []).append((aid.t_ns, aid.arrived_ns))
     if not seen and health:
         seen[ALL_SOURCES] = _from_ages(health)
