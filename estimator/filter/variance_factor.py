@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from estimator.sources.gating import gate
 
-_WINDOW, _FEWEST = 5, 3  # readings of a topic
+_WINDOW, _FEWEST = 7, 5  # readings of a topic
 _NOTABLE = 2.5
 _LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 _FADES_S = 30.0
