@@ -8,8 +8,9 @@ No output waits for that: behind each, a slice of it is done, few measurements a
 of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
 least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
 
-A published alignment is not taken away by what came late. While the tracker that works it in is not aligned, the one of before
-goes on by the IMU alone. After `history_s` without another alignment it is the tracker again, and what came late is lost.
+A published estimate is not taken away by what came late. While the tracker that works it in has none (or none with a heading,
+where there was one), the one of before goes on by the IMU alone. If that lasts for `history_s`, it is the tracker again, and what
+came late is lost.
 
 A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
 before it and passes it over from then on.
@@ -139,11 +140,11 @@ class History:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """What came late is worked in: publish from the tracker again, unless that would end a published alignment."""
+        """What came late is worked in: publish from the tracker again, unless that would end a published estimate."""
         ahead = self._ahead
         if ahead is None:
             return
-        if self.tracker.is_aligned or not ahead.is_aligned:
+        if self.tracker.standing >= ahead.standing:
             self._ahead = None
         elif ahead.t_ns - self._ahead_since_ns > self._span_ns:
             self._ahead = None

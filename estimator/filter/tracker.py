@@ -149,6 +149,11 @@ class Tracker:
         """The filters to publish from; None: nothing may be published yet."""
         return self.bank if self.is_aligned or self.shows_unaligned else None
 
+    @property
+    def standing(self) -> int:
+        """How much of an estimate there is: 2 aligned, 1 published without a heading, 0 none."""
+        return 2 if self.is_aligned else int(self.shown is not None)
+
     def shown_covariance(self) -> Array:
         """Of what is shown."""
         assert self.shown is not None

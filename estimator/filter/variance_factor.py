@@ -1,10 +1,12 @@
 """The variance of unit weight: how much larger the errors are than P and R say, learnt from the innovations.
 
-    r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))       where the median > 2
+    r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m): the median of chi-square with m degrees of freedom. The true covariance is f P, that of an innovation f S. The gain
-K = P H^T S^-1 does not depend on f, so a world that differs from the model costs no more than it costs an ungated filter, and
-the gates and the published covariance stay honest. The median does not follow three false fixes of seven. f is never below 1.
+m_50(m): the median of chi-square with m degrees of freedom; the median of r counts where 4 % of good readings at most are above
+it (2.5 for six components, 3.5 for three: the median of seven good ones is there in one case of 10,000). The covariance of the
+state's error is f P, that of an innovation f S. The gain K = P H^T S^-1 does not depend on f: where the world differs from the
+model, the estimate is that of an ungated filter, while gates and published covariance remain consistent. The median does not
+follow three outliers of seven. f is never below 1.
 (A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
 """
 
@@ -14,13 +16,13 @@ from typing import NamedTuple
 from estimator.sources.gating import gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
-_NOTABLE = 2.5
+_USUAL = 0.96  # share of good readings
 _LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 _FADES_S = 30.0
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; ratios: the newest r of each topic."""
+    """value: f at t_ns; ratios: the newest r of each topic, by name."""
 
     value: float = 1.0
     t_ns: int = 0
@@ -29,13 +31,13 @@ class VarianceFactor(NamedTuple):
     def also(self, topic: str, t_ns: int, distance2: float, dof: int) -> "VarianceFactor":
         """With one more innovation, of squared Mahalanobis distance distance2 with f = 1."""
         by_topic = dict(self.ratios)
-        ratio = distance2 / gate(0.5, dof)
+        ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         newest = (*by_topic.get(topic, ())[1 - _WINDOW :], ratio) if ratio <= _LARGEST else by_topic.get(topic, ())
         by_topic[topic] = newest
         value = 1.0
         if self.value > 1.0:
             value += (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
-        if len(newest) >= _FEWEST and (middle := sorted(newest)[(len(newest) - 1) // 2]) > _NOTABLE:
+        if len(newest) >= _FEWEST and (middle := sorted(newest)[(len(newest) - 1) // 2]) > usual:
             value = max(value, middle)
         return VarianceFactor(value if value > 1.01 else 1.0, t_ns, tuple(sorted(by_topic.items())))
 
