@@ -345,9 +345,11 @@ class Fusion:
         self._counts[reason] = self._counts.get(reason, 0) + 1
 
     def _say(self, tracker: Tracker) -> str:
-        """What went wrong, else what keeps it from an estimate; and what had to be assumed."""
+        """What went wrong, else what keeps it from an estimate; what makes that less certain, and what had to be assumed."""
         said = self._detail or (tracker.detail if not tracker.is_aligned else "")
-        return "; ".join(filter(None, (said, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items())))))
+        return "; ".join(
+            filter(None, (said, *tracker.remarks, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items()))))
+        )
 
     def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
         hypotheses = tracker.bank

@@ -37,7 +37,7 @@ from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models.measurements import Measurement
 from models.messages import Array
-from models.state import E, local
+from models.state import E, X, local
 
 _N = E.SIZE  # compiled code reads plain integers
 _OF_STATE = (slice(0, _N), slice(0, _N))  # of P
@@ -154,6 +154,17 @@ class Hypotheses:
                 local(lead.filter.x, member.filter.x) / math.sqrt(lead.filter.variance_factor),
             )
         return _scaled(total, lead.filter.variance_factor)
+
+    @property
+    def conflict(self) -> tuple[str, float] | None:
+        """Topics that the leading hypothesis rejects and another one that shows in the covariance does not; their distance [m]."""
+        lead = self.members[0]
+        rejected = {topic for topic, doubt in lead.doubts.items() if not doubt.deliberate}
+        for member in self.members[1:]:
+            if member.benefit > 0.0 and (topics := rejected - member.doubts.keys()):
+                off = member.filter.x[X.P] - lead.filter.x[X.P]
+                return ", ".join(sorted(topics)), float(np.linalg.norm(off))
+        return None
 
     def scale(self, variance_factor: float, topic: str = "") -> None:
         """The errors of every filter are larger than it says; `topic` has shown it: too much of it was refused."""

@@ -46,6 +46,7 @@ _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time 
 _THRICE_AT_MOST = 2
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
+_WORTH_SAYING = 2.0  # of the variance of unit weight
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -190,6 +191,16 @@ class Tracker:
         if self.hypotheses is not None:
             return "" if self.is_aligned else initialise.lacks(self.hypotheses, self.config.initialise)
         return _AT_REST if self.still else _NO_POSITION
+
+    @property
+    def remarks(self) -> list[str]:
+        """What makes an estimate that is published less certain than configured."""
+        found: list[str] = []
+        if self.hypotheses is not None and (conflict := self.hypotheses.conflict) is not None:
+            found.append(f"{conflict[0]} and the estimate disagree by {conflict[1]:.1f} m: the covariance covers both")
+        if (f := self.variance_factor.value) >= _WORTH_SAYING:
+            found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
+        return found
 
     @property
     def needs_from_ns(self) -> int:

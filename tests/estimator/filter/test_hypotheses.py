@@ -395,3 +395,5 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert off[-1] < 1.0
     assert (off > 3.0 * radius).mean() < 0.01
     assert radius[-1] < 2.0  # decided
+    said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 40 * SECOND]
+    assert any(text.startswith("/pose_fix and the estimate disagree by ") for text in said)

@@ -63,3 +63,4 @@ def test_fixes_that_claim_too_small_a_covariance_are_fused_and_the_estimate_clai
     nees = np.array([d @ np.linalg.solve(e.covariance[E.P, E.P], d) / 3.0 for d, e in zip(off, late, strict=True)])
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.4
     assert 0.2 < nees.mean() < 1.4
+    assert "times as large as configured" in run.health[-1].detail
