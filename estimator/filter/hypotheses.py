@@ -157,7 +157,7 @@ class Hypotheses:
 
     @property
     def conflict(self) -> tuple[str, float] | None:
-        """Topics that the leading hypothesis rejects and another one that shows in the covariance does not; their distance [m]."""
+        """Topics that the leading hypothesis rejects and another one, in the covariance, does not; their distance [m]."""
         lead = self.members[0]
         rejected = {topic for topic, doubt in lead.doubts.items() if not doubt.deliberate}
         for member in self.members[1:]:
