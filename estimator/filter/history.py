@@ -50,7 +50,7 @@ class History:
     def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
         self.samples = samples or ImuBuffer()
         self.tracker = tracker
-        self._span_ns = int(history_s * 1e9)
+        self._span_ns, self._gap_ns = int(history_s * 1e9), round(tracker.config.coast.gap_s * 1e9)
         self._orders: list[tuple[int, str, str, bytes]] = []
         self._entries: list[Entry] = []
         self._next = 0  # first entry that the tracker has not seen
@@ -83,7 +83,8 @@ class History:
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
         if before < 0 and self.samples.has_forgotten:
             return Reason.TOO_OLD
-        before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1
+        # A new first sample also changes what becomes of a measurement shortly before it, with which the alignment may begin.
+        before_ns = int(self.samples.t_ns[before]) if before >= 0 else sample.t_ns - 1 - self._gap_ns
         if before_ns < max(self._checkpoint_times[0], self.samples.newest_ns - self._span_ns):
             return Reason.TOO_OLD
         if not self.samples.insert(sample):

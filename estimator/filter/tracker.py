@@ -196,6 +196,8 @@ class Tracker:
     def remarks(self) -> list[str]:
         """What makes an estimate that is published less certain than configured."""
         found: list[str] = []
+        if self.shown is None:
+            return found
         if self.hypotheses is not None and (conflict := self.hypotheses.conflict) is not None:
             found.append(f"{conflict[0]} and the estimate disagree by {conflict[1]:.1f} m: the covariance covers both")
         if (f := self.variance_factor.value) >= _WORTH_SAYING:

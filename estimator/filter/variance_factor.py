@@ -6,7 +6,8 @@ m_50(m): the median of chi-square with m degrees of freedom; the median of r cou
 it (2.5 for six components, 3.5 for three: the median of seven good ones is there in one case of 10,000). The covariance of the
 state's error is f P, that of an innovation f S. The gain K = P H^T S^-1 does not depend on f: where the world differs from the
 model, the estimate is that of an ungated filter, while gates and published covariance remain consistent. The median does not
-follow three outliers of seven. f is never below 1.
+follow three outliers of seven. f is never below 1. Where several sources are heard, it is the least of their medians: an excess
+that all show is the filter's, one that a single source shows is a conflict, and left to the hypotheses.
 (A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
 """
 
@@ -18,28 +19,43 @@ from estimator.sources.gating import gate
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
 _USUAL = 0.96  # share of good readings
 _LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
-_FADES_S = 30.0
+_FADES_S, _GONE = 30.0, 1.01
+_SILENT_S = 10.0  # a source that is silent for longer has no say
+
+
+class Recent(NamedTuple):
+    """The newest ratios r of a topic, the last at t_ns, and the largest median that is usual."""
+
+    t_ns: int
+    ratios: tuple[float, ...]
+    usual: float
+
+    @property
+    def excess(self) -> float:
+        """The median, 1 where it is usual or of too few."""
+        if len(self.ratios) < _FEWEST:
+            return 1.0
+        middle = sorted(self.ratios)[(len(self.ratios) - 1) // 2]
+        return middle if middle > self.usual else 1.0
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; ratios: the newest r of each topic, by name."""
+    """value: f at t_ns; recent: by topic."""
 
     value: float = 1.0
     t_ns: int = 0
-    ratios: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    recent: tuple[tuple[str, Recent], ...] = ()
 
     def also(self, topic: str, t_ns: int, distance2: float, dof: int) -> "VarianceFactor":
         """With one more innovation, of squared Mahalanobis distance distance2 with f = 1."""
-        by_topic = dict(self.ratios)
+        by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
-        newest = (*by_topic.get(topic, ())[1 - _WINDOW :], ratio) if ratio <= _LARGEST else by_topic.get(topic, ())
-        by_topic[topic] = newest
-        value = 1.0
-        if self.value > 1.0:
-            value += (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
-        if len(newest) >= _FEWEST and (middle := sorted(newest)[(len(newest) - 1) // 2]) > usual:
-            value = max(value, middle)
-        return VarianceFactor(value if value > 1.01 else 1.0, t_ns, tuple(sorted(by_topic.items())))
+        ratios = by_topic[topic].ratios if topic in by_topic else ()
+        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= _LARGEST else ratios, usual)
+        excess = min(r.excess for r in by_topic.values())
+        faded = 1.0 + (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
+        value = max(excess, faded if faded > _GONE else 1.0)
+        return VarianceFactor(value, t_ns, tuple(sorted(by_topic.items())))
 
 
 NO_EXCESS = VarianceFactor()

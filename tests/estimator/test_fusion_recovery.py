@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf, Innovation
@@ -109,6 +110,17 @@ def test_a_late_fix_from_before_the_first_imu_sample_takes_no_estimate_away() ->
     assert len(run.estimates) == len(undisturbed.estimates)
     assert same(run.estimates[-1], undisturbed.estimates[-1])
     assert same(Run(Fusion(CONFIG)).feed([*early, *messages]).estimates[-1], undisturbed.estimates[-1])
+
+
+def test_a_late_first_sample_lets_a_fix_shortly_before_it_begin_the_alignment_after_all() -> None:
+    samples = [m for m in hover(6.0) if isinstance(m, ImuSample) and m.t_ns >= EPOCH_NS + SECOND // 5]
+    first, fix = samples[0], displaced(pose_fix(EPOCH_NS + 6 * SECOND // 100), (0.3, 0.0, 0.0))
+    earlier = replace(first, t_ns=EPOCH_NS + SECOND // 10)
+    fixes = [m for m in hover(6.0) if isinstance(m, PoseFix)]
+    rest: list[Input] = [*samples[5:], *fixes]
+    late = Run(Fusion(CONFIG)).feed([fix, *samples[:5], earlier, *sorted(rest, key=lambda m: m.t_ns)])
+    punctual = Run(Fusion(CONFIG)).feed([fix, earlier, *sorted([*samples[:5], *rest], key=lambda m: m.t_ns)])
+    assert same(late.estimates[-1], punctual.estimates[-1])
 
 
 def _prior(t_ns: int, now_ns: int, sigma: float) -> AttitudePrior:

@@ -38,6 +38,21 @@ def test_three_false_fixes_of_seven_do_not_move_it_nor_do_those_that_are_far_awa
     assert _noted([5.0] * 5 + [70.0] * 4).value > 10.0
 
 
+def test_an_excess_that_one_of_two_sources_shows_is_left_to_the_hypotheses() -> None:
+    alone, beside, both = NO_EXCESS, NO_EXCESS, NO_EXCESS
+    for k in range(10):
+        t_ns = k * SECOND
+        alone = alone.also("/pose_fix", t_ns, 70.0, 6)
+        beside = beside.also("/pose_fix", t_ns, 70.0, 6).also("/gnss", t_ns, 2.0, 3)
+        both = both.also("/pose_fix", t_ns, 70.0, 6).also("/gnss", t_ns, 20.0, 3)
+    assert alone.value > 10.0
+    assert beside.value == 1.0
+    assert 5.0 < both.value < 10.0
+    for k in range(10, 30):  # /gnss is silent
+        beside = beside.also("/pose_fix", k * SECOND, 70.0, 6)
+    assert beside.value > 10.0
+
+
 def test_it_fades() -> None:
     raised = factor = _noted([70.0] * 5)
     for k in range(200):
