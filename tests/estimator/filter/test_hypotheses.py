@@ -397,3 +397,20 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert radius[-1] < 2.0  # decided
     said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 40 * SECOND]
     assert any(text.startswith("/pose_fix and the estimate disagree by ") for text in said)
+
+
+@pytest.mark.parametrize(
+    ("factor", "topic", "stays"), [(4.0, "/pose_fix", False), (4.0, "/gnss", True), (1.0, "/pose_fix", True)]
+)
+def test_what_the_leading_one_rejected_is_open_again_where_the_errors_turn_out_to_be_larger(
+    factor: float, topic: str, stays: bool
+) -> None:
+    members = [_member(_state(0.0, 0.0, 0.0)), _member(_state(1.0, 0.0, 0.0))]
+    for member in members:
+        member.doubts = {"/pose_fix": Doubt(0, deliberate=False), "/baro": Doubt(0, deliberate=True)}
+    bank = Hypotheses(members)
+    bank.scale(factor, topic)
+    assert ("/pose_fix" in bank.members[0].doubts) == stays
+    assert "/baro" in bank.members[0].doubts
+    assert "/pose_fix" in bank.members[1].doubts
+    assert [m.filter.variance_factor for m in bank.members] == [factor, factor]
