@@ -211,17 +211,26 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     assert "no_map.geojson" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")
 
 
-def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(flight: Path, tmp_path: Path) -> None:
-    out = tmp_path / "estimate.mcap"
+def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
+    """Exit code and stderr of a replay that gets Ctrl-C once it has written something."""
     with subprocess.Popen(
         [sys.executable, "-m", "estimator", "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         end = time.monotonic() + 120.0
-        while not (out.exists() and out.stat().st_size > 200_000) and process.poll() is None and time.monotonic() < end:
+        while not (out.exists() and out.stat().st_size > 30_000) and process.poll() is None and time.monotonic() < end:
             time.sleep(0.001)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=120)
-    assert process.returncode == 130
+    return process.returncode, said
+
+
+def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(flight: Path, tmp_path: Path) -> None:
+    for attempt in range(5):  # on a busy machine the replay may have ended before the signal comes
+        out = tmp_path / f"estimate{attempt}.mcap"
+        code, said = _interrupted(flight, out)
+        if code:
+            break
+    assert code == 130
     assert (
         said
         == f"landfix: interrupted; kept: {out} ({out.stat().st_size / 1e6:.1f} MB); the last one ends where it was interrupted\n"
