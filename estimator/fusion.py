@@ -247,8 +247,10 @@ class Fusion:
             redone = tracker is not self._publisher
             self._publisher = tracker
             covariance = tracker.shown_covariance()
-            doubt = lead.variance_factor * lead.cov if tracker.is_aligned else covariance
-            if last is not None and (changed or redone) and (jump := self._jump(last, lead, doubt, t_ns)) is not None:
+            jump = None
+            if last is not None and (changed or redone):
+                jump = self._jump(last, lead, covariance, t_ns, is_aligned=tracker.is_aligned)
+            if jump is not None:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
@@ -273,8 +275,12 @@ class Fusion:
             out.append(self._health(tracker, t_ns, arrived_ns))
         return out
 
-    def _jump(self, last: Estimate, lead: Eskf, doubt: Array, t_ns: int) -> Array | None:
-        """How far the estimate stands from where the last published one has gone since; None where that is within `doubt`, P."""
+    def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
+        """How far the estimate stands from where the last published one has gone since; None where that is within its noise.
+
+        published: (15, 15), by which it is judged without a heading; with one the leading filter's alone counts.
+        """
+        doubt = lead.variance_factor * lead.cov if is_aligned else published
         samples = self._history.samples
         old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
         old.propagate(samples, samples.first_after(last.t_ns), t_ns)

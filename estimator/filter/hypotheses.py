@@ -142,7 +142,8 @@ class Hypotheses:
         """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
         lead = self.members[0]
         if len(self.members) == 1:  # most of the time
-            return _scaled(lead.filter.cov[_OF_STATE].copy(), lead.filter.variance_factor)
+            cov, factor = lead.filter.cov[_OF_STATE], lead.filter.variance_factor
+            return cov.copy() if factor == 1.0 else _scaled(cov, factor)
         shown = [m for m in self.members if m.shows_beside(lead)]
         weights = [math.exp(m.weight + m.benefit) for m in shown]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
@@ -356,13 +357,14 @@ class Hypotheses:
 
 def _scaled(cov: Array, factor: float) -> Array:
     """f P (15, 15); an attitude has no sigma beyond half a turn."""
-    if factor > 1.0:
-        cov = factor * cov
-        sigma = math.sqrt(max(cov.diagonal()[E.THETA].tolist()))
-        if sigma > _HALF_TURN:
-            cov[E.THETA] *= _HALF_TURN / sigma
-            cov[:, E.THETA] *= _HALF_TURN / sigma
-    return cov
+    if factor == 1.0:
+        return cov
+    scaled = factor * cov
+    sigma = math.sqrt(max(scaled.diagonal()[E.THETA].tolist()))
+    if sigma > _HALF_TURN:
+        scaled[E.THETA] *= _HALF_TURN / sigma
+        scaled[:, E.THETA] *= _HALF_TURN / sigma
+    return scaled
 
 
 def _ln_sum(terms: list[float]) -> float:

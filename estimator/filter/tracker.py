@@ -143,7 +143,9 @@ class Tracker:
     @property
     def bank(self) -> Hypotheses | None:
         """The filters there are, aligned or not."""
-        return self.resting.bank if self.hypotheses is None and self.resting is not None else self.hypotheses
+        if self.hypotheses is not None or self.resting is None:  # nearly every call
+            return self.hypotheses
+        return self.resting.bank
 
     @property
     def shown(self) -> Hypotheses | None:
@@ -157,8 +159,9 @@ class Tracker:
 
     def shown_covariance(self) -> Array:
         """Of what is shown."""
-        assert self.shown is not None
-        return self.shown.covariance() if self.is_aligned else heading.covariance(self.shown, self.config.initialise)
+        bank = self.bank
+        assert bank is not None
+        return bank.covariance() if self.is_aligned else heading.covariance(bank, self.config.initialise)
 
     @property
     def is_sound(self) -> bool:
