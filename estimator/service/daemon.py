@@ -20,11 +20,13 @@ from estimator.service.base.ports import Arrival, Log, Outbox
 from estimator.service.base.status import Status
 from logs.wire.codec import Decoder, Encoded, encode_input
 from logs.wire.stamps import restamped, stamp_of
-from models.messages import ImuSample, Input, Output, Tick
+from models.messages import Estimate, ImuSample, Input, Output, Tick
 
 _ASLEEP_NS: Final = SECOND_NS // 2  # the process itself was stopped, if its tick is so late
 REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose stamps are of no known clock
 _GRACE_S: Final = 0.1  # to read what has piled up meanwhile
+_PATIENCE_NS: Final = SECOND_NS  # without an estimate by the IMU: the tick then no longer waits for the messages before it
+_NEVER: Final = 2**63
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,6 +69,7 @@ class Daemon:
         self._track = track
         self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
+        self._patient_ns = _NEVER  # until then a tick waits for all messages before it; set by the first estimate
 
     def stop(self) -> None:
         """Let run() return after the message in hand; safe in a signal handler."""
@@ -85,6 +88,7 @@ class Daemon:
                 continue
             if -wait_ns > _ASLEEP_NS:
                 next_tick_ns = self._clock.now_ns() + round(_GRACE_S * SECOND_NS)
+                self._patient_ns = max(self._patient_ns, next_tick_ns + _PATIENCE_NS)
                 continue
             self._survive(self._tick)
             next_tick_ns += self._tick_ns
@@ -125,8 +129,11 @@ class Daemon:
         if outputs:
             for outbox in self._outboxes:
                 outbox.send(outputs, encoded)
-        self._status.note(message, outputs, self._clock.now_ns())
+        now_ns = self._clock.now_ns()
+        self._status.note(message, outputs, now_ns)
         for output in outputs:
+            if isinstance(output, Estimate) and isinstance(message, ImuSample):
+                self._patient_ns = now_ns + _PATIENCE_NS
             for watcher in self._watchers:
                 watcher(output)
         for message_out in encoded:
@@ -146,12 +153,12 @@ class Daemon:
         return arrival if t_ns == stamp_ns else arrival._replace(data=restamped(data, t_ns))
 
     def _tick(self) -> None:
-        """Tell the estimator the time, unless messages wait that came before it; and everybody how we are."""
+        """Give the time to the estimator, after all waiting messages unless a flood never lets them end; publish the status."""
         self._take_own()  # no IMU sample may come for it
         now_ns = self._clock.now_ns()
         if self._status.works(now_ns):
             self._alive()
-        if not len(self.mailbox):
+        if not len(self.mailbox) or now_ns > self._patient_ns:
             self.take(Arrival(*encode_input(Tick(now_ns, now_ns)), now_ns))
         if report := self._status.report(now_ns):
             for outbox in self._outboxes:

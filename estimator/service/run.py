@@ -141,7 +141,7 @@ def assembled(
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
-        mailbox = Mailbox(clock, log, images, config.inputs.imu, config.mounting())
+        mailbox = Mailbox(clock, log, images, config.mounting())
         parts = {"clock": stamps.report, "log": log.report, "inbox": mailbox.report}
         if keeper:
             parts["state"] = keeper.report

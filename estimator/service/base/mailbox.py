@@ -1,51 +1,53 @@
-"""The Inbox of ports.py: any thread puts, the loop gets, in the order of arrival.
+"""The messages that wait for the loop: a bounded line for each topic, so that a flooded topic delays only itself.
 
-So much of each topic may wait, and no more: what comes beyond is dropped and counted by topic. A topic that floods the daemon
-fills its own share, and every other topic waits behind that share at most. The order of arrival stays one queue, so the log holds
-what the loop handles, in its order.
+    next = the oldest message among the lines that are not crowded; where all are crowded, the oldest of all
+
+While no line is crowded, that is the order of arrival; a sensor crowds its line only when the loop stands still for more than a
+second. A limit on the rate would have to know the speed of the machine and of each sensor. A message that does not fit into its
+line is dropped and counted. So is a message in a crowded line that repeats the one before it: a driver that sends one sample
+again and again leaves room for its new samples.
 """
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
 from estimator.service.base.clock import Clock
 from estimator.service.base.ports import Arrival, Log
 from logs.wire.codec import Encoded, ImuMounting, encode_input
-from models.messages import ImuSample, Input
+from models.messages import Input
 
-_MOST: Final = 1000  # messages of one topic that wait for the loop: 0.1 s of its work
-_MOST_IMU: Final = 8000  # of an IMU: 20 s of one at 400 Hz
-_MOST_BYTES: Final = 16_000_000  # of one topic
+_LEAST: Final = 4096  # bytes that each message counts in addition to its own: handling an empty one takes as long as any
+_CROWDED: Final = 512 * _LEAST  # more than a second of a fast IMU
+_FULL: Final = 4096 * _LEAST  # ten seconds of it, half a second to handle
 
 
-class _Share:
-    """What of one topic waits. put is counted by whoever puts, under a lock; got by the loop."""
+class _Line:
+    """The messages of one topic that wait. Links count in and the loop counts out, so that neither waits for the other."""
 
-    __slots__ = ("dropped", "got", "got_bytes", "most", "put", "put_bytes")
+    def __init__(self) -> None:
+        self.waiting: deque[Arrival] = deque()
+        self.put_bytes = self.got_bytes = self.dropped = 0
+        self.last = b""  # the last message, whether it waits or was dropped
 
-    def __init__(self, most: int) -> None:
-        self.most = most
-        self.put = self.put_bytes = self.got = self.got_bytes = self.dropped = 0
-
-    def takes(self) -> bool:
-        """Whether one more may wait; counted as dropped where it may not."""
-        takes = self.put - self.got < self.most and self.put_bytes - self.got_bytes < _MOST_BYTES
-        self.dropped += not takes
-        return takes
+    @property
+    def load(self) -> int:
+        """Bytes that wait."""
+        return self.put_bytes - self.got_bytes
 
 
 class Mailbox:
-    """Images go straight to the log, and to vision where it is used; imu: topics of IMUs, of which more may wait."""
+    """The Inbox of ports.py: any thread puts, the loop gets. Images go straight to the log, and to vision where it is used."""
 
-    def __init__(self, clock: Clock, log: Log, images: Sequence[str], imu: Sequence[str], mounting: ImuMounting) -> None:
+    def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
         self.see: Callable[[Arrival], None] = _look_away
-        self._queue: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
-        self._own: queue.SimpleQueue[Encoded] = queue.SimpleQueue()
+        self._lines: dict[str, _Line] = {}  # replaced, not changed: the loop reads it meanwhile
         self._putting = threading.Lock()
-        self._shares = {topic: _Share(_MOST_IMU) for topic in imu}
+        self._bell: queue.SimpleQueue[None] = queue.SimpleQueue()  # one item for each message put
+        self._own: queue.SimpleQueue[Encoded] = queue.SimpleQueue()
 
     def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
         """A message on the wire's own bytes."""
@@ -53,16 +55,12 @@ class Mailbox:
             arrival = Arrival(topic, schema, data, self._clock.now_ns())
             self._log.put_image(arrival)
             self.see(arrival)
-            return
-        with self._putting:
-            if (share := self._share(topic, _MOST)).takes():
-                self._enqueue(share, Arrival(topic, schema, data, self._clock.now_ns()))
+        else:
+            self._enqueue(topic, schema, data)
 
     def put(self, message: Input) -> None:
         """A measurement of a link that speaks no CDR."""
-        with self._putting:
-            if (share := self._share(message.topic, _MOST_IMU if isinstance(message, ImuSample) else _MOST)).takes():
-                self._enqueue(share, Arrival(*encode_input(message, self._mounting), self._clock.now_ns()))
+        self._enqueue(*encode_input(message, self._mounting))
 
     def put_own(self, message: Encoded) -> None:
         """What our own vision was asked and answers: kept until get_own()."""
@@ -71,13 +69,15 @@ class Mailbox:
     def get(self, timeout_s: float) -> Arrival | None:
         """The next message; None when there is none in time, or after wake()."""
         try:
-            arrival = self._queue.get(timeout=timeout_s)
+            self._bell.get(timeout=timeout_s)
         except queue.Empty:
             return None
-        if arrival is not None:
-            share = self._shares[arrival.topic]
-            share.got += 1
-            share.got_bytes += len(arrival.data)
+        lines = [line for line in self._lines.values() if line.waiting]
+        if not lines:
+            return None
+        line = lines[0] if len(lines) == 1 else min(lines, key=_turn)
+        arrival = line.waiting.popleft()
+        line.got_bytes += _LEAST + len(arrival.data)
         return arrival
 
     def get_own(self) -> Arrival | None:
@@ -89,28 +89,39 @@ class Mailbox:
 
     def wake(self) -> None:
         """Let get() return at once; safe in a signal handler."""
-        self._queue.put(None)
+        self._bell.put(None)
 
     def report(self) -> dict[str, int]:
         """For the status. lost_inputs: what came faster than it could be handled; dropped: the same by topic."""
-        dropped = {topic: share.dropped for topic, share in list(self._shares.items()) if share.dropped}
-        by_topic = {f"dropped {topic}": count for topic, count in sorted(dropped.items())}
+        dropped = {topic: line.dropped for topic, line in sorted(self._lines.items()) if line.dropped}
+        by_topic = {f"dropped {topic}": count for topic, count in dropped.items()}
         return {"waiting": len(self), "lost_inputs": sum(dropped.values())} | by_topic
 
     def __len__(self) -> int:
-        return self._queue.qsize() + self._own.qsize()
+        return self._bell.qsize() + self._own.qsize()
 
-    def _share(self, topic: str, most: int) -> _Share:
-        """Of a topic; a link passes on only the topics of the configuration, so there are few."""
-        share = self._shares.get(topic)
-        if share is None:
-            share = self._shares[topic] = _Share(most)
-        return share
+    def _enqueue(self, topic: str, schema: str, data: bytes) -> None:
+        with self._putting:
+            line = self._line(topic)
+            repeated, line.last = data == line.last, data
+            if line.load >= _FULL or (repeated and line.load > _CROWDED):
+                line.dropped += 1
+                return
+            line.put_bytes += _LEAST + len(data)
+            line.waiting.append(Arrival(topic, schema, data, self._clock.now_ns()))
+        self._bell.put(None)
 
-    def _enqueue(self, share: _Share, arrival: Arrival) -> None:
-        share.put += 1
-        share.put_bytes += len(arrival.data)
-        self._queue.put(arrival)
+    def _line(self, topic: str) -> _Line:
+        line = self._lines.get(topic)
+        if line is None:
+            line = _Line()
+            self._lines = self._lines | {topic: line}
+        return line
+
+
+def _turn(line: _Line) -> tuple[bool, int]:
+    """Whose turn it is: the smallest."""
+    return line.load > _CROWDED, line.waiting[0].arrived_ns
 
 
 def _look_away(_: Arrival) -> None:

@@ -138,6 +138,37 @@ def test_while_a_serial_line_is_unplugged_the_estimate_coasts_and_then_it_is_aid
     _assert_honest(log, text)
 
 
+def test_during_a_flood_on_one_topic_estimates_stay_in_time_and_the_log_replays_to_the_same_bytes(tmp_path: Path) -> None:
+    """As fast as a thread can put, for three seconds: each message is another one, so none is dropped as a repetition."""
+    port = free_port()
+    text = toml(tmp_path, port)
+    with in_thread(parse(text), tmp_path) as daemon, client(port) as session:
+        fly(session, 3.0)
+        flooding = threading.Event()
+
+        def flood() -> None:
+            number = 0
+            while not flooding.is_set():
+                for _ in range(100):
+                    daemon.mailbox.put_bytes("/gnss", schemas.NAV_SAT_FIX, number.to_bytes(8, "little"))
+                    number += 1
+                time.sleep(0.001)  # Python's lock is shared with the loop; messages from a network leave it more time
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        during = fly(session, 3.0)
+        flooding.set()
+        thread.join()
+        after = fly(session, 1.0)
+        report = daemon.mailbox.report()
+    (log,) = logs_of(tmp_path)
+    assert report["dropped /gnss"] == report["lost_inputs"] > 10_000
+    assert len(during.latency_ns) > 300
+    assert max(during.latency_ns) < SECOND
+    assert after.heard_ns >= after.flown_ns
+    assert_replay_says_the_same(log, text)
+
+
 def test_a_thousand_malformed_frames_a_second_cost_nothing(tmp_path: Path) -> None:
     with (
         closing(UdpAutopilot()) as autopilot,

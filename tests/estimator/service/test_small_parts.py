@@ -13,7 +13,6 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from zenoh.ext import Int64, z_serialize
 
 from estimator.service.base.clock import Clock
-from estimator.service.base.mailbox import Mailbox
 from estimator.service.base.status import Status
 from estimator.service.log import state_file
 from estimator.service.log.recovery import claim, recover_in_background
@@ -23,7 +22,7 @@ from estimator.service.watchdog import Notifier
 from estimator.service.zenoh import keys as zenoh_keys
 from estimator.service.zenoh.config import SecurityConfig, access_control
 from logs.wire import schemas
-from logs.wire.codec import Decoder, ImuMounting, encode_input, type_hash
+from logs.wire.codec import Decoder, type_hash
 from logs.wire.schemas import STORE
 from models.messages import AidStatus, Checkpoint, Estimate, Health, ImuSample, LastGnss, Mode, Output, Reason, Tick
 from tests.estimator.service.flying import until
@@ -245,62 +244,3 @@ def _said(status: Status) -> tuple[int, str]:
     assert report is not None
     message: Any = STORE.deserialize_cdr(report.data, report.schema)
     return message.status[0].level, message.status[0].message
-
-
-def _mailbox(log: LogWriter) -> Mailbox:
-    return Mailbox(Clock(), log, [], ["/imu"], ImuMounting())
-
-
-def test_what_waits_for_the_loop_has_an_end_by_bytes_and_what_is_lost_is_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("estimator.service.base.mailbox._MOST_BYTES", 1000)
-    log = LogWriter(LogConfig(enabled=False), lambda n: tmp_path / f"{n}.mcap", {})
-    mailbox = _mailbox(log)
-    for _ in range(20):
-        mailbox.put_bytes("/imu", schemas.IMU, bytes(300))
-    assert mailbox.report() == {"waiting": 4, "lost_inputs": 16, "dropped /imu": 16}
-    for _ in range(2):
-        assert mailbox.get(0.0) is not None
-    for _ in range(20):
-        mailbox.put_bytes("/imu", schemas.IMU, bytes(300))
-    assert mailbox.report() == {"waiting": 4, "lost_inputs": 34, "dropped /imu": 34}
-    log.close()
-
-
-def test_a_flooded_topic_takes_no_room_from_the_others(tmp_path: Path) -> None:
-    log = LogWriter(LogConfig(enabled=False), lambda n: tmp_path / f"{n}.mcap", {})
-    mailbox = _mailbox(log)
-    for k in range(30_000):
-        mailbox.put_bytes("/gnss", schemas.NAV_SAT_FIX, b"")
-        if k % 10 == 0:
-            mailbox.put_bytes("/imu", schemas.IMU, bytes(300))
-        if k % 1000 == 0:
-            mailbox.put_bytes("/pose_fix", schemas.POSE_FIX, bytes(300))
-    came = []
-    while (arrival := mailbox.get(0.0)) is not None:
-        came.append(arrival.topic)
-    assert (came.count("/imu"), came.count("/pose_fix"), came.count("/gnss")) == (3000, 30, 1000)
-    assert mailbox.report() == {"waiting": 0, "lost_inputs": 29_000, "dropped /gnss": 29_000}
-    mailbox.put_bytes("/gnss", schemas.NAV_SAT_FIX, b"")
-    assert mailbox.get(0.0) is not None, "after the flood its topic is heard again"
-    log.close()
-
-
-def test_a_link_without_cdr_puts_measurements_and_the_log_holds_what_is_handled(tmp_path: Path) -> None:
-    """As mavlink/link.py does: the loop gets bytes, axes and mounting of the configuration included."""
-    log = LogWriter(LogConfig(enabled=False), lambda n: tmp_path / f"{n}.mcap", {})
-    mounting = ImuMounting("frd", 0.0, 0.0, 90.0)
-    mailbox = Mailbox(Clock(), log, ["/left/image"], ["/imu"], mounting)
-    sample = ImuSample(T0, 1, (0.1, 0.2, 0.3), (1.0, 2.0, -9.0))
-    mailbox.put(sample)
-    arrival = mailbox.get(0.1)
-    assert arrival is not None
-    assert arrival[:3] == encode_input(sample, mounting)
-    assert arrival.arrived_ns > T0 - 1
-    read = Decoder(mounting=mounting).decode(*arrival[:4])
-    assert isinstance(read, ImuSample)
-    np.testing.assert_allclose(read.gyro_b, sample.gyro_b, atol=1e-12)
-    mailbox.put_bytes("/left/image", schemas.IMAGE, b"")
-    assert mailbox.get(0.0) is None
-    log.close()

@@ -170,7 +170,7 @@ class _Rig:
         self.there, self.clock = there, Clock()
         self.link, self.booted_ns = _link(there), self.clock.now_ns() - 500 * SECOND
         config = Config(inputs=INPUTS)
-        self.inbox = Mailbox(self.clock, _NoLog(), [], config.inputs.imu, config.mounting())
+        self.inbox = Mailbox(self.clock, _NoLog(), [], config.mounting())
         self.decoder, self.fusion = config.decoder(), Fusion(config.fusion())
         self.sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self.to: Any = self.link._endpoint._socket.getsockname()  # type: ignore[attr-defined]
