@@ -18,6 +18,12 @@ j: who believes in the source; e is the share of false readings, u their uniform
 itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin
 a reading must be better foretold as the last falsehood than as true, where a gate was all that spoke against the last one.
 
+A receiver (GNSS) may be misled for minutes, slowly, by an error that all of its readings share. So where the leading hypothesis
+fuses it and another absolute source, one goes on *without* it. That one takes no reading of the receiver, and none is evidence
+for or against it. Each fix may raise it by ln 1/e at most; its weight stays above ln(1 - trust). A fix that it takes and the
+leading one refuses is a conflict: both count alike in the covariance until it is decided. (Solution separation: Blanch et al.,
+Baseline advanced RAIM user algorithm, 2015, sec. IV.)
+
 A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
 believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s),
 sooner when it has long been unaided. A cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking;
@@ -51,6 +57,9 @@ _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
 _LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
 _TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
+_LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
+_TINY = 1e-9
+_AGREES = 0.5  # share of good fixes that are so near
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
 
@@ -69,7 +78,8 @@ class Hypothesis:
 
     fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
     parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic; benefit: ln, of the doubt that a
-    sceptic stands for: it counts for so much more in the covariance than in the decision.
+    sceptic stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that
+    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time.
     """
 
     filter: Eskf
@@ -79,12 +89,14 @@ class Hypothesis:
     parted_ns: int = 0
     doubts: dict[str, Doubt] = field(default_factory=dict)
     benefit: float = 0.0
+    without: str = ""
+    least: float = -math.inf
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
         times = self.fused_ns, self.established_ns, self.parted_ns
-        return Hypothesis(self.filter.copy(), self.weight, *times, doubts, self.benefit)
+        return Hypothesis(self.filter.copy(), self.weight, *times, doubts, self.benefit, self.without, self.least)
 
     def note_fused(self, t_ns: int) -> None:
         """A position was fused."""
@@ -98,6 +110,8 @@ class Hypothesis:
 
     def shows_beside(self, lead: "Hypothesis") -> bool:
         """It is likely enough for the covariance to tell of it."""
+        if self.without and not self.benefit:
+            return False
         return self.weight + self.benefit > lead.weight - _SHOWS
 
     def has_settled(self, t_ns: int) -> bool:
@@ -144,7 +158,7 @@ class Hypotheses:
         if len(self.members) == 1:  # most of the time
             cov, factor = lead.filter.cov[_OF_STATE], lead.filter.variance_factor
             return cov.copy() if factor == 1.0 else _scaled(cov, factor)
-        shown = [m for m in self.members if m.shows_beside(lead)]
+        shown = [lead, *(m for m in self.members[1:] if m.shows_beside(lead))]
         weights = [math.exp(m.weight + m.benefit) for m in shown]
         total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
         for weight, member in zip(weights, shown, strict=True):
@@ -160,7 +174,7 @@ class Hypotheses:
     def conflict(self) -> tuple[str, float] | None:
         """Topics that the leading hypothesis rejects and another one, in the covariance, does not; their distance [m]."""
         lead = self.members[0]
-        rejected = {topic for topic, doubt in lead.doubts.items() if not doubt.deliberate}
+        rejected = {topic for topic, doubt in lead.doubts.items() if not doubt.deliberate or topic == lead.without}
         for member in self.members[1:]:
             if member.benefit > 0.0 and (topics := rejected - member.doubts.keys()):
                 off = member.filter.x[X.P] - lead.filter.x[X.P]
@@ -175,25 +189,48 @@ class Hypotheses:
         for member in self.members:
             member.filter.variance_factor = variance_factor
 
-    def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool) -> Verdict:
-        """Let every hypothesis answer a measurement; trusted: the source's machine lets it be fused."""
+    def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool, vouched: bool = False) -> Verdict:
+        """Let every hypothesis answer a measurement.
+
+        trusted: the source's machine lets it be fused; vouched: another source has given positions lately.
+        """
         limit = gate(aid.rules.gate_probability, len(z.rows))
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
             return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
+        if vouched and passed[0] and self._leave_out(aid):
+            seen.append(seen[0])
+            passed.append(True)
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
         # Position and velocity of one receiver are false together: to who doubts the position, its velocity is no more news.
         by_receiver = self._told([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
-        fused: list[bool] = []
-        for k in range(len(self.members)):
+        fused = [False] * len(seen)
+
+        def answer(k: int) -> float:
+            """What hypothesis k gains."""
+            member, before = self.members[k], self.members[k].weight
             lead_refuses = k > 0 and not fused[0]
-            fused.append(
-                self._answer(k, aid, seen[k], passed[k], agreement[k], doubted, born, by_receiver, lead_refuses=lead_refuses)
+            fused[k] = self._answer(
+                k, aid, seen[k], passed[k], agreement[k], doubted, born, by_receiver, lead_refuses=lead_refuses
             )
+            return member.weight - before
+
+        following = [k for k, m in enumerate(self.members) if aid.witness not in m.doubts]
+        gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
+        by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
+        for k, member in enumerate(self.members):
+            if k in gained:
+                self._limit(k, aid, gained, fused)
+            elif by_others is not None:
+                member.weight += by_others
+            else:  # no other one follows the receiver: it is judged again
+                member.without = ""
+                answer(k)
+        self._begin_again(aid, fused, believer, agrees=seen[0].distance2 <= gate(_AGREES, len(z.rows)))
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
@@ -201,6 +238,50 @@ class Hypotheses:
         self.members += born + ([believer] if believer else [])
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
+
+    def _leave_out(self, aid: Aid) -> bool:
+        """Whether from now on a hypothesis goes on without this receiver, which may be misled for long."""
+        lead = self.members[0]
+        if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in self.members):
+            return False
+        other = lead.copy()
+        other.weight = other.least = aid.log_misled
+        other.without, other.parted_ns = aid.topic, aid.t_ns
+        other.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
+        self.members.append(other)
+        return True
+
+    def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
+        """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
+        member = self.members[k]
+        if k == 0 or not member.without or not aid.absolute:
+            return
+        member.weight += min(0.0, gained.get(0, 0.0) - math.log(aid.rules.false_share) - gained[k])
+        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)))
+
+    def _begin_again(self, aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
+        """A hypothesis without a receiver that refuses a fix begins again as the leading one or the believer that takes it."""
+        for member, was_fused in zip(self.members, fused, strict=True):
+            if not member.without or member is self.members[0] or not aid.absolute or member.without == aid.witness:
+                continue
+            if was_fused and not (agrees and fused[0]):
+                continue
+            if fused[0] or believer is not None:
+                right = self.members[0] if fused[0] else believer
+                assert right is not None
+                member.filter, member.fused_ns = right.filter.copy(), aid.t_ns
+                member.doubts.pop(aid.topic, None)
+
+    def leave(self, topic: str) -> None:
+        """The receiver has been found out: the hypothesis without it leads, where there is one."""
+        for member in self.members[1:]:
+            if member.without == topic:
+                self.members.remove(member)
+                self.members[0].weight = -_MARGIN
+                member.weight = member.benefit = 0.0
+                self.members.insert(0, member)
+                self.switches += 1
+                return
 
     def drop(self, is_impossible: Callable[[Hypothesis], bool]) -> None:
         """Drop what no vehicle can be, but never the last hypothesis; the heaviest that is left leads."""
@@ -280,11 +361,12 @@ class Hypotheses:
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
-            if aid.absolute and margin < _FORGET and member.weight + true - margin > doubted:
+            may_doubt = aid.absolute and (k == 0 or not member.without)
+            if may_doubt and margin < _FORGET and member.weight + true - margin > doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
-                sceptic.parted_ns = aid.t_ns
+                sceptic.parted_ns, sceptic.without = aid.t_ns, ""
                 sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
                 born.append(sceptic)
             member.weight += true
@@ -347,12 +429,16 @@ class Hypotheses:
             lead = best
             lead.benefit = 0.0
             self.switches += 1
-        others = [m for m in others if m.matters_beside(lead) and not m.has_settled(t_ns)]
+        kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < _LEFT_OUT_S]
+        others = [m for m in others if not m.without and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
-        self.members = [lead, *others[: _MOST - 1]]
+        self.members = [lead, *others[: _MOST - 1], *kept]
         top = lead.weight
         for member in self.members:
             member.weight -= top
+        for member in kept:
+            member.weight = max(member.weight, member.least)
+            member.benefit = max(-member.weight, _TINY) if member.benefit else 0.0  # in a conflict it counts like the leading one
 
 
 def _scaled(cov: Array, factor: float) -> Array:

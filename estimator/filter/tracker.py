@@ -45,6 +45,7 @@ _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after 
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
+_VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
@@ -273,8 +274,9 @@ class Tracker:
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""
         assert self.hypotheses is not None
-        trusted = state.phase is Phase.ACTIVE
-        verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted)
+        receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
+        trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
+        verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
             self._note_variance(aid, verdict.seen)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
@@ -292,6 +294,8 @@ class Tracker:
         state = state.judge(
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )
+        if state.held_until_ns > aid.t_ns and trusted:
+            self.hypotheses.leave(aid.witness)
         ratio = verdict.seen.distance2 / verdict.gate
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, aid.detail), state
 
@@ -518,6 +522,13 @@ class Tracker:
             topic not in {aid.topic, aid.witness}
             and topic in self.absolute
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
+            for topic, s in self.sources.items()
+        )
+
+    def _vouched(self, aid: Aid) -> bool:
+        """Another absolute source has been fused lately."""
+        return any(
+            topic != aid.topic and topic in self.absolute and aid.t_ns - s.fused_ns < _VOUCHED_NS
             for topic, s in self.sources.items()
         )
 

@@ -74,6 +74,9 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     velocity_sigma_m_s: Annotated[
         float, Meta(ge=1e-3, le=1000, description="m/s: where the receiver gives no accuracy, or 0")
     ] = 0.3
+    trust: Annotated[
+        float, Meta(ge=0, le=1, description="probability that the receiver is not misled (spoofed) for long; 1: never questioned")
+    ] = 0.99
     slow_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: slow part of the position error, horizontal; 0: none")] = (
         0.5
     )
@@ -113,6 +116,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         absolute=True,
         log_false=log_false(config, [FALSE_POSITION_M] * 3),
         measurement=measurement,
+        log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=(SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s),) if slow else (),
         geodetic=place,
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",

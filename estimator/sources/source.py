@@ -85,6 +85,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     detail: str = ""
     alignment_only: bool = False
     assumed: str = ""
+    log_misled: float | None = None
 
     @property
     def resembles(self) -> bool:

@@ -18,9 +18,9 @@ from estimator.sources.pose import PoseConfig
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, Estimate, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Reason, Vec3, vec3
-from models.sim.scenario import EPOCH_NS
+from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X, retract
-from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, fly, pose_fix, position_errors, simulated
+from tests.estimator.scenes import SECOND, Run, aid_of, by_arrival, config_of, fly, pose_fix, position_errors, simulated
 
 NOWHERE: Vec3 = (0.0, 0.0, 0.0)
 LIE: Vec3 = (6.0, -4.0, 1.0)
@@ -397,6 +397,48 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert radius[-1] < 2.0  # decided
     said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 40 * SECOND]
     assert any(text.startswith("/pose_fix and the estimate disagree by ") for text in said)
+
+
+PULL_NS, BACK_NS = EPOCH_NS + 20 * SECOND, EPOCH_NS + 50 * SECOND
+
+
+def _pulled(flight: Simulation, m_s: float) -> list[Input]:
+    """From PULL_NS to BACK_NS GNSS moves off at m_s to the north, its velocity with it; a pose fix each 4 s."""
+    found: list[Input] = []
+    for m in flight.messages:
+        pull = PULL_NS < m.t_ns < BACK_NS
+        if isinstance(m, GnssFix) and pull:
+            found.append(replace(m, lat_deg=m.lat_deg + m_s * (m.t_ns - PULL_NS) * 1e-9 / 111_320.0))
+        elif isinstance(m, GnssVelocity) and pull:
+            found.append(replace(m, v_n=(m.v_n[0] + m_s, *m.v_n[1:])))
+        elif not isinstance(m, PoseFix) or (m.t_ns - EPOCH_NS) % (4 * SECOND) < 2 * SECOND:
+            found.append(m)
+    return found
+
+
+@pytest.mark.parametrize("m_s", [0.5, 2.0])
+def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_again_when_it_is_right(m_s: float) -> None:
+    flight = simulated(BOOT, seed=3)
+    run = fly(flight, messages=_pulled(flight, m_s))
+    decided = [e for e in run.estimates if e.t_ns > PULL_NS + 20 * SECOND][::20]
+    off = position_errors(decided, flight.truth)
+    assert off.max() < 1.5
+    found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 10 * SECOND][::20]
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    assert (position_errors(found, flight.truth) > 3.0 * radius).mean() < 0.05
+    last = [s for s in run.statuses if s.topic == "/gnss" and s.kind == "gnss_position"][-10:]
+    assert [s.reason for s in last] == [Reason.FUSED] * 10
+
+
+def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_conflict() -> None:
+    flight = simulated(BOOT, seed=3)
+    config = config_of(flight)
+    usual, never = (fly(flight, replace(config, gnss=replace(config.gnss, trust=trust))) for trust in (0.99, 1.0))
+    members = [run.fusion._history.advance(run.estimates[-1].t_ns).hypotheses for run in (usual, never)]
+    assert [{m.without for m in h.members} for h in members if h is not None] == [{"", "/gnss"}, {""}]
+    for a, b in zip(usual.estimates, never.estimates, strict=True):
+        np.testing.assert_array_equal(a.nav, b.nav)
+        np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
 
 
 @pytest.mark.parametrize(
