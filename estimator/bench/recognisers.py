@@ -80,12 +80,12 @@ def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = 
             again.process(seen.left, seen.right, 0, seen.prior)  # tables of colours, as in a flight's first picture
         begin = time.process_time()
         result = pipeline.process(seen.left, seen.right, next(stamps), seen.prior)
-        return _judged(result, seen, 1e3 * (time.process_time() - begin) if timed else None)
+        return judged(result, seen, 1e3 * (time.process_time() - begin) if timed else None)
 
     return until_heard(method, sample, timed, pairs)
 
 
-def _judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
+def judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
     """By the truth of the moment."""
     if result.fix is None:
         return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}")
