@@ -121,18 +121,18 @@ class SegmentPath:
 
     def _measure(self, pictures: Pictures, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
         """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
-        told = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
-        refused = [_cut_off(r) for r in regions if all(r is not one for one in told)]
+        usable_regions = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
+        refused = [_cut_off(r) for r in regions if all(r is not one for one in usable_regions)]
         if views.other is None:
-            return self._one_camera(pictures, views, told, prior, known, refused, pictures.remark)
+            return self._one_camera(pictures, views, usable_regions, prior, known, refused, pictures.remark)
         rig = self._rectified.rig
-        matches = correspond(grey(views.work), grey(views.other), told, rig)
+        matches = correspond(grey(views.work), grey(views.other), usable_regions, rig)
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
         if rows := self._rows_off(views, matches):
             problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
             return self._one_camera(
-                pictures, views, told, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
+                pictures, views, usable_regions, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
             )
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -167,7 +167,7 @@ class SegmentPath:
         self,
         pictures: Pictures,
         views: _Views,
-        told: list[Region],
+        usable_regions: list[Region],
         prior: Prior,
         known: Catalogue,
         refused: list[RegionReport],
@@ -176,7 +176,7 @@ class SegmentPath:
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         roof_d = float(np.mean(known.place_n[:, 2]))
         kept, seen = list[Region](), list[Sighting]()
-        for region in told:
+        for region in usable_regions:
             one = self._sighting(views, region, sight.from_one_camera(region, prior, rig, roof_d), prior, rig, known)
             if isinstance(one, RegionReport):
                 refused.append(one)

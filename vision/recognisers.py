@@ -112,11 +112,11 @@ class Recognisers:
         laid = self._laid(known, found, t_ns, prior)
         if laid.fix is not None or laid.report.outcome == "no_ground":
             return laid
-        told = self._by_features(known, rig, image, t_ns, prior)
-        if told.fix is not None:
+        other = self._by_features(known, rig, image, t_ns, prior)
+        if other.fix is not None:
             self._likely = None
-            return told
-        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+            return other
+        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {other.report.detail}"))
         return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
 
     def _by_peak(self, known: MapPicture, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:

@@ -71,22 +71,24 @@ def _not_among(original: Callable[..., Any], *given: Any) -> Any:
 
 SEARCH = (
     Stage("own position of each landmark", search_level.Stage, "__init__", _no_positions),
-    Stage("own size of each landmark", search_level, "_growths", lambda _, m, px: np.zeros((1, len(m))), lambda r, _: len(r) > 1),
+    Stage(
+        "own size of each landmark", search_level, "_growths", lambda _, m, _px: np.zeros((1, len(m))), lambda r, _: len(r) > 1
+    ),
     Stage("colour on the roof's side", search_level, "chromas", lambda _, marks: np.zeros((len(marks), 3)), lambda r, _: r.any()),
     Stage("middle level", coarse_search.Search, "_sizes", lambda f, s: [f(s)[0], f(s)[-1]], lambda r, _: len(r) > 2),
     Stage("finer levels", coarse_search.Search, "_sizes", lambda f, s: f(s)[-1:], lambda r, _: len(r) > 1),
-    Stage("second step at a level", coarse_search.Search, "_climb", lambda _, s, level, at, n: at, lambda r, a: r is not a[2]),
+    Stage("second step at a level", coarse_search.Search, "_climb", lambda _, _s, _level, at, _n: at, lambda r, a: r is not a[2]),
     Stage("small landmarks again", fit.Fitter, "fit", _not_among, lambda _, a: len(a) > 5, saves=False),
     Stage("two more positions in doubt", predict, "_MOST_TRIED", lambda _: 1),
     Stage("nearer and farther", predict, "nearer_and_farther", lambda *_: [], lambda r, _: bool(r)),
     Stage("position from one landmark", fit.Fitter, "fit_one", lambda *_: None, lambda r, _: r is not None),
-    Stage("second round", fit.Fitter, "joined", lambda _, s, i, m, at, fitted, prior: fitted, lambda r, a: r is not a[4]),
+    Stage("second round", fit.Fitter, "joined", lambda *a: a[5], lambda r, a: r is not a[4]),
 )
 CHECKS = (
     Stage("votes before the fit", verify, "flaw", lambda *_: "", lambda r, _: bool(r)),
-    Stage("final check of each landmark", fit.Fitter, "_stand", lambda f, *a: np.ones(len(a[1]), bool), lambda r, _: not r.all()),
+    Stage("final check of each landmark", fit.Fitter, "_stand", lambda *a: np.ones(len(a[2]), bool), lambda r, _: not r.all()),
     Stage("presence test", fit.Fitter, "_stand", _shares_only),
-    Stage("error on the map", fit, "_off_map", lambda f, marks, _: np.zeros(len(marks)), lambda r, _: bool((r > 1.0).any())),
+    Stage("error on the map", fit, "_off_map", lambda _, marks, _fit: np.zeros(len(marks)), lambda r, _: bool((r > 1.0).any())),
     Stage("right against left image", fit.Fitter, "_pair_flaw", lambda *_: "", lambda r, _: bool(r)),
     Stage("distance from search to fit", fit, "_moved_px", lambda *_: 0.0, lambda r, _: r > 10.0),
     Stage("fit against prior", fit, "pose_flaw", lambda *_: "", lambda r, _: bool(r)),
@@ -96,12 +98,12 @@ CHECKS = (
     Stage("the next image must agree", verify.Waiting, "agrees", lambda *_: True, lambda r, _: not r),
     Stage("contradiction by the image before", verify.Waiting, "holds", lambda *_: False, lambda r, _: r),
     Stage("one house further", predict.PredictPath, "stands_out", lambda *_: True, lambda r, _: not r),
-    Stage("all outlines as one pattern", pipeline, "judged", lambda _, r, *a: r, lambda r, a: r is not a[0]),
+    Stage("all outlines as one pattern", pipeline, "judged", lambda _, r, *_more: r, lambda r, a: r is not a[0]),
 )
 IDENTIFY = (
     Stage(
         "segmentation where prediction finds nothing", recognise.SegmentPath, "locate",
-        lambda _, path, pictures, near, t_ns, prior: nothing(t_ns, "no_region", ""),
+        lambda _, _path, _images, _near, t_ns, _prior: nothing(t_ns, "no_region", ""),
         lambda r, _: isinstance(r, recognise.Identified),
     ),
     Stage("regions of earlier images", Constellation, "recall", lambda *_: [], lambda r, _: bool(r)),

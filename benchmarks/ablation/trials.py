@@ -79,7 +79,7 @@ def _recognition(seed: int, number: int) -> Trial:
 
     scene = samples[0].scene
     several = [lambda k=k: frame(k) for k in range(_PAIRS)]
-    return Trial(f"recognition, {experiment}", scene.rig_believed, scene.map, PipelineConfig(), several, _while_silent)
+    return Trial(f"recognition, {experiment}", scene.rig_calibrated, scene.map, PipelineConfig(), several, _while_silent)
 
 
 def _while_silent(_: Result, verdict: Verdict) -> bool:

@@ -59,10 +59,10 @@ def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPRE
             yield Trial(known, number, prior, then)
             if known.group == MANY:
                 decoys = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), known.p_n[:2], rng))
-                yield Trial(_lying(known, decoys), number, prior, then and (_lying(then[0], decoys), then[1]))
+                yield Trial(_turned_map(known, decoys), number, prior, then and (_turned_map(then[0], decoys), then[1]))
 
 
-def _lying(known: Case, decoys: LandmarkMap) -> Case:
+def _turned_map(known: Case, decoys: LandmarkMap) -> Case:
     """The same photo under another map."""
     return replace(known, group=DECOY, landmarks=decoys)
 

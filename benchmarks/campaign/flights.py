@@ -48,17 +48,17 @@ class Instant(msgspec.Struct, frozen=True):
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """A scenario of the simulator with its outages (begin, end), and what the filter is told.
 
-    matched: sensors as modelled; told_slow_m: [gnss] slow_sigma_m; told_noise: multiple of the grade's noise;
-    told_scale: [imu] gyro_scale.
+    matched: sensors as modelled; configured_slow_m: [gnss] slow_sigma_m; configured_noise: multiple of the grade's noise;
+    configured_scale: [imu] gyro_scale.
     """
 
     name: str
     scenario: Scenario
     outages_s: tuple[Interval, ...]
     matched: bool = True
-    told_slow_m: float = 0.0
-    told_noise: float = 1.0
-    told_scale: float = 0.0
+    configured_slow_m: float = 0.0
+    configured_noise: float = 1.0
+    configured_scale: float = 0.0
 
     def seed(self, run: int) -> int:
         """Of the simulation: flights do not share their noise, so that their cells are independent."""
@@ -80,8 +80,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     def noise(self) -> ImuNoise:
         """The IMU's as the filter knows it: white noise of the grade or a multiple of it, random walks of the grade."""
         noise = GRADES[self.scenario.imu.grade].noise
-        white = {"gyro_noise": noise.gyro_noise * self.told_noise, "accel_noise": noise.accel_noise * self.told_noise}
-        return msgspec.structs.replace(noise, **white, gyro_scale=self.told_scale)
+        white = {"gyro_noise": noise.gyro_noise * self.configured_noise, "accel_noise": noise.accel_noise * self.configured_noise}
+        return msgspec.structs.replace(noise, **white, gyro_scale=self.configured_scale)
 
     def config(self, process_scale: float = 1.0) -> FusionConfig:
         """What the filter knows: the IMU's noise, its turn-on biases as prior; process_scale multiplies Q."""
@@ -92,7 +92,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             accel_bias_sigma=GRADES[imu.grade].accel_turn_on * imu.turn_on,
             still_gyro=_NEVER_STILL,
         )
-        gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
+        slow_s = self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0
+        gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s)
         pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0, false_share=_NONE_FALSE)  # simulated fixes: level, true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
@@ -118,7 +119,7 @@ def flight(
     aided_s: float = AIDED_S,
     between_s: float = BETWEEN_S,
     matched: bool = True,
-    told_noise: float = 1.0,
+    configured_noise: float = 1.0,
 ) -> Flight:
     """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
     gone = outages(lengths_s, aided_s, between_s)
@@ -136,7 +137,7 @@ def flight(
         pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
-    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, told_noise=told_noise)
+    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, configured_noise=configured_noise)
 
 
 def matched() -> list[Flight]:
@@ -171,16 +172,16 @@ def mismatched() -> list[Flight]:
         slow_m: float = 0.0, scale: float = 0.0,
     ) -> Flight:  # fmt: skip
         plain = flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False)
-        return msgspec.structs.replace(plain, told_slow_m=slow_m, told_scale=scale)
+        return msgspec.structs.replace(plain, configured_slow_m=slow_m, configured_scale=scale)
 
     def imu(**errors: float) -> Imu:
         return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)
 
     return [
         of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),
-        of("scale-0.3%-told", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
+        of("scale-0.3%-modelled", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
         of("misaligned-0.3deg", imu=imu(misalignment_deg=0.3), pose_fix=fixes),
-        of("misaligned-0.3deg-told", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
+        of("misaligned-0.3deg-modelled", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
         of("noise-x2", imu=imu(noise_multiplier=2.0), pose_fix=fixes),
         of("slow-gnss-ignored", gnss=slow),
         of("slow-gnss-considered", gnss=slow, slow_m=slow.slow_sigma_m),

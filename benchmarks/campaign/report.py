@@ -49,7 +49,7 @@ def verdict(results: Sequence[Result], orders: Sequence[OrderResult]) -> Table:
         rows += [
             ("NEES cells within 95 %", f"{share(c.inside for c in cells)} of {len(cells)}", f">= {AIM_INSIDE:.0%}"),
             ("NEES cells outside 99.99 %", str(sum(c.outside for c in cells)), "0"),
-            ("NEES of whole flights off 1", f"{sum(not w.honest for w in wholes)} of {len(wholes)}", "0"),
+            ("NEES of whole flights off 1", f"{sum(not w.consistent for w in wholes)} of {len(wholes)}", "0"),
             *((f"RMSE/bound, {block}", ratios([e for e in efficiency if e.block == block]), "0.95-1.10") for block in BLOCKS),
             ("valid measurements gated", f"{gated:.3%} of {fixes}", f"<= {AIM_GATED:.1%}"),
             ("lost for another reason", str(sum(r.lost for r in matched)), "0"),

@@ -132,13 +132,13 @@ def _fixed(
     if not at_once:
         view, pictures, prior = later(view, prior)
         result = pipeline.process(*pictures, 1 + NEXT_NS, prior)
-    limit = float(np.sqrt(np.trace(bound(_believing(view, prior))[:3, :3]))) if with_bound else 0.0
+    limit = float(np.sqrt(np.trace(bound(_with_prior(view, prior))[:3, :3]))) if with_bound else 0.0
     said = f"{result.report.outcome}: {result.report.detail}"
     found = outcome_of(view, result.pose, said)
     return msgspec.structs.replace(found, name=name, share=share, seconds=seconds, bound_m=limit, at_once=at_once)
 
 
-def _believing(view: View, prior: Prior) -> View:
+def _with_prior(view: View, prior: Prior) -> View:
     """The view with another prior."""
     return View(
         view.cell, view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rig, view.landmarks, prior, view.rng

@@ -73,9 +73,9 @@ def run_ours(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
 
 def run_naive(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
     """The same files through the plain filter: one Odometry per IMU sample."""
-    told = tomllib.loads(config.read_text())
-    axes = told["imu"].pop("axes")
-    decoder, naive = Decoder(Topics.of(told["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**told["imu"]))
+    settings = tomllib.loads(config.read_text())
+    axes = settings["imu"].pop("axes")
+    decoder, naive = Decoder(Topics.of(settings["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**settings["imu"]))
     with LogReader(task_file) as reader, Recorder(out, metadata={}) as recorder:
         for record in reader:
             message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)

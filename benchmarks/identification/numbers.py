@@ -213,8 +213,8 @@ def absences(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, int
 
 
 def calibration_table(title: str, bins: Sequence[tuple[float, float, float, int]]) -> Table:
-    rows = [(f"{told:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for told, measured, error, n in bins]
-    return Table(title, ("told", "measured", "regions"), rows)
+    rows = [(f"{claimed:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for claimed, measured, error, n in bins]
+    return Table(title, ("claimed", "measured", "regions"), rows)
 
 
 def draw(results: dict[str, list[Outcome]], path: Path) -> None:

@@ -73,7 +73,7 @@ def run_world(job: Job) -> list[Outcome]:
         left, right = render_pair(scene.world, scene.rig, p_n, so3.matrix(q), Conditions(), rng)
         error = rng.normal(0.0, sigma)
         prior = Prior(p_n - error[:3], so3.multiply(so3.quat_exp(-error[3:]), q), np.diag(sigma**2))
-        pipeline = LandmarkPipeline(scene.rig_believed, scene.map)
+        pipeline = LandmarkPipeline(scene.rig_calibrated, scene.map)
         begin = process_time()
         result = pipeline.process(left, None if one_camera else right, k, prior)
         outcomes.append(judge(result, scene, p_n, q, process_time() - begin))

@@ -30,7 +30,7 @@ RIG = StereoRig(_CAMERA, _CAMERA, np.eye(3), np.array([-BASELINE_M, 0.0, 0.0]), 
 class Conditions(msgspec.Struct, frozen=True):
     """One kind of world.
 
-    variation: of width and length, +-; unmapped, gone, found, bad: fractions as in vision's Beliefs; replaced: of the gone, an
+    variation: of width and length, +-; unmapped, gone, found, bad: as in vision's Assumptions; replaced: of the gone, an
     unmapped object stands in the very place; claim: true errors over those that are told; scale_sigma: relative, of all depths
     alike; disparity_sigma_px: of each region.
     """

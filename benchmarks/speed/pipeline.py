@@ -163,12 +163,12 @@ def measure(size: str, pair: Pair, clock: StageClock, rng: np.random.Generator) 
     if theirs is None or theirs.points < LEAST_POINTS:
         return []
     rows = []
-    for name, told in PRIORS.items():
-        sigma = np.array(told) * np.repeat([1.0, math.pi / 180.0], 3)
+    for name, sigmas in PRIORS.items():
+        sigma = np.array(sigmas) * np.repeat([1.0, math.pi / 180.0], 3)
         error = rng.normal(0.0, sigma)
         q = so3.multiply(so3.quat_exp(-error[3:]), pair.q_nb)
         prior = Prior(pair.p_n - error[:3], so3.normalise(q), np.diag(sigma**2))
-        landmarks = LandmarkPipeline(pair.scene.rig_believed, pair.scene.map)
+        landmarks = LandmarkPipeline(pair.scene.rig_calibrated, pair.scene.map)
         clock.read()
         begin = time.process_time()
         result = landmarks.process(pair.left, pair.right, 1, prior)

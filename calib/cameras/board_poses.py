@@ -63,13 +63,13 @@ def board_poses(
 
     A view whose corners fit far worse than the others' is left out: what was found in it was not the board.
     """
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     solved: list[tuple[int, Solution]] = []
     for k, view in enumerate(views):
         seen = Seen(board.points[view.ids], view.px)
         with contextlib.suppress(CalibrationError, cv2.error):
             solved.append((k, adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))))
-        told((k + 1) / len(views))
+        report((k + 1) / len(views))
     usual = float(np.median([s.rms for _, s in solved])) if solved else 0.0
     good = [(k, s) for k, s in solved if s.rms <= _OUTLIER * usual]
     if not good:

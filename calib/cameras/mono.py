@@ -88,18 +88,18 @@ def calibrate(
     check_sizes(views)
     chosen = [views[i] for i in choose(views, board)]
     rest = [v for v in views if v not in chosen]
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     problem = start(chosen, board, lens)
-    told(0.3)
+    report(0.3)
     solution, kept, dropped = without_outliers(problem, [v.name for v in chosen])
-    told(0.6)
+    report(0.6)
     used = tuple(chosen[i] for i in kept)
     n = 4 + _COUNT[lens]
     camera = with_covariance(solution.problem.cameras[0], solution.covariance[:n, :n])
     held_out, spread = cross_validate(solution)
     if len(rest) >= FEWEST:
         held_out = HeldOut.of([predicted_rms(camera, v, board) for v in rest])
-    told(1.0)
+    report(1.0)
     return Mono(camera, lens, used, solution, tuple(dropped), held_out, spread)
 
 

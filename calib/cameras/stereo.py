@@ -58,15 +58,15 @@ def calibrate(
     pairs: Sequence[Pair], board: Board, lens: Lens = Lens.FIVE, progress: Callable[[float], None] | None = None
 ) -> Stereo:
     """The rig that took the pairs. Raises CalibrationError with what to do."""
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     for side in (0, 1):
         check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} pictures")
     both = [common for pair in pairs if (common := shared(pair, board)) is not None]
     chosen = [both[i] for i in choose([p.left for p in both], board)]
     problem = _start(chosen, board, lens)
-    told(0.4)
+    report(0.4)
     solution, kept, dropped = mono.without_outliers(problem, [f"{p.left.name}, {p.right.name}" for p in chosen])
-    told(0.7)
+    report(0.7)
     used = tuple(chosen[i] for i in kept)
     rig = _rig(solution)
     _check_sides(rig)
@@ -74,7 +74,7 @@ def calibrate(
     F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
     rows = row_errors(rig, used)
     before = np.concatenate([epipolar_distances(F, p.left.px, p.right.px) for p in used])
-    told(1.0)
+    report(1.0)
     return Stereo(
         rig, lens, used, solution, tuple(dropped), E, F / np.linalg.norm(F), _rms(before), _rms(np.concatenate(rows)),
         _held_out(solution, used), float(np.mean(square_sides(rig, used, board))),

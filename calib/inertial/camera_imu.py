@@ -76,7 +76,7 @@ def calibrate(
     progress: Callable[[float], None] | None = None,
 ) -> CameraImu:  # fmt: skip
     """Extrinsics from views of a board at rest, stamped in the IMU's time. Raises CalibrationError with what to do."""
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     check(imu.t_ns, imu.gyro, imu.accel)
     inside = (stamps_ns > imu.t_ns[0] + 6e8) & (stamps_ns < imu.t_ns[-1] - 6e8)
     if int(inside.sum()) < _FEWEST:
@@ -85,15 +85,15 @@ def calibrate(
         )
     order = np.flatnonzero(inside)[np.argsort(stamps_ns[inside], kind="stable")]
     one_board = read_from_one_end([views[i] for i in order], board)
-    poses, fits = board_poses(one_board, board, camera, lambda f: told(0.6 * f))
+    poses, fits = board_poses(one_board, board, camera, lambda f: report(0.6 * f))
     problem = _Problem(imu, stamps_ns[order][fits], poses, noise)
-    theta, J, e = _minimise(problem, lambda f: told(0.6 + 0.2 * f))
+    theta, J, e = _minimise(problem, lambda f: report(0.6 + 0.2 * f))
     good = np.sum(e[:-1].reshape(-1, 6) ** 2, axis=1) <= _OUTLIER * max(1.0, float(np.median(e[:-1] ** 2)) / 0.455)
     if not good.all():
         problem = problem.without(~good)
-        theta, J, e = _minimise(problem, lambda f: told(0.8 + 0.15 * f), theta)
+        theta, J, e = _minimise(problem, lambda f: report(0.8 + 0.15 * f), theta)
     covariance, mean_square = _covariance(problem, theta, J, e)
-    told(1.0)
+    report(1.0)
     R_bc = problem.R_bc(theta)
     turn = rotation_vector(problem.R_bc0.T @ R_bc)
     return CameraImu(

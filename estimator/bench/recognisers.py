@@ -72,7 +72,7 @@ def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = 
 
     cpu_ms: what is built once a flight is not timed.
     """
-    pipeline, again = (LandmarkPipeline(sample.scene.rig_believed, sample.scene.map, config) for _ in range(2))
+    pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
     def method(seen: Sample, timed: bool) -> Answer:
@@ -133,7 +133,7 @@ def thesis(sample: Sample, timed: bool = True) -> Answer:
 
 def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
     """What the pair shows, in metres."""
-    made = rectification(sample.scene.rig_believed)
+    made = rectification(sample.scene.rig_calibrated)
     left, right = rectify(sample.left, made.left), rectify(grey(sample.right), made.right)
     colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
     regions = segment_regions(left, made.left.valid if made.left else None, Settings(colours))

@@ -164,7 +164,7 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
     look = scene.world.looks[int(rng.integers(len(scene.world.looks)))]
     colour = _noted(look, rng)
     mapped = {m.id: m for m in scene.map}
-    believed, marks, clutter = [], [], list(scene.world.clutter)
+    mapped_marks, marks, clutter = [], [], list(scene.world.clutter)
     for true in scene.world.landmarks:
         old = mapped[true.id]
         centre, shift = np.array(old.centre_n), np.array(true.centre_n) - np.array(old.centre_n)
@@ -174,10 +174,10 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
         if rng.random() < _SPEC.unmapped:
             clutter.append(Solid(outline + shift, true.base_d, true.height_m, look))
         else:
-            believed.append(_with(old, outline, colour))
+            mapped_marks.append(_with(old, outline, colour))
             marks.append(_with(true, outline + shift, colour))
     world = replace(scene.world, landmarks=tuple(marks), looks=(look,) * len(marks), clutter=tuple(clutter))
-    return scene._replace(world=world, map=LandmarkMap.from_landmarks(scene.map.origin, believed))
+    return scene._replace(world=world, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 
 
 def _pose(experiment: Experiment, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -211,8 +211,8 @@ def _without(scene: Scene, names: set[str]) -> Scene:
     world = scene.world
     kept = [(m, look) for m, look in zip(world.landmarks, world.looks, strict=True) if m.id not in names]
     left = World(tuple(m for m, _ in kept), tuple(look for _, look in kept), world.clutter, world.ground, world.sun)
-    believed = [m for m in scene.map if m.id not in names]
-    return scene._replace(world=left, map=LandmarkMap.from_landmarks(scene.map.origin, believed))
+    mapped_marks = [m for m in scene.map if m.id not in names]
+    return scene._replace(world=left, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 
 
 def _conditions(rng: np.random.Generator) -> Conditions:

@@ -57,7 +57,7 @@ def command(
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
     if sight:
-        note(f"landfix: {sight.tally}")
+        note(f"landfix: {sight.counts}")
     for name in summary.torn_parts:
         note(f"landfix: {name} is torn; replayed up to its last whole record")
     if summary.missing:

@@ -27,10 +27,10 @@ _ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC})
 _KEPT: Final = 400  # pictures
 
 
-class PictureTally(msgspec.Struct):
-    """looked_at: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: pictures not in it."""
+class ImageCounts(msgspec.Struct):
+    """processed: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: pictures not in it."""
 
-    looked_at: int = 0
+    processed: int = 0
     fixes: int = 0
     same: int = 0
     different: int = 0
@@ -39,7 +39,7 @@ class PictureTally(msgspec.Struct):
     def __str__(self) -> str:
         beside = f"; of the log's fixes {self.same} the same, {self.different} not" if self.same or self.different else ""
         lost = f"; pictures of {self.missing} requests are not in the log" if self.missing else ""
-        return f"{self.looked_at} pairs looked at, {self.fixes} fixes{beside}{lost}"
+        return f"{self.processed} pairs looked at, {self.fixes} fixes{beside}{lost}"
 
 
 class SightReplay:
@@ -57,7 +57,7 @@ class SightReplay:
         self._answers: dict[tuple[str, int], Encoded] = {}  # by topic and exposure
         self._answered_ns = 0  # exposure of the last
         self._due: deque[tuple[int, list[Encoded]]] = deque()
-        self.tally = PictureTally()
+        self.counts = ImageCounts()
 
     def note(self, outputs: Iterable[Output]) -> None:
         """What Fusion said: the priors of requests to come."""
@@ -110,8 +110,8 @@ class SightReplay:
             self._answer(self._asked.popleft())
         answer = self._answers.pop((record.topic, t_ns or 0), None)
         if record.topic == FIX_TOPIC and self._repeats:
-            self.tally.same += answer is not None and answer.data == record.data
-            self.tally.different += answer is None or answer.data != record.data
+            self.counts.same += answer is not None and answer.data == record.data
+            self.counts.different += answer is None or answer.data != record.data
         if answer is not None:
             yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
 
@@ -119,14 +119,14 @@ class SightReplay:
         self._answered_ns = request.t_ns
         left, right = (self._shots.get(name) if name else None for name in (request.left, request.right))
         if (request.left and left is None) or (request.right and right is None):
-            self.tally.missing += 1
+            self.counts.missing += 1
             return
         for message in self._counted(self._sight.look(request, (left, right))):
             self._answers[message.topic, request.t_ns] = message
 
     def _counted(self, answers: list[Encoded]) -> list[Encoded]:
-        self.tally.looked_at += 1
-        self.tally.fixes += any(a.topic == FIX_TOPIC for a in answers)
+        self.counts.processed += 1
+        self.counts.fixes += any(a.topic == FIX_TOPIC for a in answers)
         return answers
 
 

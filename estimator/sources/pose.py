@@ -226,10 +226,10 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     root, largest = symmetric_root(rest) if rest.shape == (6, 6) else (rest, math.nan)
     if math.isnan(largest):
         return Refusal(Reason.NOT_PSD, "common covariance")
-    if not (told := _given(_bits(rest, -math.inf))).whole:
-        if (given.mask & ~told.mask).any():
+    if not (rest_given := _given(_bits(rest, -math.inf))).whole:
+        if (given.mask & ~rest_given.mask).any():
             return Refusal(Reason.IMPLAUSIBLE, "common covariance as large as that of what is not given")
-        root, largest = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
+        root, largest = symmetric_root(np.where(np.logical_and.outer(rest_given.mask, rest_given.mask), rest, 0.0))
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, root),) if largest > 0.0 else ()
     errors = np.array(fix.landmark_errors, dtype=float, order="C")

@@ -39,10 +39,8 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     timeout_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: silent for longer, the source has stopped")] = 5.0
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    lie_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last")] = (
-        1.5
-    )
-    believe_after_s: Annotated[
+    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 1.5
+    reset_after_s: Annotated[
         float,
         Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
     ] = 20.0

@@ -33,7 +33,7 @@ FLIGHTS: dict[str, Flight] = {
         lengths_s=(5.0, 10.0),
         aided_s=15.0,
         between_s=10.0,
-        told_noise=SHAKEN,
+        configured_noise=SHAKEN,
     )
     for name, vehicle in VEHICLES.items()
 }
@@ -59,7 +59,7 @@ def test_nees_of_pose_velocity_and_state_stays_in_its_band(name: str) -> None:
     assert result.missing == 0
     assert [cell for cell in result.consistency if beyond(cell)] == []
     assert sum(cell.inside for cell in result.consistency) >= 0.85 * len(result.consistency)
-    assert all(whole.honest for whole in result.wholes)
+    assert all(whole.consistent for whole in result.wholes)
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -91,4 +91,4 @@ def test_a_filter_with_wrong_process_noise_is_found_out(process_scale: float, si
     found = [cell for cell in result.consistency if beyond(cell)]
     assert {beyond(cell) for cell in found} == {side}
     assert {"pose", "full"} <= {cell.part for cell in found}
-    assert all((whole.mean - 1.0) * side > 0.0 and not whole.honest for whole in result.wholes if whole.part != "velocity")
+    assert all((whole.mean - 1.0) * side > 0.0 and not whole.consistent for whole in result.wholes if whole.part != "velocity")

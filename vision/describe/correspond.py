@@ -201,13 +201,13 @@ def _cells(
     left, right = pair.grey(0)
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)
     size = max(int(np.sqrt(mask.sum() / search.cells)), 8)
-    believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
+    slope_sigma = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
     plane = DisparityPlane(np.zeros(2), np.array([disparity, 0.0, 0.0]), np.eye(3), 1.0, 0)
     for _ in range(2):
         guess = np.concatenate((plane.coefficients, plane.origin))
         cells, step, information = correlation.cells(left, right, mask, corner, size, guess, vertical, gain, search.noise_floor)
         sigmas = np.hypot(cells[:, 3], blur)
-        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
+        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), slope_sigma)
         if fitted is None:
             return Unmatched(region, "no texture that could be matched")
         plane = fitted

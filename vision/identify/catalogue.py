@@ -16,7 +16,7 @@ OBLONG = 1.3  # below this ratio of length to width the axes may be exchanged
 _AROUND_M = 40.0  # radius over which the density of objects around an object is taken
 
 
-class Beliefs(msgspec.Struct, frozen=True):
+class Assumptions(msgspec.Struct, frozen=True):
     """What is taken for granted about world and segmentation, before a picture is seen."""
 
     unmapped_fraction: float = 0.3  # of the objects that look like landmarks

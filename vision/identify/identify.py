@@ -16,7 +16,7 @@ from models import cholesky, so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision.identify.assignment import SCALE, STATES, Expected, Hypotheses, search
-from vision.identify.catalogue import Beliefs, Catalogue, Sighting
+from vision.identify.catalogue import Assumptions, Catalogue, Sighting
 from vision.identify.likelihood import options, similarities
 
 NONE = -1  # not a landmark of the map
@@ -56,7 +56,7 @@ class IdentifyConfig(msgspec.Struct, frozen=True):
     accept_posterior: float = 0.999
     fix_posterior: float = 0.9999
     breadth: int = 300
-    beliefs: Beliefs = Beliefs()
+    assumptions: Assumptions = Assumptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +104,8 @@ def identify(
         scale = _roof_scale(several, landmarks, prior)
     like = _likeness(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE])))
     candidate = like >= config.min_similarity
-    choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.beliefs)
-    found = search(choice, _expected(several, landmarks, prior, rig, config.beliefs), covariance, config.breadth)
+    choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.assumptions)
+    found = search(choice, _expected(several, landmarks, prior, rig, config.assumptions), covariance, config.breadth)
     landmark, posterior = _marginals(choice.landmark[found.option], found.probability, len(landmarks.ids))
     accepted, joint, agree = _accept(choice.landmark[found.option], found, landmark, posterior, config.accept_posterior)
     place = _place_posterior(choice.landmark[found.option][:, accepted], found.probability, landmark[accepted])
@@ -152,7 +152,7 @@ def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))
 
 
-def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig: StereoRig, b: Beliefs) -> Expected:
+def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig: StereoRig, b: Assumptions) -> Expected:
     """x_c = R_cb (R_bn exp(-dtheta) (l - p - dp) - p_bc)."""
     R_cn = (prior.R_nb @ rig.R_bc).T
     v = landmarks.place_n - prior.p_n

@@ -46,7 +46,7 @@ class Measured:
         """Whether the pictures alone tell a pose near where they were linearised."""
         return bool(self.share[-1] >= _STRAIGHT_SHARE)
 
-    def told_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
+    def reported_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
         """D (r, 6), orthonormal where a radian counts as RADIAN_M metres, and y = D C Lambda_0 delta (r,), as in LandmarkFix.
 
         delta (6,): of the joint optimum; y is what the directions read from there, so that with the prior it stays the optimum.

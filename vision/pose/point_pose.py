@@ -135,7 +135,7 @@ def _report(
     if measured.whole:
         p_n, R_nb = retract(prior.p_n, prior.q_nb_wxyz, measured.alone(delta, image + moved @ moved.T))
     else:
-        directions, readings = measured.told_along(delta, image + moved @ moved.T)
+        directions, readings = measured.reported_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     map_errors, slopes, rig = np.split(moved, (_MAP_ERRORS, _MAP_ERRORS + _SLOPES), axis=1)
     image = image + slopes @ slopes.T  # another ground in the next picture

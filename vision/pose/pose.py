@@ -336,10 +336,10 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     if measured.whole:
         p_n, R_nb = retract(fit.p0, fit.q0, measured.alone(delta, image + moved @ moved.T))
     else:
-        directions, readings = measured.told_along(delta, image + moved @ moved.T)
+        directions, readings = measured.reported_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     common = moved @ moved.T
-    by_landmark, by_rig = _told_apart(moved, fit)
+    by_landmark, by_rig = _separated(moved, fit)
     image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions, readings)
     return PoseEstimate(
@@ -350,7 +350,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     )  # fmt: skip
 
 
-def _told_apart(moved: Array, fit: _Fit) -> tuple[Array, Array]:
+def _separated(moved: Array, fit: _Fit) -> tuple[Array, Array]:
     """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest).
 
     With round landmarks there is one column more, their turns.

@@ -66,7 +66,7 @@ class Recheck:
     apart: tuple[float, float, float] | None
 
 
-class _Looked(NamedTuple):
+class _Checked(NamedTuple):
     """What one picture shows of the samples of roofs: offsets (N,) px, normals (N, 2), places x_c (N, 3) m in the camera; usable
     ones (N,), and those of them that something hides (N,); across() (E, C + 1) of roofs and walls.
     """
@@ -76,7 +76,7 @@ class _Looked(NamedTuple):
     x_c: Array
     usable: Mask
     hidden: Mask
-    told: Array
+    sums: Array
 
 
 def recheck(
@@ -95,8 +95,8 @@ def recheck(
     bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
     on_roofs = roofs.points_n, roofs.edge, block[roofs.edge], spot[roofs.edge]
     on_walls = walls.points_n, walls.t, walls.edge
-    seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
-    offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
+    seen = [_checked(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
+    offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.sums for one in seen]
     hidden = np.logical_and.reduce([one.hidden for one in seen])
     asked = np.logical_and.reduce([one.usable for one in seen])
     for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
@@ -111,9 +111,7 @@ def recheck(
     return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
-def _looked_at(
-    image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array
-) -> _Looked:
+def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:
     """drawn: ModelEdges; roofs: Samples, their blocks, which are of spots; walls: Samples; bodies: Prisms; stand: as Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
@@ -127,13 +125,13 @@ def _looked_at(
     )
     offset = profiles.search(distance, edge, len(kind), 1.0, usable)
     small_landmarks.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
-    told = across(image, px, normal, block, len(kind), seen)
+    sums = across(image, px, normal, block, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     gap = partners_off(start, end, partner, edge, t, *stand, camera, px, along)
     apart = (partner < 0) | (np.abs(gap) > _GAP_PX)
-    told += across(image, px, along, edge, len(kind), seen & apart[edge])
-    return _Looked(offset, normal, x_c, usable, hidden, told)
+    sums += across(image, px, along, edge, len(kind), seen & apart[edge])
+    return _Checked(offset, normal, x_c, usable, hidden, sums)
 
 
 @njit(cache=True)

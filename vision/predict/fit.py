@@ -98,14 +98,14 @@ class Fitter:
         views: Views = (pictures.left, None if fitted.remark else pictures.right)
         fit, shift_m = fitted.pose, place.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m
-        more, told = [], fit
+        more, known = [], fit
         for k in sorted(set(np.flatnonzero(self._seen(place)).tolist()).difference(fitted.used)):
-            if (found := self._found(views, marks[k], told)) is not None:
-                told, shift_m[k] = found, found.shift_m[0]
+            if (found := self._found(views, marks[k], known)) is not None:
+                known, shift_m[k] = found, found.shift_m[0]
                 more.append(k)
         if not more:
             return fitted
-        here, chosen = replace(place, p_n=told.joint_p_n, R_nb=told.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
+        here, chosen = replace(place, p_n=known.joint_p_n, R_nb=known.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
         start = _Start(here.pose, shift_m, chosen, sorted({*fitted.asked, *more}), views, fitted.remark)
         again = self._settled(marks, here, start, prior)
         if isinstance(again, str) or len(again.used) <= len(fitted.used):
@@ -115,8 +115,8 @@ class Fitter:
     def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
         """The pose that others and a landmark tell together, with its map errors; None where it does not stand there."""
         pose = others.joint_p_n, others.joint_R_nb
-        told = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
-        alone = estimate_pose(self._rig, views, [mark], pose, told, self._alone)
+        about = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
+        alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
         if isinstance(alone, NoPose):
             return None
         stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.look))

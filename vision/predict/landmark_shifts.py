@@ -31,8 +31,8 @@ def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px
 
     trusted (L,): those that count; map_sigma (L,) m; place_px: how well a place is found.
     """
-    y, W, information, told = _told(D, found_px, trusted, map_sigma, place_px, error)
-    total = np.linalg.solve(np.eye(6) + P @ information, P @ told).astype(np.float64)
+    y, W, information, weighted = _information(D, found_px, trusted, map_sigma, place_px, error)
+    total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
     return Settled(total, _shifts(D, trusted, map_sigma, y, W, total))
 
 
@@ -68,11 +68,11 @@ def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, 
 
 
 @njit(cache=True)
-def _told(
+def _information(
     D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array
 ) -> tuple[Array, Array, Array, Array]:
     """y_l (L, 2), N_l^-1 (L, 2, 2), and the sums over landmarks of D_l^T N_l^-1 D_l (6, 6) and D_l^T N_l^-1 y_l (6,)."""
-    information, told = np.zeros((6, 6)), np.zeros(6)
+    information, weighted = np.zeros((6, 6)), np.zeros(6)
     y, W, WD = np.empty((len(D), 2)), np.empty((len(D), 2, 2)), np.empty((2, 6))
     for m in range(len(D)):
         if not trusted[m]:
@@ -88,10 +88,10 @@ def _told(
             for k in range(6):
                 WD[i, k] = W[m, i, 0] * D[m, 0, k] + W[m, i, 1] * D[m, 1, k]
         for k in range(6):
-            told[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
+            weighted[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
             for j in range(6):
                 information[k, j] += D[m, 0, k] * WD[0, j] + D[m, 1, k] * WD[1, j]
-    return y, W, information, told
+    return y, W, information, weighted
 
 
 @njit(cache=True)

@@ -53,7 +53,7 @@ def judged(
     if best is None:
         return result
     if result.pose is None:
-        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
+        return _as_fix(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
     if off_px > _APART_PX:
@@ -87,7 +87,7 @@ def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Mo
     return summit(score, su, sv, move.covariance[:2, :2], _APART_PX)
 
 
-def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
+def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
     """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
     middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))

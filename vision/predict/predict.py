@@ -96,7 +96,7 @@ class PredictPath:
         eye, candidates = self._eye(pictures), self._candidates(pictures, marks, move)
         found = self._decide(pictures, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
-        found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
+        found = self._confirmed(found, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
             said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
@@ -193,7 +193,7 @@ class PredictPath:
             grade, reason = "weak", "another place has more votes"
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 
-    def _believed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
+    def _confirmed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
         """What is weak, or not what the picture before showed, waits until the next one agrees."""
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)

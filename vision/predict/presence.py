@@ -77,7 +77,7 @@ def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, k
 @njit(cache=True)
 def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) -> Array:
     """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all pictures."""
-    told, channels = np.zeros(landmarks), sums.shape[2] - 1
+    log_ratio, channels = np.zeros(landmarks), sums.shape[2] - 1
     for e in range(len(landmark)):
         if kind[e] == _SPOT:
             h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
@@ -97,10 +97,10 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
             a = math.sqrt(square) / points
             edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
             chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
-            told[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
-    return told
+            log_ratio[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
+    return log_ratio
 
 
-def spots_missed(told: Array, share: Array) -> Array:
-    """log LR (N,) of small landmarks, told so far (N,) by their rims, of which such shares (N,) are found where the fit says."""
-    return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), told)
+def spots_missed(log_ratio: Array, share: Array) -> Array:
+    """log LR (N,) of small landmarks, so far (N,) from their rims; share (N,): of each that is found where the fit says."""
+    return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), log_ratio)

@@ -34,7 +34,7 @@ def rigid_votes(
     wide, high = window[1] - window[0] + 1, window[3] - window[2] + 1
     votes = np.zeros((marks, high, wide))
     one, total = np.zeros((_PLANES, 4 * wide * high), np.float32), np.empty((_PLANES, 2 * wide * high), np.float32)
-    told = np.empty(2 * wide * high, np.float32)
+    of_edge = np.empty(2 * wide * high, np.float32)
     for e in range(len(mark)):
         own, way = pixel[first[e] : first[e + 1]], normal[first[e] : first[e + 1]]
         moves = _into_view(field.shape[0], field.shape[1], own, window)
@@ -42,10 +42,10 @@ def rigid_votes(
             continue
         columns = _summed(field, own, way, moves, floor, one, total)
         across = moves[1] - moves[0] + 1
-        _told(total, (moves[3] - moves[2]) * columns + across, length[e], chroma[e], expected, told)
+        _edge_votes(total, (moves[3] - moves[2]) * columns + across, length[e], chroma[e], expected, of_edge)
         for y in range(moves[3] - moves[2] + 1):
             left = moves[0] - window[0]
-            _add(votes[mark[e], moves[2] - window[2] + y, left : left + across], told[y * columns : y * columns + across])
+            _add(votes[mark[e], moves[2] - window[2] + y, left : left + across], of_edge[y * columns : y * columns + across])
     return votes
 
 
@@ -125,7 +125,7 @@ def _add(total: Array | Planes, more: Planes) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _told(total: Planes, size: int, length: float, chroma: Array, expected: float, told: Planes) -> None:
+def _edge_votes(total: Planes, size: int, length: float, chroma: Array, expected: float, of_edge: Planes) -> None:
     """told (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
 
     Without a branch, so that it is done for several shifts at once.
@@ -137,4 +137,4 @@ def _told(total: Planes, size: int, length: float, chroma: Array, expected: floa
         g0, g1, g2, seen = total[0, k], total[1, k], total[2, k], total[6, k]
         c = (g0 * g0 + g1 * g1 + g2 * g2 - total[3, k]) / (total[4, k] * total[4, k] - total[5, k])
         c *= wrong if (g0 * c0 + g1 * c1 + g2 * c2 > none) & (c > none) else whole
-        told[k] = each * seen * (c - tau) if seen >= least else none
+        of_edge[k] = each * seen * (c - tau) if seen >= least else none

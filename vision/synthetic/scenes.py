@@ -1,6 +1,6 @@
 """Worlds from a seed: what truly stands there, the map somebody made of it, the rig as it is and as it was calibrated.
 
-    make_world(seed, spec) -> Scene(world, map, rig, rig_believed)
+    make_world(seed, spec) -> Scene(world, map, rig, rig_calibrated)
 
 The map is drawn first and the truth around it: each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by
 N(0, outline_sigma_m), its roof raised by N(0, height_sigma_m). Errors are drawn once a world, as they are in life.
@@ -62,7 +62,7 @@ class Scene(NamedTuple):
     world: World
     map: LandmarkMap
     rig: StereoRig
-    rig_believed: StereoRig
+    rig_calibrated: StereoRig
 
 
 def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None = None) -> Scene:
@@ -75,13 +75,13 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     if spec.clear_m > 0.0:
         taken.append((0.0, 0.0, spec.clear_m))
         built = [b for b in built if math.hypot(*b[0].centre_n) > spec.clear_m + _radius(b[0].outline_n, np.array(b[0].centre_n))]
-    believed, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
+    on_map, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
     for mark, look in built:
         taken.append((*mark.centre_n, _radius(mark.outline_n, np.array(mark.centre_n))))
         mapped, stands = for_errors.random() >= spec.unmapped, for_errors.random() >= spec.gone
         true = _err(mark, for_errors)
         if mapped:
-            believed.append(mark)
+            on_map.append(mark)
             if stands:
                 marks.append(true)
                 looks.append(look)
@@ -90,7 +90,7 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     clutter += _clutter(spec, taken, for_clutter)
     sun = Sun(for_clutter.uniform(-math.pi, math.pi), math.radians(for_clutter.uniform(30.0, 65.0)))
     world = World(tuple(marks), tuple(looks), tuple(clutter), ground or Ground.procedural(for_ground), sun)
-    return Scene(world, LandmarkMap.from_landmarks(spec.origin, believed), draw_rig(spec.rig, for_rig), spec.rig)
+    return Scene(world, LandmarkMap.from_landmarks(spec.origin, on_map), draw_rig(spec.rig, for_rig), spec.rig)
 
 
 def _places(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:

@@ -55,9 +55,9 @@ def mono_command(
 
     options.check_outputs(report_file or out, out, *map(Path, files_of(sources)))
     pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
-    with progress("calibrate") as told:
-        views, unused = gather(sources, topic, pattern, lambda f: told(0.8 * f))
-        result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
+    with progress("calibrate") as update:
+        views, unused = gather(sources, topic, pattern, lambda f: update(0.8 * f))
+        result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: update(0.8 + 0.2 * f))
     judged, tables = verdict.of_mono(result), [*page.mono_tables(result), page.dropped(unused)]
     if placed is None:
         written = formats.save_camera(out, result.camera)
@@ -107,9 +107,9 @@ def stereo_command(
 
     options.check_outputs(report_file or out, out, *map(Path, files_of([*left, *right])))
     pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
-    with progress("calibrate") as told:
-        pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: told(0.8 * f))
-        result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
+    with progress("calibrate") as update:
+        pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: update(0.8 * f))
+        result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: update(0.8 + 0.2 * f))
     judged, tables = verdict.of_stereo(result), [*page.stereo_tables(result), page.dropped(unused)]
     rig = _placed(result.rig, placed)
     written = formats.save_rig(out, rig)

@@ -243,13 +243,13 @@ def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
     return numbers
 
 
-def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) -> "Prior":
+def _prior(landmarks: "LandmarkMap", pose_prior: list[float], sigma: list[float]) -> "Prior":
     import numpy as np
 
     from models import so3
     from vision.identify.identify import Prior
 
-    lat, lon, alt, roll, pitch, yaw = believed
+    lat, lon, alt, roll, pitch, yaw = pose_prior
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
     if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):

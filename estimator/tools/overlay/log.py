@@ -108,11 +108,11 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
         exposures.append(flight.exposures_ns.get(PictureName(topic, stamp_ns), stamp_ns + offset_ns))
         offset_ns = exposures[-1] - stamp_ns
     estimate = decode(schemas.ODOMETRY, [data for data, _ in flight.odometry], [arrived for _, arrived in flight.odometry])
-    at, told = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
+    at, covered = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
     radius = horizontal_radius(at.covariance[:, :2, :2])
     began, names = [t for t, _ in flight.modes], [name for _, name in flight.modes]
     found: list[View | None] = [None] * len(exposures)
-    for row, k in enumerate(np.flatnonzero(told).tolist()):
+    for row, k in enumerate(np.flatnonzero(covered).tolist()):
         t_ns, q = exposures[k], at.q_wxyz[row]
         if np.isfinite(at.p[row]).all() and np.isfinite(q).all() and np.isfinite(at.covariance[row]).all():
             R_nb = so3.matrix(np.array(axes.attitude((q[0], q[1], q[2], q[3]))))

@@ -171,8 +171,8 @@ def _truths(truth: Trajectory) -> Iterator[PoseFix]:
             continue
         last = t_ns // _TRUTH_EVERY_NS
         q, covariance = truth.q_wxyz[k], truth.covariance[k]
-        told = np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)
-        noise = covariance if told else _TRUTH.copy()
+        given = np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)
+        noise = covariance if given else _TRUTH.copy()
         if not np.isfinite(q).all():
             q, noise = np.array([1.0, 0.0, 0.0, 0.0]), np.diag([*np.diag(noise)[:3], np.inf, np.inf, np.inf])
         q_nb = axes.attitude((float(q[0]), float(q[1]), float(q[2]), float(q[3])))

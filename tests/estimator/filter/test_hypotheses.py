@@ -94,12 +94,12 @@ def test_eight_lies_that_agree_are_never_followed_by_a_settled_filter(seed: int)
     assert all(np.linalg.norm(reset.delta_p_n) < 1.0 for reset in run.resets)
 
 
-@pytest.mark.parametrize("believe_after_s", [8.0, 20.0])
-def test_a_filter_that_is_wrong_follows_the_fixes_after_believe_after_s_and_not_much_before(believe_after_s: float) -> None:
-    config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(believe_after_s=believe_after_s))
+@pytest.mark.parametrize("reset_after_s", [8.0, 20.0])
+def test_a_filter_that_is_wrong_follows_the_fixes_after_believe_after_s_and_not_much_before(reset_after_s: float) -> None:
+    config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(reset_after_s=reset_after_s))
     run = _fly(70.0, lambda t: LIE if t < 40.0 else NOWHERE, config=config)
     moved_s = next((e.t_ns - EPOCH_NS) * 1e-9 for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND and _near_truth(e.nav))
-    assert 0.4 * believe_after_s < moved_s - 40.0 <= believe_after_s + 3.0
+    assert 0.4 * reset_after_s < moved_s - 40.0 <= reset_after_s + 3.0
     assert _distance(run, moved_s + 1.0, 70.0).max() < 0.6
     assert [r.counter for r in run.resets] == list(range(1, len(run.resets) + 1))
     assert len(run.resets) >= 1
@@ -302,7 +302,7 @@ def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() 
     assert z is not None
     bank.judge(aid, z, np.zeros(3), trusted=True)
     assert bank.members[0] is honest
-    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().lie_s)
+    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().fault_s)
     assert "/gnss/velocity" not in follower.doubts
 
 
@@ -334,7 +334,7 @@ def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_fo
     assert z is not None
     assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
-    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().lie_s, abs=1e-3)
+    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().fault_s, abs=1e-3)
     assert hopeless.weight > -16.0
 
 

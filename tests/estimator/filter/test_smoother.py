@@ -195,7 +195,7 @@ def test_arrival_plays_no_part() -> None:
 
 def test_a_lie_at_the_end_of_an_outage_does_not_bend_what_was_before() -> None:
     """GIVEN three fixes after the outage that are off by the same 4.7 m, so that the filter believes them at first."""
-    lie = "lies = [{start_s = 24.0, end_s = 25.6, offset_n_m = [3.0, -2.0, 3.0]}]\n"
+    lie = "false_spans = [{start_s = 24.0, end_s = 25.6, offset_n_m = [3.0, -2.0, 3.0]}]\n"
     s, simulation, estimates = smoothed(3, lie), flight(3, lie), filtered(3, lie)
     stamps = [t for t in s.t_ns.tolist() if 24.9 < (t - EPOCH_NS) * 1e-9 < 25.6 and t in estimates]
     believed = errors(simulation, {t: estimates[t].nav for t in stamps})[:, E.P]

@@ -123,7 +123,7 @@ def test_what_the_vehicle_is_told(log: Path) -> None:
     assert cameras
     scene = flight_pictures.plan(cameras, simulate(loads(SCENARIO.format(quality=92)), 4), 4).scene
     rig, landmarks = load_rig(log.with_name("flight_rig.yaml")), map_store.load(log.with_name("flight_map.geojson"))
-    np.testing.assert_allclose(rig.R_bc, scene.rig_believed.R_bc, atol=1e-9)
+    np.testing.assert_allclose(rig.R_bc, scene.rig_calibrated.R_bc, atol=1e-9)
     assert not np.allclose(rig.R_bc, scene.rig.R_bc, atol=1e-6)
     assert len(landmarks) == len(scene.map)
     off = [np.subtract(landmarks[m.id].centre_n, m.centre_n) for m in scene.world.landmarks]

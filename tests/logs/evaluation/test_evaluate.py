@@ -10,7 +10,7 @@ from rich.console import Console
 from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
 from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
-from logs.evaluation.records import Evaluation, Honesty
+from logs.evaluation.records import ConsistencySummary, Evaluation
 from logs.evaluation.table import print_table
 from logs.evaluation.trajectory import decode
 from logs.store.reader import LogError, LogReader
@@ -60,11 +60,11 @@ def test_accuracy_is_what_the_filter_of_the_log_has(honest: Evaluation) -> None:
     assert [r.over for r in a.relative] == ["1 s", "10 s", "10 m", "100 m"]
 
 
-def steadily_aided(path: Path, error_scale: float) -> Honesty:
+def steadily_aided(path: Path, error_scale: float) -> ConsistencySummary:
     flight_log.write(path, Flight(outages=(), error_scale=error_scale))
-    honesty = evaluate(path).honesty
-    assert honesty is not None
-    return honesty
+    consistency = evaluate(path).consistency
+    assert consistency is not None
+    return consistency
 
 
 def test_an_honest_estimate_is_called_so(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_burn_in_is_not_compared(log: Path) -> None:
 
 def test_without_truth_all_that_needs_none(log: Path, tmp_path: Path) -> None:
     e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",)))
-    assert (e.accuracy, e.honesty, e.compared, e.without_truth) == (None, None, 0, 3001)
+    assert (e.accuracy, e.consistency, e.compared, e.without_truth) == (None, None, 0, 3001)
     assert [o.drift for o in e.outages] == [None, None]
     assert [o.duration_s for o in e.outages] == pytest.approx([10.0, 32.0])
     assert e.distance_m > 600
@@ -174,11 +174,11 @@ def test_a_hidden_gnss_receiver_serves_as_truth(log: Path, honest: Evaluation, t
     e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=tuple(fixes)), "/gnss_hidden")
     assert e.compared == 600
     assert e.accuracy is not None
-    assert e.honesty is not None
+    assert e.consistency is not None
     assert honest.accuracy is not None
     assert e.accuracy.position_m.rmse == pytest.approx(np.hypot(honest.accuracy.position_m.rmse, np.sqrt(3.0)), rel=0.08)
     assert e.accuracy.attitude_deg.n == 0
-    assert e.honesty.position.mean == pytest.approx(1.0, abs=0.15)
+    assert e.consistency.position.mean == pytest.approx(1.0, abs=0.15)
     assert e.notes == ("the truth has no attitude",)
 
 
@@ -323,7 +323,7 @@ def test_json_holds_all_of_it(honest: Evaluation) -> None:
     assert b"NaN" not in text
     back = msgspec.json.decode(text)
     assert back["accuracy"]["position_m"]["rmse"] == pytest.approx(honest.accuracy.position_m.rmse if honest.accuracy else None)
-    assert back["honesty"]["position"]["dof"] == 3
+    assert back["consistency"]["position"]["dof"] == 3
     assert len(back["outages"]) == 2
 
 

@@ -31,13 +31,13 @@ def test_a_row_says_what_the_evaluation_says(evaluations: list[Evaluation]) -> N
     honest, sure, alone = compare_runs(evaluations)
     e = evaluations[0]
     assert e.accuracy is not None
-    assert e.honesty is not None
+    assert e.consistency is not None
     assert (honest.run, honest.duration_s, honest.position_m) == ("honest", e.duration_s, e.accuracy.position_m.rmse)
     (outage,) = (o for o in e.outages if o.source == "all")
     assert outage.drift is not None
     assert honest.longest_outage_s == outage.duration_s
     assert honest.outage_end_m == pytest.approx(outage.drift.end_m)
-    assert honest.nees_position == e.honesty.position.mean
+    assert honest.nees_position == e.consistency.position.mean
     assert honest.fused + honest.not_fused == sum(n for a in e.aids for n in a.reasons.values())
     assert honest.fused == sum(a.reasons["fused"] for a in e.aids)
     assert honest.position_m is not None

@@ -96,11 +96,11 @@ def page(log: Path) -> Page:
 def test_the_summary_says_what_the_evaluation_says(page: Page, log: Path) -> None:
     e = evaluate(log)
     assert e.accuracy is not None
-    assert e.honesty is not None
+    assert e.consistency is not None
     assert f"{e.accuracy.position_m.rmse:.2f} m (RMS)" in page.text
     assert f"{e.distance_m:.0f} m flown" in page.text
     assert "without an absolute fix 2 times, 42.0 s in all, 32.0 s at the longest" in page.text
-    assert f"{e.honesty.radius95_covered:.0%} of the time" in page.text
+    assert f"{e.consistency.radius95_covered:.0%} of the time" in page.text
     assert "/pose_fix" in page.text
 
 
@@ -187,10 +187,10 @@ def test_the_estimate_is_drawn_with_its_band_and_the_truth(page: Page, log: Path
 def test_errors_are_drawn_with_what_was_promised(page: Page, log: Path) -> None:
     e = evaluate(log)
     assert e.accuracy is not None
-    assert e.honesty is not None
+    assert e.consistency is not None
     horizontal, radius = (told(page.part("radius", name)["high"]) for name in ("horizontal error", "95 % radius"))
     assert max(horizontal) == pytest.approx(e.accuracy.horizontal_m.max, rel=1e-4)
-    assert max(radius) == pytest.approx(e.honesty.radius95_max_m, rel=1e-4)
+    assert max(radius) == pytest.approx(e.consistency.radius95_max_m, rel=1e-4)
     assert max(told(page.part("nees", "position")["high"])) > 1.0
     heading = page.part("error_theta2", "error")
     assert max(abs(x) for x in told(heading["low"] + heading["high"])) == pytest.approx(e.accuracy.heading_deg.max, rel=1e-3)

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.identification.numbers import judge, run
 from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from models import so3
-from vision.identify.catalogue import Beliefs, Catalogue, Sighting, catalogue
+from vision.identify.catalogue import Assumptions, Catalogue, Sighting, catalogue
 from vision.identify.identify import NONE, Identification, Prior, identify
 
 CALM = Conditions(unmapped=0.0, gone=0.0, found=1.0, bad=0.0, height_m=(70.0, 90.0))
@@ -143,8 +143,8 @@ def test_unmapped_objects_on_the_grid_are_expected_there() -> None:
     place = np.stack([landmarks.place_n[0], landmarks.place_n[1], landmarks.place_n[2]])
     off = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
     own, told = np.zeros((3, 3, 3)), np.zeros(1)
-    on_grid = intensity(place, own, landmarks, told, told, Beliefs())[:, 0, 0]
-    beside = intensity(off, own, landmarks, told, told, Beliefs())[:, 0, 0]
+    on_grid = intensity(place, own, landmarks, told, told, Assumptions())[:, 0, 0]
+    beside = intensity(off, own, landmarks, told, told, Assumptions())[:, 0, 0]
     assert on_grid[2] > 10.0 * beside[2]
     assert beside[2] == pytest.approx(0.3 / 0.7 * landmarks.density_per_m2 + 1e-4, rel=0.2)
 

@@ -38,7 +38,7 @@ def test_as_many_directions_as_are_seen_and_these_with_their_covariance(rank: in
     assert measured.rank == rank
     assert not measured.whole
     image, moved = measured.covariances(system, omega, 1.0)
-    directions, _ = measured.told_along(np.zeros(6), image + moved @ moved.T)
+    directions, _ = measured.reported_along(np.zeros(6), image + moved @ moved.T)
     rows = directions / DIRECTION_SCALE
     np.testing.assert_allclose(rows @ rows.T, np.eye(rank), atol=1e-12)
     # THEN in these directions the covariance is the inverse of what the pictures know there
@@ -73,7 +73,7 @@ def test_readings_with_the_prior_are_the_joint_optimum() -> None:
     P0 = np.linalg.inv(prior)
     alone = omega[:6, :6] - omega[:6, 6:] @ np.linalg.solve(omega[6:, 6:], omega[6:, :6])
     delta: Array = np.asarray(np.linalg.solve(prior + alone, alone @ np.random.default_rng(1).normal(size=6)), dtype=np.float64)
-    D, y = measured.told_along(delta, image + moved @ moved.T)
+    D, y = measured.reported_along(delta, image + moved @ moved.T)
     gain = P0 @ D.T @ np.linalg.inv(D @ (P0 + image + moved @ moved.T) @ D.T)
     np.testing.assert_allclose(gain @ (D @ delta + y), delta, rtol=1e-6, atol=1e-12)
 
