@@ -57,7 +57,7 @@ class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=1e-3, le=3600, description="s: a stamp may run ahead of its stream's clock by this much")
     ] = 1.0
     reset_sigma: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is told as a reset")
+        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is reported as a reset")
     ] = 5.0
 
 
@@ -128,7 +128,9 @@ class Fusion:
         )
 
     def catch_up(self) -> None:
-        """Work in some of what came late, now that the output is out, rather than when the next message comes; it is all one."""
+        """Work in some of what came late, now that the output is out, rather than when the next message comes; the result is the
+        same.
+        """
         self._history.catch_up()
 
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:
@@ -213,7 +215,7 @@ class Fusion:
         return []
 
     def _note_lead(self, message: ImuSample | Tick) -> None:
-        """The quickest message tells most of the stamps' clock; what it told is forgotten by 0.1 s in a second."""
+        """The quickest message bounds the offset of the stamps' clock; the bound is relaxed by 0.1 s in a second."""
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
@@ -223,7 +225,7 @@ class Fusion:
         self._lead = lead_ns, message.arrived_ns
 
     def _future(self, message: Input) -> Refusal | None:
-        """A stamp that runs ahead of the stamps' clock, as its arrival tells it, by more than future_s."""
+        """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than future_s."""
         if self._lead is None:
             return None
         lead_ns, noted_ns = self._lead
@@ -394,7 +396,7 @@ def _is_whole(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    """What Health tells of the IMU's biases, of the state (16,) and its covariance (15, 15)."""
+    """The IMU's biases for Health, of the state (16,) and its covariance (15, 15)."""
     values: dict[str, float] = {}
     for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
         sigma = np.sqrt(np.diag(cov)[error])

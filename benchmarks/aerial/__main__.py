@@ -56,7 +56,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
     parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
     parser.add_argument(
-        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's belief (1 3)"
+        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's prior (1 3)"
     )
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
     parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")

@@ -43,7 +43,8 @@ def camera(width: int = WIDTH) -> CameraModel:
 def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD) -> Iterator[Trial]:
     """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned.
 
-    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of belief.
+    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of the
+    prior.
     """
     landmarks, names = landmark_map(), photo_names(data)
     cases = {n: case(data, n, where, landmarks, width) for n, where in references(data, landmarks, names).items()}

@@ -1,7 +1,7 @@
 """What registration is tried on: a real video, real photos, and rendered ground on other days and in another season.
 
 Decoys have no right answer: the map turned by half a turn or by a quarter about its middle, or a vehicle 100 to 200 m from
-where it is believed to be, beyond what is searched.
+where the prior has it, beyond the search range.
 """
 
 import math
@@ -38,7 +38,7 @@ _OVERCAST = Sun(0.0, math.radians(60.0), 0.85)
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture, where it was truly taken, and where it is believed to have been."""
+    """An image, the pose it was taken from, and its prior."""
 
     t_ns: int
     picture: Image

@@ -1,4 +1,4 @@
-"""One picture, one map, one belief: what the pipeline makes of it, beside what is known independently."""
+"""One image, one map, one prior: the pipeline's result against an independent reference."""
 
 import math
 import time
@@ -45,7 +45,7 @@ class Spread:
         return np.array([plane, plane, self.height_sigma_m, level, level, self.yaw_sigma_rad])
 
     def draw(self, rng: np.random.Generator, p_n: Array, R_nb: Array) -> Prior:
-        """A belief about the pose (p_n, R_nb)."""
+        """A prior drawn about the pose (p_n, R_nb)."""
         bearing, distance = rng.uniform(0.0, 2.0 * math.pi), self.radius_m * math.sqrt(rng.uniform())
         error = rng.normal(size=6) * self.sigma
         error[:2] = distance * math.cos(bearing), distance * math.sin(bearing)
@@ -73,7 +73,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Trial:
-    """A case with what is believed; after: the next picture, with the same error of the belief, for a fix that waits for it."""
+    """A case and its prior; after: the next image, with the same error of the prior, for a fix that waits for it."""
 
     case: Case
     number: int
@@ -84,7 +84,7 @@ class Trial:
 class Outcome(msgspec.Struct, frozen=True):
     """What became of a trial. prior_m: horizontal error of the prior; error_m: of fix and prior together, alone_m: of the fix
     alone, as the case judges; squared: squared error of the fix's position over its covariance, per degree of freedom; at_once:
-    from the first picture; within_m: what fix and prior together promise (95 %), as `landfix locate --within` asks for.
+    from the first picture; within_m: 95 % radius of fix and prior together, as `landfix locate --within` asks for.
     """
 
     group: str
@@ -115,7 +115,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
     @property
     def sure(self) -> bool:
-        """Whether there is a fix that promises not to be far off."""
+        """Whether there is a fix with a 95 % radius of at most WRONG_M."""
         return self.accepted and self.within_m <= WRONG_M
 
 
@@ -184,7 +184,7 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
 
 class Row(msgspec.Struct, frozen=True):
     """Trials of one kind; pictures: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
-    share accepted from the first picture; sure: share that promises not to be so far off, sure_wrong: of these, off all the same.
+    share accepted from the first picture; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m.
     """
 
     group: str

@@ -101,7 +101,7 @@ def stability(folder: Path) -> Table:
         ):
             rows.append((f"{side} {name}", f"{x:.2f}", f"{sigma:.2f}", f"{moved:.2f}", f"{z:.1f}"))
     columns = ("parameter px", "all views", "sigma", "jackknife over views", "odd - even views / sigma")
-    return Table("Is sigma honest on the published pictures?", columns, rows)
+    return Table("Is sigma consistent on the published images?", columns, rows)
 
 
 def pinhole(solution: Solution) -> Array:

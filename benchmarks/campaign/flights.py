@@ -1,4 +1,4 @@
-"""What flies in the campaign: vehicles, sensors, outages, and what the filter is told of them.
+"""The campaign's flights: vehicles, sensors, outages, and the filter's configuration of them.
 
 A matched flight is one whose sensors are exactly what the filter's model says: no slow GNSS error, no false fix, biases that
 wake up as the filter expects. A mismatched one breaks one assumption, or several.
@@ -26,7 +26,7 @@ AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by th
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
 _HANDOVER_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
-_NONE_FALSE = 1e-6  # share of falsehoods: the filter knows that there are none
+_NONE_FALSE = 1e-6  # share of false measurements: the filter knows that there are none
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
 Phase = Literal["before", "during", "end", "after"]
@@ -46,7 +46,7 @@ class Instant(msgspec.Struct, frozen=True):
 
 
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
-    """A scenario of the simulator with its outages (begin, end), and what the filter is told.
+    """A scenario of the simulator with its outages (begin, end), and the filter's configuration.
 
     matched: sensors as modelled; configured_slow_m: [gnss] slow_sigma_m; configured_noise: multiple of the grade's noise;
     configured_scale: [imu] gyro_scale.

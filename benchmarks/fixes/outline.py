@@ -1,10 +1,10 @@
-"""The outline path on rendered views: from how far off it finds its place, how accurate and honest it is, and what it refuses.
+"""The outline path on rendered views: range of convergence, accuracy, consistency, rejected decoys.
 
 python -m benchmarks.fixes.outline --seed 1 --views 300
 python -m benchmarks.fixes.outline --seed 1 --views 100 --only decoys
 
 Views are those of single_fix (benchmarks/fixes/single_fix_views.py): 10 to 120 m high, tilted up to 25 degrees, one to three
-landmarks, painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline is told
+landmarks, painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline gets
 a prior and the map, nothing else. Where it waits for the next picture to agree it gets one, half a second later; *at once* counts
 the first pair alone. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to out/outline/.
 """
@@ -95,7 +95,7 @@ def partial(seed: int, number: int) -> list[Outcome]:
 
 
 def decoys(seed: int, number: int) -> list[Outcome]:
-    """Maps and priors that lie."""
+    """Wrong maps and priors."""
     outcomes = []
     for kind in DECOYS:
         view, pictures, prior, possible = decoy(seed, number, kind)

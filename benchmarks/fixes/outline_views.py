@@ -148,7 +148,7 @@ def _hidden(view: View, share: float) -> View:
 
 
 def decoy(seed: int, number: int, kind: str) -> tuple[View, tuple[Image, Image], Prior, bool]:
-    """A view whose map or prior lies, its pictures, the prior that is told, and whether a right fix is still possible."""
+    """A view whose map or prior is wrong, its images, the prior, and whether a right fix is still possible."""
     view = _row(seed, number) if kind == "row" else draw_view(seed, number)
     prior, possible = prior_of(view, PRIOR_PX), kind in {"shifted", "row", "one gone"}
     marks = view.landmarks

@@ -1,4 +1,4 @@
-"""Accuracy and honesty of single fixes on rendered views, against the Cramer-Rao bound.
+"""Accuracy and consistency of single fixes on rendered views, against the Cramer-Rao bound.
 
 python -m benchmarks.fixes.single_fix --seed 1 --views 2000
 python -m benchmarks.fixes.single_fix --seed 1 --views 2000 --resume      (goes on where it was ended)

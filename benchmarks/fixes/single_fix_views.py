@@ -1,6 +1,6 @@
 """Views for the accuracy of single fixes: a world, its map with errors, a rig with errors, a pose, and what a filter would know.
 
-Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator is told.
+Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator gets.
 """
 
 import itertools
@@ -45,7 +45,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class View:
-    """One view: what is true (world, true_rig, p_n, R_nb) and what is believed (rig, landmarks, prior)."""
+    """One view: the truth (world, true_rig, p_n, R_nb) and the estimator's model of it (rig, landmarks, prior)."""
 
     cell: Cell
     world: World
@@ -198,7 +198,7 @@ def _conditions(take: str, rng: np.random.Generator) -> Conditions:
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
-    """The filter's belief, drawn about the truth. It is level to 0.5 degrees and turned by 2."""
+    """The filter's prior, drawn about the truth. It is level to 0.5 degrees and turned by 2."""
     sigma = np.array([*POSITION_SIGMA_M, *np.radians(ATTITUDE_SIGMA_DEG)])
     sigma[2] = min(sigma[2], 0.1 * -p_n[2])
     error = rng.normal(size=6) * sigma

@@ -1,6 +1,6 @@
 """The pictures of docs/estimator.md, from recorded flights: `python -m benchmarks.flights.estimator_pictures`.
 
-EuRoC MH_04 with outages (scenario A) and V1_01 with consistent lies (scenario C), seed 0, through `landfix replay` and the
+EuRoC MH_04 with outages (scenario A) and V1_01 with consistent false fixes (scenario C), seed 0, through `landfix replay` and the
 smoother. Prints the figures that the text quotes. Tasks and logs go to out/estimator_pictures.
 """
 

@@ -25,7 +25,7 @@ OURS, NAIVE = "landfix", "naive"
 
 
 class Job(msgspec.Struct, frozen=True):
-    """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes.
+    """A task for one or more estimators. vision_sigma: m, degrees, configured for real vision fixes.
 
     imu: every n-th sample is left, and those of so many seconds in each second are not; config: file in place of the task's own.
     """

@@ -6,9 +6,9 @@ The same multirotor flies at 40 m over the same kind of village with pictures of
 landmark that is seen best nearly all, about half, or about a fifth of the outline is in view. From 14 s on the camera alone aids
 the IMU. Each flight is drawn once and flown in closed loop (predict and verify, from the filter's own prior) in four modes:
 
-    in part     as it is: fixes are told and fused along the directions that were measured
+    in part     as it is: fixes are reported and fused along the directions that were measured
     whole only  fixes of fewer than six directions are thrown away
-    inflated    such fixes are told as a pose, with large variances where nothing was measured
+    inflated    such fixes are reported as a pose, with large variances where nothing was measured
     none        no fixes, the IMU alone
 
 Table to the screen and to out/visibility/.

@@ -31,7 +31,7 @@ class Conditions(msgspec.Struct, frozen=True):
     """One kind of world.
 
     variation: of width and length, +-; unmapped, gone, found, bad: as in vision's Assumptions; replaced: of the gone, an
-    unmapped object stands in the very place; claim: true errors over those that are told; scale_sigma: relative, of all depths
+    unmapped object stands in the very place; claim: true errors over those claimed; scale_sigma: relative, of all depths
     alike; disparity_sigma_px: of each region.
     """
 
@@ -137,7 +137,7 @@ def _sigmas(prior_sigma_m: float) -> Array:
 def _measure(
     rng: np.random.Generator, x_c: Array, width: float, length: float, turn: float, scale: float, R_nc: Array, c: Conditions
 ) -> Sighting:
-    """A region as the stereo stage would measure it; told sigmas are those drawn from, times 1 / claim."""
+    """A region as the stereo stage would measure it; claimed sigmas are those drawn from, times 1 / claim."""
     depth_sigma = x_c[2] * c.disparity_sigma_px / (FOCAL_PX * BASELINE_M)
     pixel_m = x_c[2] / FOCAL_PX
     size_sigma = EDGE_SIGMA_PX * pixel_m / np.array([width, length])

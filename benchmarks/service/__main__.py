@@ -30,7 +30,7 @@ from logs.store.reader import LogReader
 from logs.wire.decoding import LANDMARK_FIX_TOPIC
 
 _OWN_WORDS = "/landfix/daemon"
-_ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # a circle at constant speed tells the heading too slowly
+_ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # on a circle at constant speed the heading is observable too slowly
 
 
 def configuration(folder: Path, port: int, mavlink_port: int | None) -> str:

@@ -173,7 +173,7 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
 
     With an odd number of squares between the end corners' own squares the two ends differ in colour; else they look alike and
-    nothing can be told (stereo then compares the two pictures, camera-imu one with the next).
+    the two ends are ambiguous (stereo then compares the two pictures, camera-imu one with the next).
     """
     if board.ends_alike:
         return False

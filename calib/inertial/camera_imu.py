@@ -2,7 +2,7 @@
 
     min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-with e the normalised innovations of a filter that is told them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
+with e the normalised innovations of a filter that uses them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
 times the innovations' mean square where that is above 1, plus what the camera's own covariance does to them.
 """
 

@@ -2,7 +2,7 @@
 
     draw(experiment, roof, seed, number) -> Sample
 
-What is true is drawn about what is believed, within the covariances that a recogniser is told; so is the prior. Everything
+The truth is drawn about map, rig and prior, within the covariances that a recogniser gets. Everything
 follows from (seed, experiment, roof, number), whatever the order in which samples are drawn.
 """
 
@@ -62,7 +62,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """One pair. scene: the truth and what is believed of it; target: the landmark asked for; seen: share of its roof in view.
+    """One pair. scene: the truth, and the map and rig with their errors; target: the landmark asked for; seen: share of its roof
+    in view.
 
     numbers: of which everything is drawn, another one for each next pair.
     """
@@ -245,7 +246,7 @@ def _reference(world: World, target: str, height_m: float, rng: np.random.Genera
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
-    """The filter's belief, drawn about the truth."""
+    """The filter's prior, drawn about the truth."""
     error = rng.normal(size=6) * PRIOR_SIGMA
     q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(np.ascontiguousarray(R_nb)))
     return Prior(p_n - error[:3], so3.normalise(q), np.diag(PRIOR_SIGMA**2))

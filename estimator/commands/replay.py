@@ -72,7 +72,7 @@ def command(
 
 
 def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
-    """Rig and map that the configuration names, for whoever draws with the output; those that are not there are told."""
+    """Rig and map that the configuration names, for whoever draws with the output; missing ones are reported."""
     from estimator.config import ConfigError
     from estimator.publish import file_attachment
 

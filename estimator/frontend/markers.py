@@ -16,7 +16,7 @@ _LEAST_NS: Final = 1_000_000_000  # between two messages
 
 
 class LandmarkBoard:
-    """Tells of the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
+    """Publishes the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
 
     def __init__(self, landmarks: LandmarkMap) -> None:
         self._landmarks = landmarks

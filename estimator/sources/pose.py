@@ -213,9 +213,9 @@ def _unit_pose(p_n: Array, q: Array, given: NDArray[np.bool_]) -> float:
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
-    """What repeats: errors of each landmark and of the rig, where a fix tells them apart; else all of it as one, the topic's own.
+    """Systematic errors: of each landmark and of the rig, where a fix separates them; else all of it as one, the topic's own.
 
-    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it tells.
+    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it reports.
     """
     common = fix.covariance_common
     if common is None:
@@ -284,7 +284,7 @@ def _on_the_body(block: str, moved: Array) -> SlowError:
 
 @njit(cache=True, error_model="numpy")
 def _turned_back(q: Array, root: Array) -> Array:
-    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was told at the attitude R."""
+    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was reported at the attitude R."""
     back = so3.conjugate(q)
     return _turned(back, _turned(back, root).T.copy())
 

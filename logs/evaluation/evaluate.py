@@ -94,7 +94,7 @@ def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
 
 
 def _known(covariance: Array) -> Array:
-    """The truth's own covariance, zero where it tells none."""
+    """The truth's own covariance, zero where it has none."""
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     given = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
     return np.where(np.reshape(given, (-1, 1, 1)), covariance, 0.0)

@@ -25,7 +25,7 @@ from models.messages import Reason
 class Run(msgspec.Struct, frozen=True):
     """One run in a row; None where its log has none.
 
-    outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if honest;
+    outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if consistent;
     inside95: share of time inside the reported 95 % radius.
     """
 
@@ -81,7 +81,7 @@ _CORE: Final = (
     "inside95",
 )
 _SIDE_BY_SIDE: Final = 3  # runs that fit beside each other on a terminal; more stand below each other, the core of them
-_BADNESS: Final[dict[str, Callable[[float], float]]] = {  # by which the best of a column is told
+_BADNESS: Final[dict[str, Callable[[float], float]]] = {  # by which the best of a column is chosen
     **dict.fromkeys(("position_m", "aided_m", "max_m", "outage_end_m", "attitude_deg", "velocity_m_s"), lambda x: x),
     **dict.fromkeys(("nees_position", "nees_attitude"), lambda x: abs(float(np.log(max(x, 1e-9))))),
     "inside95": lambda x: abs(x - 0.95),
@@ -91,7 +91,7 @@ _MEDIAN_FROM: Final = 3  # runs
 
 
 def compare_runs(evaluations: Sequence[Evaluation]) -> list[Run]:
-    """A row for each, in order, named by what tells their logs apart."""
+    """A row for each, in order, named by what distinguishes their logs."""
     return [_run(name, e) for name, e in zip(_names([e.log for e in evaluations]), evaluations, strict=True)]
 
 

@@ -84,7 +84,7 @@ def accuracy(a: Accuracy) -> Rows:
 
 
 def consistency(h: ConsistencySummary) -> Rows:
-    """Whether the covariance tells the errors."""
+    """Whether the covariance agrees with the errors."""
     parts: list[tuple[str, Consistency]] = [
         ("position", h.position),
         ("  aided", h.position_aided),

@@ -194,7 +194,7 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
 
 
 def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
-    """Errors and promises, and whether they agree."""
+    """Errors and reported covariances, and whether they agree."""
     body = sheet.add(report_plots.reported_and_true(m.evidence, m.gathered, c), "one")
     body += sheet.add(report_plots.errors(m.evidence, c), "three") + sheet.add(report_plots.consistency(m.evidence, c), "one")
     tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []

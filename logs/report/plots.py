@@ -1,4 +1,4 @@
-"""The plots of a report: what is promised and what is true, states, biases, innovations, health, times."""
+"""The plots of a report: reported and true errors, states, biases, innovations, health, times."""
 
 from collections.abc import Iterable
 from statistics import mode
@@ -34,7 +34,7 @@ Charts = dict[str, Chart]
 
 
 def reported_and_true(evidence: Evidence, gathered: Gathered, c: Comparison) -> Charts:
-    """The 95 % radius over time, beside the horizontal error where the truth tells it, and when fixes came."""
+    """The 95 % radius over time, with the horizontal error where there is a truth, and the times of fixes."""
     start_ns, parts = _start(evidence), list[Line | Band | Points]()
     if gathered.signals is not None:
         parts.append(line("95 % radius", "blue", gathered.signals, 18, start_ns))
@@ -108,7 +108,7 @@ def states(evidence: Evidence, gathered: Gathered) -> Charts:
 
 
 def biases(evidence: Evidence, gathered: Gathered) -> Charts:
-    """Biases of gyroscope and accelerometer as the health tells them."""
+    """Biases of gyroscope and accelerometer from Health."""
     numbers = gathered.numbers
     columns = [NUMBERS.index(name) for name in BIASES]
     if numbers is None or not np.isfinite(numbers.low[:, columns]).any():
@@ -190,7 +190,7 @@ def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
 
 
 def consistency(evidence: Evidence, c: Comparison) -> Charts:
-    """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of honest ones."""
+    """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of consistent ones."""
     if not len(c):
         return {}
     attitude, velocity = c.truth.has_attitude, np.isfinite(c.v_error).all(axis=1)
@@ -288,7 +288,7 @@ def _bars(title: str, edges_s: Array, counts: Iterable[int], colour: Colour = "b
 
 
 def _joined(stays: list[Stay], span: float) -> list[Stay]:
-    """Those that begin within a span of each other as one, told by the first: nobody sees them apart."""
+    """Those that begin within a span of each other as one, labelled by the first: on the plot they coincide."""
     joined: list[Stay] = []
     for stay in stays:
         if joined and stay.start - joined[-1].start < span:

@@ -106,7 +106,7 @@ def _consistency(e: Evaluation) -> list[Finding]:
 
 
 def _too_sure(name: str, c: Consistency) -> list[Finding]:
-    """Where the mean squared error is beyond what the covariance promises."""
+    """Where the mean squared error is beyond the covariance."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
@@ -136,7 +136,7 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
 
 
 def _jumps(evidence: Evidence) -> list[Finding]:
-    """Jumps that matter; one within the radius promised before it is what was promised."""
+    """Jumps that matter; one within the 95 % radius before it is consistent."""
     estimate, start_ns = evidence.estimate, int(evidence.estimate.t_ns[0])
     jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in evidence.resets]
     jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]

@@ -1,4 +1,5 @@
-"""What aids the inertial navigation: a GNSS receiver and 6-DoF pose fixes, with their noise, delays, outages and falsehoods.
+"""What aids the inertial navigation: a GNSS receiver and 6-DoF pose fixes, with their noise, delays, outages and false
+measurements.
 
     GNSS:      z = p_n + R_nb l_b + s + n,   v_z = v_n + R_nb (omega_b x l_b) + n_v,   s' = -s/tau + w   (slow error)
     pose fix:  z = p_n + c_p + n_p,          R_z = exp(-c_theta - n_theta) R_nb        (errors about the axes of n)
@@ -61,7 +62,7 @@ class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """A source of 6-DoF fixes. Three numbers are the axes of n.
 
     delay_s, outages_s: as Gnss; outlier_share: of the fixes, with an extra error of random direction and of a size within
-    outlier_m and outlier_deg; common_sigma_*: of the error drawn once for the run, told in covariance_common or not.
+    outlier_m and outlier_deg; common_sigma_*: of the error drawn once for the run, reported in covariance_common or not.
     """
 
     rate_hz: Rate = 2.0

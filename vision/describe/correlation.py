@@ -121,7 +121,7 @@ def cells(
     plane = (c, p, q, u_c, v_c): the disparity c + p (u - u_c) + q (v - v_c) to begin with. corner (u, v): of the mask's first
     pixel; size: of a cell, px; g: gain between the pictures; floor: least noise, levels. The gradient is the left picture's
     (Sobel): the right one's is made of the same interpolated noise as the values are, and would pull every disparity towards
-    half pixels. A cell's disparity belongs to the place where its information lies; its sigma allows for noise that is
+    half pixels. A cell's disparity belongs to the centroid of its information; its sigma allows for noise that is
     correlated from pixel to pixel, as the rectification's interpolation leaves it.
     """
     height, width = left.shape

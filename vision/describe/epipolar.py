@@ -1,7 +1,7 @@
 """Do the two pictures fit each other? The vertical residual of matched regions, and of matched edges where there are no regions.
 
 In a rectified pair v_l = v_r. What is left says that the calibration is wrong, or that the two shutters did not open together.
-A wrong calibration along the rows makes wrong distances and cannot be seen; where the rows are wrong too, they are not believed.
+A wrong calibration along the rows makes wrong distances and cannot be seen; where the rows are wrong too, they are not used.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ def edge_residual(
 
 
 def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None) -> str | None:
-    """Why what the pair says of distances is not to be believed: swapped, or rows that do not fit; None if it is."""
+    """Why distances from the pair are invalid: swapped, or rows that do not fit; None if it is."""
     behind = sum(isinstance(m, Unmatched) and m.behind for m in matches)
     found = sum(isinstance(m, Match) for m in matches)
     misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)

@@ -13,7 +13,7 @@ import numpy as np
 from models.messages import Array
 
 _TUKEY = 4.685  # sigmas beyond which a point counts nothing (95 % efficiency)
-_PRIOR_DOF = 4.0  # how many points' worth of belief the stated sigmas get against the scatter found
+_PRIOR_DOF = 4.0  # degrees of freedom of the stated sigmas against the scatter found
 _ROUNDS = 8
 
 
@@ -35,7 +35,7 @@ class DisparityPlane:
 def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, slope_sigma: float) -> DisparityPlane | None:
     """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2); Tukey's biweight, scale from the residuals.
 
-    slope (2,), slope_sigma: what is believed of (p, q) beforehand [px/px]; at a distance a region's own pixels say nothing about
+    slope (2,), slope_sigma: prior of (p, q) [px/px]; at a distance a region's own pixels say nothing about
     its tilt. The sigmas are multiplied by the scatter found, as far as the points are many enough to know it better:
     s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3). None without points.
     """

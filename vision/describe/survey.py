@@ -43,7 +43,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """left: the rectified left picture, 8 bit. problem: why the distances are not to be believed, None if they are."""
+    """left: the rectified left picture, 8 bit. problem: why the distances are invalid, None if they are valid."""
 
     left: Image
     measured: tuple[Measured, ...]

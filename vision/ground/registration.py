@@ -50,7 +50,7 @@ _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 
 class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far and how finely the map is searched, and what is believed."""
+    """How far and how finely the map is searched, and what is accepted."""
 
     reach_sigma: Annotated[float, Meta(gt=0, le=5, description="standard deviations of the prior that are searched")] = 3.0
     coarse: Annotated[int, Meta(ge=64, description="points along the picture in the search; it reaches so many each way")] = 128

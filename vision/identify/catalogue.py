@@ -1,4 +1,4 @@
-"""What identification compares: regions as sightings, landmarks as a catalogue, and what is believed before a picture is seen."""
+"""What identification compares: regions as sightings, landmarks as a catalogue, and the assumptions before an image is seen."""
 
 import math
 from dataclasses import dataclass, field

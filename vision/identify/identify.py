@@ -24,7 +24,7 @@ NONE = -1  # not a landmark of the map
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where the body is believed to be: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
+    """Pose estimate before the images: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
 
     p_n: Array
     q_nb_wxyz: Array

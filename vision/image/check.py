@@ -17,7 +17,7 @@ _FEW_COUNTS = 8.0  # of 65535
 _SATURATED = 252.0
 _SATURATED_PART = 0.6  # of the pixels
 _LOST_PART = 0.04  # of the rows, one after the other without any change: a decoder's filling
-_STEP = 12  # every twelfth pixel tells
+_STEP = 12  # every twelfth pixel is used
 
 
 def picture_flaw(image: Image, camera: CameraModel | None = None) -> str | None:

@@ -28,7 +28,7 @@ from vision.describe.measure import Measured
 from vision.describe.regions import Region
 from vision.identify.identify import Prior
 
-_BLIND_M = 1e3  # along a ray whose length nothing tells
+_BLIND_M = 1e3  # along a ray whose length is not measured
 _SHALLOW = 0.25  # sine of a ray against the ground, below which a region is seen too flat
 _VAGUE = 0.3  # relative error of a distance that is none any more
 _NOT = 1e6  # cost of what is excluded
@@ -57,7 +57,7 @@ class Look:
     """A region in one picture. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
 
     p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
-    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): what the ray alone tells, without its length, 1 / m^2.
+    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): information of the ray alone, without its length, 1 / m^2.
     """
 
     frame: int
@@ -118,7 +118,9 @@ def look(
 def _arm(
     region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
 ) -> tuple[Array, float, float]:
-    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where nothing tells it."""
+    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where it is not
+    measured.
+    """
     outline = np.ascontiguousarray(region.outline)
     middle = polygon.describe(outline, np.array([0, len(outline)]))[:, [polygon.NORTH, polygon.EAST]]
     ray = rig.left.ray(middle)[0]

@@ -18,7 +18,7 @@ from models.messages import Array
 
 Indices = NDArray[np.int64]
 _TUKEY = 4.685  # 95 % efficiency on Gaussian noise
-_FLOOR_PX = 0.02  # scatter below this is not believed
+_FLOOR_PX = 0.02  # least scatter
 _ROUNDS = 5
 
 

@@ -25,11 +25,11 @@ from vision.outline.visibility import Kind
 Indices = NDArray[np.int64]
 _BASE, _UPRIGHT, _SPOT = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SPOT)
 _BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
-_TRUSTED = 0.3  # weight from which a point tells of correlations
+_TRUSTED = 0.3  # weight from which a point counts for correlations
 
 
 class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is believed of edge noise before a picture is seen, and for how many points that belief counts."""
+    """The prior of edge noise, and for how many points it counts."""
 
     offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge without scatter, 1 sigma")] = 0.03
     tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.02
@@ -47,7 +47,7 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
     points: Annotated[float, Meta(gt=0, description="weight of these two, in points")] = 30.0
     edge_points: Annotated[float, Meta(gt=0, description="weight of the picture's scatter in an edge's, in points")] = 8.0
-    least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
+    least_px: Annotated[float, Meta(gt=0, description="least scatter")] = 0.03
 
 
 def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, opened: Array, config: NoiseConfig) -> Array:

@@ -21,7 +21,7 @@ from vision.pose.least_squares import POSE, System, nonzero
 
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations of a whole fix are limited to these: still "given", and worth nothing
 _LEAST_SHARE = 1e-3  # of the prior's information: below it a direction is not measured
-_STRAIGHT_SHARE = 0.5  # below it in any, a fix is told along its directions
+_STRAIGHT_SHARE = 0.5  # below it in any, a fix is reported along its directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class Measured:
     def surprise(self, delta: Array, covariance: Array, limit: float) -> float:
         """Chi-square of the reading against the prior, over limit: nu^T (P_0 + C)^-1 nu, nu = (P_0 + C) Lambda_0 delta.
 
-        limit: of six degrees of freedom; of fewer it is the one that as many honest readings stay below.
+        limit: of six degrees of freedom; of fewer it is the one that as many consistent readings stay below.
         """
         if self.rank < POSE:
             delta, limit = self.through @ delta, _same_quantile(limit, self.rank)

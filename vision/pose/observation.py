@@ -1,4 +1,4 @@
-"""One look at the pictures: from a pose and map errors as now believed to lines of edges and how they depend on what is unknown.
+"""One observation of the images: from the present pose and map errors to lines of edges and their Jacobians.
 
 line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu of unit variance: errors of map and rig)
 """
@@ -85,7 +85,7 @@ class Look:
 
     @property
     def numbers(self) -> int:
-        """Directions that are measured, over all pictures: a spot tells two, an edge the one across it."""
+        """Directions that are measured, over all pictures: a small landmark has two, an edge the one across it."""
         return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
 
     def off(self, line: Array) -> Array:
@@ -140,7 +140,7 @@ class Scene:
     ) -> Look:
         """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
 
-        shift_m (L, M), rig: errors of map and rig as now believed.
+        shift_m (L, M), rig: present estimates of errors of map and rig.
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)

@@ -27,7 +27,7 @@ _SURPRISE = 22.5  # chi-square (6) against the prior from which on the points ar
 
 
 class PointConfig(msgspec.Struct, frozen=True):
-    """gate: chi-square (2) above which a point is left out; least: points that make a pose; freedom, expected: what is believed
+    """gate: chi-square (2) above which a point is left out; least: points that make a pose; freedom, expected: the prior
     of the variance factor beforehand, as in PoseConfig.
     """
 

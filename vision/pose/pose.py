@@ -43,7 +43,7 @@ _STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or i
 
 
 class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a fit is believed, and its parts."""
+    """When a fit is accepted, and its parts."""
 
     least_found: Annotated[float, Meta(ge=0, le=1, description="share of the outline in view that must be found")] = 0.4
     least_fitted: Annotated[float, Meta(ge=0, le=1, description="the same at the end")] = 0.6
@@ -51,10 +51,8 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     freedom: Annotated[float, Meta(gt=0, description="weight of the expected residuals in the variance factor, in numbers")] = (
         16.0
     )
-    expected: Annotated[
-        float, Meta(gt=0, description="variance factor believed beforehand; above 1, since errors have tails")
-    ] = 1.25
-    worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is not believed")] = 8.0
+    expected: Annotated[float, Meta(gt=0, description="prior variance factor; above 1, since errors have tails")] = 1.25
+    worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is rejected")] = 8.0
     edge_gate: Annotated[float, Meta(gt=0, description="chi-square (4) above which an edge is left out")] = 22.0
     most_left_out: Annotated[float, Meta(ge=0, lt=1, description="share of the edges that may be left out")] = 0.25
     decided: Annotated[float, Meta(gt=0, description="difference of costs, chi-square, that decides between two poses")] = 13.8

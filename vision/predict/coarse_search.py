@@ -1,4 +1,4 @@
-"""Where in the picture the predicted outlines truly lie: a search over what the prior leaves open.
+"""Where the predicted outlines are in the image: a search over the range that the prior leaves open.
 
     score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2
 

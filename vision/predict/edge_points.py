@@ -1,4 +1,4 @@
-"""Points on predicted outlines that vote in the coarse search: which can be told apart there, and how each pose aims them.
+"""Points on predicted outlines that vote in the coarse search: which are distinct there, and how each pose aims them.
 
 Roof edges, and feet and corners of walls as far as they are not drowned by the roof's edge beside them at this size.
 """
@@ -149,7 +149,7 @@ def _chosen(
 @njit(cache=True)
 def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) -> Indices:
     """Which chain (E,) each edge belongs to: neighbours of one landmark and kind, joined until they are long enough to have a
-    direction, unless they turn by much. A curve is a polygon of edges that are too short to be told apart.
+    direction, unless they turn by much. A curve is a polygon of edges that are too short to be distinct.
     """
     chain = np.zeros(len(kind), np.int64)
     begin, total = 0, 0.0

@@ -46,7 +46,7 @@ _ROUNDS = 4
 _TUKEY = 4.7
 _CORRELATED = 4.0  # neighbouring points on an edge are not independent
 _FLOOR_PX = 0.2
-_REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is told worst
+_REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is measured worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | Non
 
 @njit(cache=True)
 def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float]:
-    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if untold."""
+    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if not measured."""
     good, count = np.empty(len(difference), np.int64), 0
     for i in range(len(difference)):
         if math.isfinite(difference[i]):

@@ -33,7 +33,7 @@ from vision.records.reports import pose_flaw
 Views = tuple[Image | None, Image | None]
 Mask = NDArray[np.bool_]
 _MOST_FITS = 3
-_MOST_ALONE = 3  # landmarks of which each tells where to begin
+_MOST_ALONE = 3  # landmarks from each of which a fit begins
 _WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _AGAIN_PX = ()  # where a fit was that had wrong landmarks as well: it is good to a pixel
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
@@ -61,7 +61,7 @@ class _Start:
 
 
 class Fitter:
-    """Fits outlines in the pictures of one rig. gone: share of the map that is believed to stand no longer."""
+    """Fits outlines in the pictures of one rig. gone: share of the map assumed to stand no longer."""
 
     def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
         self._rig, self._config, self._most = rig, config, most
@@ -113,7 +113,7 @@ class Fitter:
         return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
 
     def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
-        """The pose that others and a landmark tell together, with its map errors; None where it does not stand there."""
+        """The pose from the others and a landmark together, with its map errors; None where it does not stand there."""
         pose = others.joint_p_n, others.joint_R_nb
         about = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
         alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)

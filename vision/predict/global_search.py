@@ -4,7 +4,7 @@
 
 The grid's step is a pixel, and turns and scales of which the nearest one is off by a pixel at most, at the ends of all outlines.
 The ends of a single landmark are off by less, as its radius is less than that of all. So in many turns and scales a landmark is
-the same but for its place, and its votes are told once for all of these, in every place where they may put it:
+the same but for its place, and its votes are computed once for all of these, in every place where they may put it:
 
     support_l(q) = support_l,k(y_l(q) - y_l(q_k)),    q_k: the nearest turn and scale of a grid by the landmarks' own radius
 

@@ -10,7 +10,7 @@ picture says what chance does: nothing. Every point has its say, and no edge nee
     q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2
 
 s: standard deviation of S over all shifts, which is what chance makes of it; the first term is the largest likelihood ratio of
-N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, tells what this picture makes of a wrong place.
+N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, measures the score of wrong positions in this image.
 
     ratio = S(q_1) / max S(q),   |q - q_1| > apart
 """

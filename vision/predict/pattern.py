@@ -5,8 +5,8 @@
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
 together still have one place (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
 searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
-no fit, a summit that stands out is told, along the directions it measures. By chance the best of M places is r times the second
-one with a probability of about M^(-2 (r - 1)).
+no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M places is r times the
+second one with a probability of about M^(-2 (r - 1)).
 """
 
 import math
@@ -35,7 +35,7 @@ NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
 _APART_PX = 8.0  # nearer places are one, as for the window of a fit
-_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: what the prior excludes still tells what chance makes
+_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that the prior excludes still sample chance
 _PLACE_PX = 1.0  # how well the summit's place is known
 _POINTS = 400
 _FLOOR = 0.5  # of the picture's median gradient: below it there is no direction

@@ -60,7 +60,7 @@ class _Refused(NamedTuple):
 
 
 class _Decided(NamedTuple):
-    """A place and its fit, how far it is believed, and why no further; rival: score of the next place over the best one's."""
+    """A position and its fit, its grade, and why it is no better; rival: score of the next place over the best one's."""
 
     place: Candidate
     fitted: Fitted
@@ -73,7 +73,7 @@ class PredictPath:
     """Pictures of one rig, looked at where the prior says."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float) -> None:
-        """gone: share of the map that is believed to stand no longer."""
+        """gone: share of the map assumed to stand no longer."""
         self._rig, self._config = rig, config
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
@@ -114,7 +114,7 @@ class PredictPath:
     def stands_out(self, pictures: Pictures, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
         """Whether a place is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
 
-        One that would not be believed by itself is not.
+        One that would not be accepted by itself is not.
         """
         if len(steps) > _MOST_STEPS:
             return False
@@ -217,7 +217,7 @@ class PredictPath:
 
 def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
     """A place where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is in
-    the picture: its size alone tells how far it is, and a size that is wrong lays half of its sides on edges, too.
+    the picture: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """

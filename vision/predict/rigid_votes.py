@@ -4,7 +4,8 @@
     c_e = (|S_1|^2 - S_2) / (S_3^2 - S_4),        support_l = sum_{e of l} length_e c_e
 
 The votes of votes.py: a sum over all pairs of points is the square of the sum less the sum of squares. As all points move alike,
-S_e is f laid on itself, once for each point, and f is told once for each pixel, not for every point and shift that meet there.
+S_e is f laid on itself, once for each point, and f is computed once for each pixel, not for every point and shift that meet
+there.
 """
 
 import numpy as np
@@ -126,7 +127,7 @@ def _add(total: Array | Planes, more: Planes) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _edge_votes(total: Planes, size: int, length: float, chroma: Array, expected: float, of_edge: Planes) -> None:
-    """told (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
+    """of_edge (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
 
     Without a branch, so that it is done for several shifts at once.
     """

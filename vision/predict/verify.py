@@ -37,8 +37,8 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.22
     seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.35
     rival: Annotated[float, Meta(gt=0, lt=1, description="score over the best one's from which a place is fitted too")] = 0.7
-    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 45.0
-    least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
+    score_px: Annotated[float, Meta(gt=0, description="score that is accepted at once, in a picture 640 px wide")] = 45.0
+    least_px: Annotated[float, Meta(gt=0, description="score that is accepted if the next image agrees")] = 25.0
     found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.5
     weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.35
     landmark_found: Annotated[
@@ -49,13 +49,14 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
-    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 5.0
+    odds: Annotated[float, Meta(description="ln of the odds of a position that is accepted at once")] = 5.0
     sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
     weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
     both_odds: Annotated[float, Meta(description="the same of both pictures together, where they show one landmark alone")] = 7.0
     decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
     decides_alike: Annotated[
-        float, Meta(gt=0, description="the same of a place that would be believed by itself: more than one landmark tells")
+        float,
+        Meta(gt=0, description="the same of a position that would be accepted by itself: more than one landmark contributes"),
     ] = 6.6
     moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
@@ -169,7 +170,7 @@ def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
 
 
 def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
-    """How far a fit is believed, and why no further."""
+    """The grade of a fit, and why it is no better."""
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
@@ -220,7 +221,7 @@ class Waiting:
         self._nothing_ns = t_ns
 
     def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
-        """A fix was made: it makes no other one wait, but a weak place that agrees with it is believed."""
+        """A fix was made: it makes no other one wait, but a weak position that agrees with it is accepted."""
         self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
 
     def holds(self, t_ns: int, odds: float) -> bool:

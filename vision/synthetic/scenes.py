@@ -57,7 +57,7 @@ class WorldSpec:
 
 
 class Scene(NamedTuple):
-    """The truth and what is believed of it."""
+    """The truth, and map and rig with their errors."""
 
     world: World
     map: LandmarkMap
@@ -66,7 +66,7 @@ class Scene(NamedTuple):
 
 
 def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None = None) -> Scene:
-    """A world of the spec (default: a village with a perfect map), on procedural ground unless told otherwise."""
+    """A world of the spec (default: a village with a perfect map), on procedural ground by default."""
     spec = spec or WorldSpec()
     for_ground, for_layout, for_errors, for_clutter, for_rig = np.random.default_rng(seed).spawn(5)
     taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
@@ -169,7 +169,7 @@ def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
     north, east, growth, rise = rng.standard_normal(4)
     outline = grow(mark.outline_n, growth * mark.outline_sigma_m) + mark.sigma_m * np.array([north, east])
     height, base = mark.height_m + rise * mark.height_sigma_m, mark.base_d
-    if mark.height_m == 0.0:  # painted on the ground, which is lower or higher than believed
+    if mark.height_m == 0.0:  # painted on the ground, which is lower or higher than mapped
         height, base = 0.0, mark.base_d - rise * mark.height_sigma_m
     return Landmark.of(
         mark.id, outline, base, max(height, 0.0), mark.colour_bgr, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m

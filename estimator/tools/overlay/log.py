@@ -100,7 +100,7 @@ def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flig
 def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
     """The estimate at the exposure of each picture of the topic in order; None where there is none.
 
-    The exposure is what vision was told; of a picture that it was not asked about it is the stamp and the offset seen last, at
+    The exposure is that of vision's request; of an image without one it is the stamp and the offset seen last, at
     first the rig's.
     """
     offset_ns, exposures = round(time_offset_s * 1e9), []

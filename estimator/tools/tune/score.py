@@ -6,8 +6,8 @@ estimate x that was published for its time, of covariance P:
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
 the logarithmic score (Gneiting & Raftery 2007, JASA 102): proper, so in expectation no covariance scores better than the true
-one, neither a larger nor a smaller. eps U is the density of a false fix, as the estimator has it, so that a lie costs a bounded
-amount. A time without an estimate scores ln(eps U).
+one, neither a larger nor a smaller. eps U is the density of a false fix, as the estimator has it, so that a false fix costs a
+bounded amount. A time without an estimate scores ln(eps U).
 """
 
 import math
