@@ -117,10 +117,10 @@ class PictureName(msgspec.Struct, frozen=True):
 
 
 class VisionRequest(msgspec.Struct, frozen=True, eq=False):
-    """Look for landmarks in these pictures, taken at t_ns, with the pose estimate as prior.
+    """Look for landmarks in these images, taken at t_ns, with the pose estimate as prior.
 
     covariance: (6, 6), x y z rx ry rz in NED axes, as PoseFix; left, right: None where that camera gave none; run: of vision,
-    which begins each without memory of earlier pictures.
+    which begins each without memory of earlier images.
     """
 
     t_ns: int

@@ -1,8 +1,8 @@
 """Recognition by description, for boot and for a prior that is lost: the stages of the thesis' chapter 5 in their order.
 
-rectify -> segment -> regions -> correspond -> measure -> identify -> where the pictures were taken
+rectify -> segment -> regions -> correspond -> measure -> identify -> where the images were taken
 
-That place is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
+That position is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from vision.records.pictures import Pictures
 from vision.records.reports import RegionReport, Result, nothing, report_of
 
 _ROWS_PX: Final = 0.8  # rows that differ by less do no harm
-_WIDER: Final = 4.0  # variances of the place where is looked: outlines of regions are not quite those of roofs
+_WIDER: Final = 4.0  # variances of the position where is looked: outlines of regions are not quite those of roofs
 _TOO_FLAT: Final = "seen too flat to know its size"
 
 
@@ -48,7 +48,7 @@ class SegmentConfig:
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """The pictures rectified; the first is the left one, or the only good one."""
+    """The images rectified; the first is the left one, or the only good one."""
 
     work: Image
     other: Image | None
@@ -69,7 +69,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """A place to look at: pictures, those that fit each other; place: where they were taken, by the prior and the identities.
+    """A position to look at: images, those that fit each other; place: where they were taken, by the prior and the identities.
 
     reports: a line of each region.
     """
@@ -80,7 +80,7 @@ class Identified:
 
 
 class SegmentPath:
-    """Regions of pictures of one rig, identified as landmarks."""
+    """Regions of images of one rig, identified as landmarks."""
 
     def __init__(self, rig: StereoRig, rectified: Rectification, config: SegmentConfig) -> None:
         self._rig, self._rectified, self._config = rig, rectified, config
@@ -130,7 +130,7 @@ class SegmentPath:
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
         if rows := self._rows_off(views, matches):
-            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
+            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or images not taken together"
             return self._one_camera(
                 pictures, views, usable_regions, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
             )
@@ -203,7 +203,7 @@ class SegmentPath:
         return seen_corners(region.corners, width, height, views.valid)
 
     def _decide(self, pictures: Pictures, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
-        """Identify; regions that stay open are kept for the next picture."""
+        """Identify; regions that stay open are kept for the next image."""
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
@@ -227,7 +227,7 @@ def _rows_sigma(rig: StereoRig) -> float:
 
 
 def _cut_off(region: Region) -> RegionReport:
-    return RegionReport("cut_off", region.bbox, reason="cut off by the picture's edge")
+    return RegionReport("cut_off", region.bbox, reason="cut off by the image's edge")
 
 
 def _not_measured(region: Region, reason: str) -> RegionReport:
@@ -264,5 +264,5 @@ def _unsettled(found: Identification, now: int) -> str:
 
 def _summary(found: Identification, now: int, remembered: int) -> str:
     count = int(found.accepted[:now].sum())
-    before = f", {remembered} of earlier pictures" if remembered else ""
+    before = f", {remembered} of earlier images" if remembered else ""
     return f"{count} of {now} regions identified{before}, place sure to {found.place_posterior:.5f}"

@@ -34,7 +34,7 @@ _DISTORTION_SIGMA = 3e-3
 
 
 def camera(width: int = WIDTH) -> CameraModel:
-    """The camera at a picture width of so many pixels."""
+    """The camera at an image width of so many pixels."""
     f, height = _FOCAL * width, width * 9 // 16
     sigma = np.array([_SENSOR_SIGMA * width] * 4 + [_DISTORTION_SIGMA] * 2 + [1e-4] * 2)
     return CameraModel(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1), _DISTORTION, np.diag(sigma**2))
@@ -92,7 +92,7 @@ def photo(data: Path, name: str) -> Picture:
 
 
 def read(path: Path) -> Picture:
-    """A picture in colour."""
+    """A image in colour."""
     picture = cv2.imread(str(path))
     if picture is None:
         raise FileNotFoundError(path)
@@ -100,7 +100,7 @@ def read(path: Path) -> Picture:
 
 
 def ortho(data: Path, landmarks: LandmarkMap) -> Ortho:
-    """Orthophoto with the place of every pixel in the map's n."""
+    """Orthophoto with the position of every pixel in the map's n."""
     folder = data / FOLDER
     with np.load(folder / "dsm_0.1m_utm15n.npz") as archive:
         height_m, x0, y1, step = archive["dsm"], float(archive["x0"]), float(archive["y1"]), float(archive["res"])

@@ -164,7 +164,7 @@ def _other_season(world: World) -> World:
 
 
 def _turned(known: MapPicture, turn: int) -> MapPicture:
-    """The same georeference over a picture that is turned about its middle, as far as the new one covers the same pixels."""
+    """The same georeference over an image that is turned about its middle, as far as the new one covers the same pixels."""
     picture = known.picture
     image = np.asarray(cv2.rotate(picture.image, turn), dtype=np.uint8)
     return MapPicture.of(replace(picture, image=image))
@@ -176,7 +176,7 @@ def _shots(
     key: tuple[int, str, int],
     away: tuple[float, float] = (0.0, 0.0),
 ) -> Callable[[], Iterator[Shot]]:
-    """Priors drawn anew every 3 s of the flight, so that pictures within share their error; away: that much farther off, m."""
+    """Priors drawn anew every 3 s of the flight, so that images within share their error; away: that much farther off, m."""
 
     def shots() -> Iterator[Shot]:
         drawn = generator(*key)

@@ -4,8 +4,8 @@ python -m benchmarks.fixes.outline --seed 1 --views 300
 python -m benchmarks.fixes.outline --seed 1 --views 100 --only decoys
 
 Views are those of single_fix (benchmarks/fixes/single_fix_views.py): 10 to 120 m high, tilted up to 25 degrees, one to three
-landmarks, painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline gets
-a prior and the map, nothing else. Where it waits for the next picture to agree it gets one, half a second later; *at once* counts
+landmarks, painted and pale, exact maps and maps off by 0.5 m, images clean, noisy, blurred, dark, bright. The pipeline gets
+a prior and the map, nothing else. Where it waits for the next image to agree it gets one, half a second later; *at once* counts
 the first pair alone. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to out/outline/.
 """
 

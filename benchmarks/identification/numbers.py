@@ -4,7 +4,7 @@
 Wrong fix: the place is off by more than 3 m and outside its own 99.99 % ellipsoid. Wrong identity: an identified region that is
 another landmark or none. Beside it what the thesis' rule alone does: the most similar landmark within the prior's 99.99 %, if it
 is >= 75 % similar. Objects differ by +-10 % in width and length and stand 25 m apart, 30 % of them are not in the map and 10 % of
-the map is gone. Numbers only, no pictures; seeds from the command line. Writes identification.md and .png to --out.
+the map is gone. Numbers only, no images; seeds from the command line. Writes identification.md and .png to --out.
 """
 
 import argparse
@@ -136,7 +136,7 @@ def row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
 def sequences(
     name: str, conditions: Conditions, count: int, seed: int, pictures: int = 4, step_m: float = 12.0
 ) -> tuple[str, ...]:
-    """Flights of a few pictures a second apart, regions that stay open waiting for the next: share fixed after each picture.
+    """Flights of a few images a second apart, regions that stay open waiting for the next: share fixed after each image.
 
     The prior's error stays the same but for a drift of 0.3 m a second, as in dead reckoning.
     """

@@ -70,7 +70,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture pair: true place and attitude, the prior, what was seen and the id of the object each sighting shows."""
+    """One image pair: true place and attitude, the prior, what was seen and the id of the object each sighting shows."""
 
     p_n: Array
     prior: Prior

@@ -1,9 +1,9 @@
-"""What a stereo pair costs from pictures to fix, stage by stage, beside SIFT + FLANN on the same pair: one run, one thread.
+"""What a stereo pair costs from images to fix, stage by stage, beside SIFT + FLANN on the same pair: one run, one thread.
 
 python -m benchmarks.speed.pipeline --seed 1 --pairs 40
 
 Pairs: rendered villages on textured ground from 30 to 120 m, lenses distorted, 3 to 12 landmarks, at least 500 SIFT key points in
-each picture. Three priors: as after a fix a second ago (0.3 m, 0.3 and 0.5 degrees), as among GNSS fixes (1.5 m, 0.5 and 1
+each image. Three priors: as after a fix a second ago (0.3 m, 0.3 and 0.5 degrees), as among GNSS fixes (1.5 m, 0.5 and 1
 degree), as minutes after the last fix (3 m, 0.5 and 2 degrees). Times are of the processor, so that other work on the machine
 counts less; the ratio is between two things measured one after the other. Nothing is asserted.
 """

@@ -1,4 +1,4 @@
-"""Where the board is in each picture of a recording, with covariance: x_c = R_co @ x_o + t_co."""
+"""Where the board is in each image of a recording, with covariance: x_c = R_co @ x_o + t_co."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ class BoardPoses:
     lens_covariance: Array | None
 
     def only(self, kept: NDArray[np.bool_]) -> "BoardPoses":
-        """Some of the pictures."""
+        """Some of the images."""
         return replace(
             self, R_co=self.R_co[kept], t_co=self.t_co[kept], covariance=self.covariance[kept], by_lens=self.by_lens[kept]
         )  # fmt: skip

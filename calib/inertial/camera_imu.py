@@ -32,17 +32,17 @@ _SIZE: Final = 10
 _STEP: Final = np.array([1e-4] * 3 + [1e-5] * 3 + [2e-5] + [1e-5] * 2 + [1e-3])  # m, rad, s, rad, m/s^2: for derivatives
 _GRAVITY_SIGMA: Final = 0.03  # m/s^2, over the Earth
 _ITERATIONS: Final = 12
-_FEWEST: Final = 50  # pictures
+_FEWEST: Final = 50  # images
 _LONGEST_OFFSET_S: Final = 0.5
 _STILL_RAD_S: Final = 0.05
 _OTHER_AXIS_RAD_S: Final = 0.05  # scatter of the rate about the second axis
-_OUTLIER: Final = 35.0  # e^T e of one picture, 6 degrees of freedom: 4e-6 by chance
+_OUTLIER: Final = 35.0  # e^T e of one image, 6 degrees of freedom: 4e-6 by chance
 
 
 @dataclass(frozen=True)
 class CameraImu:
     """Extrinsics x_b = R_bc @ x_c + p_bc and time_offset_s (shutter time minus stamp); covariance (7, 7), order x y z rx ry rz
-    about the axes of b, then the offset. innovations (M, 6), normalised; used: which pictures.
+    about the axes of b, then the offset. innovations (M, 6), normalised; used: which images.
     """
 
     R_bc: Array
@@ -113,7 +113,7 @@ class _Problem:
         self.R_no0 = self._level()
 
     def without(self, bad: NDArray[np.bool_]) -> "_Problem":
-        """Without some of the pictures after the first."""
+        """Without some of the images after the first."""
         kept = np.concatenate(([True], ~bad))
         fewer = object.__new__(_Problem)
         fewer.__dict__.update(self.__dict__)
@@ -140,7 +140,7 @@ class _Problem:
         return np.append(e.ravel(), theta[_GRAVITY] / _GRAVITY_SIGMA)
 
     def _first_state(self, poses: BoardPoses, R_no: Array, R_bc: Array, p_bc: Array) -> tuple[Array, Array]:
-        """State at the first picture, as it measures it; velocity from the first few."""
+        """State at the first image, as it measures it; velocity from the first few."""
         few = min(6, len(self.stamps_ns))
         R_nb = [R_no @ poses.R_co[k].T @ R_bc.T for k in range(few)]
         p_n = np.array([-R_no @ poses.R_co[k].T @ poses.t_co[k] - R_nb[k] @ p_bc for k in range(few)])

@@ -1,4 +1,4 @@
-"""Samples for the thesis' four experiments: a world, map and rig with errors, a pair of pictures, a landmark asked for.
+"""Samples for the thesis' four experiments: a world, map and rig with errors, a pair of images, a landmark asked for.
 
     draw(experiment, roof, seed, number) -> Sample
 
@@ -47,13 +47,13 @@ _WAY_SIGMA_M: Final = np.array([1.0, 1.0, 0.2])  # from a pair to the next
 _TURN_SIGMA_RAD: Final = math.radians(0.7)
 _SLIP_SIGMA: Final = np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3])  # of odometry between them
 _POSES: Final = 8  # tried in a world
-_EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the picture's border
+_EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the image's border
 _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The landmark's picture, taken from above on another day; mask: its roof; centre_px: of the roof."""
+    """The landmark's image, taken from above on another day; mask: its roof; centre_px: of the roof."""
 
     picture: Image
     mask: NDArray[np.uint8]
@@ -130,7 +130,7 @@ def _scene(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> Scen
 
 
 def _measured_colours(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A map whose colours were taken from a picture, each channel within some 4 %; what is gone keeps what it had."""
+    """A map whose colours were taken from an image, each channel within some 4 %; what is gone keeps what it had."""
     looks = {m.id: look for m, look in zip(scene.world.landmarks, scene.world.looks, strict=True)}
     return scene._replace(map=_recoloured(scene.map, {k: _noted(look, rng) for k, look in looks.items()}))
 
@@ -189,7 +189,7 @@ def _pose(experiment: Experiment, rng: np.random.Generator) -> tuple[Array, Arra
 
 
 def _whole(scene: Scene, p_n: Array, R_nb: Array) -> tuple[Scene, dict[str, float]] | None:
-    """Landmarks of the map whose roofs lie wholly in the left picture."""
+    """Landmarks of the map whose roofs lie wholly in the left image."""
     seen = {m.id: 1.0 for m in scene.world.landmarks if whole(scene.rig, p_n, R_nb, m, _EDGE_PX)}
     return (scene, seen) if len(seen) >= _LEAST else None
 
@@ -231,7 +231,7 @@ def _conditions(rng: np.random.Generator) -> Conditions:
 
 
 def _reference(world: World, target: str, height_m: float, rng: np.random.Generator) -> Reference:
-    """The landmark in the middle of a picture from above: at another hour, from another height, turned."""
+    """The landmark in the middle of an image from above: at another hour, from another height, turned."""
     mark = next(m for m in world.landmarks if m.id == target)
     hour = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 65.0)))
     p_nc = np.array([*mark.centre_n, -height_m * rng.uniform(0.8, 1.25)])

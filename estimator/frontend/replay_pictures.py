@@ -1,7 +1,7 @@
-"""A replay that looks at the pictures again, instead of taking the fixes in the log.
+"""A replay that looks at the images again, instead of taking the fixes in the log.
 
 Of a flight in which vision worked the log holds each request: it is repeated, and its answer stands where the flight's stood, so
-the same fixes come out, bit for bit. A log of pictures that were never looked at gets requests of its own, from the estimate of
+the same fixes come out, bit for bit. A log of images that were never looked at gets requests of its own, from the estimate of
 the replay, and answers replay_latency_ms later.
 """
 
@@ -24,11 +24,11 @@ from models.messages import Output, PictureName, VisionRequest
 FIX_TOPIC: Final = "/landfix/fix"
 REPORT_TOPIC: Final = "/landfix/vision"
 _ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC})
-_KEPT: Final = 400  # pictures
+_KEPT: Final = 400  # images
 
 
 class ImageCounts(msgspec.Struct):
-    """processed: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: pictures not in it."""
+    """processed: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: images not in it."""
 
     processed: int = 0
     fixes: int = 0
@@ -43,7 +43,7 @@ class ImageCounts(msgspec.Struct):
 
 
 class SightReplay:
-    """Puts the answers of vision among the records of a log. left, right: topics of the pictures."""
+    """Puts the answers of vision among the records of a log. left, right: topics of the images."""
 
     def __init__(
         self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
@@ -100,7 +100,7 @@ class SightReplay:
         return self._counted(self._sight.look(decode_vision_request(message.data, request.arrived_ns), (pair.left, pair.right)))
 
     def _ask(self, request: VisionRequest) -> None:
-        """Requests are answered in their order, when the fix or report of one is needed: all pictures have been read by then."""
+        """Requests are answered in their order, when the fix or report of one is needed: all images have been read by then."""
         self._asked.append(request)
 
     def _again(self, record: Record) -> Iterator[Record]:

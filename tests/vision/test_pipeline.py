@@ -178,7 +178,7 @@ def test_swapped_cameras_are_said() -> None:
 def test_the_same_picture_twice_is_one_camera() -> None:
     v = view()
     result = pipeline().process(v.left, v.left, 0, v.prior)
-    assert "same picture" in result.report.detail
+    assert "same image" in result.report.detail
     assert_not_confidently_wrong(result, v)
 
 

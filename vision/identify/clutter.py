@@ -39,7 +39,9 @@ def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions
 def crowd(
     arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions
 ) -> Crowd:
-    """Density of objects that are not in the map: of each region's place (arm, own: its covariance) and attributes (M, T, S)."""
+    """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
+    S).
+    """
     density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
     return Crowd(np.log(density), turns, log_scales)
 
@@ -97,7 +99,7 @@ def _offsets(sigma: float, step: float) -> Array:
 
 
 def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
-    """Objects per m^2 that are not in the map, at the place of each region as seen from the others (M, T, S).
+    """Objects per m^2 that are not in the map, at the position of each region as seen from the others (M, T, S).
 
     In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
     the landmarks at the same displacement from a landmark, not the mean density.

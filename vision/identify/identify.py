@@ -48,7 +48,7 @@ class Prior:
 class IdentifyConfig(msgspec.Struct, frozen=True):
     """When a region is identified.
 
-    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the place that the identities
+    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the position that the identities
     say together; breadth: joint hypotheses followed.
     """
 
@@ -67,7 +67,7 @@ class Identification:
     best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate);  own_similarity: of `landmark`
     candidates: how many landmarks it may be
     joint_posterior: that all accepted identities are right;  place_posterior: that one of them is and none is another landmark
-    instead, so that the place is right (0 where nothing is identified)
+    instead, so that the position is right (0 where nothing is identified)
     x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
     """
 
@@ -174,7 +174,7 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
 
 
 def view_of(rig: StereoRig) -> Array:
-    """Limits left, right, top, bottom of x/z and y/z in the left camera's picture (its inscribed rectangle)."""
+    """Limits left, right, top, bottom of x/z and y/z in the left camera's image (its inscribed rectangle)."""
     c = rig.left
     u, v = np.linspace(0.0, c.width - 1.0, 9), np.linspace(0.0, c.height - 1.0, 9)
     edge = np.concatenate([

@@ -1,6 +1,6 @@
 """What each region may be, and how likely what was measured is then: the options of vision/identify/assignment.py.
 
-A landmark j shown by region i, both described by (place, log width, log length, fill ratio, orientation):
+A landmark j shown by region i, both described by (position, log width, log length, fill ratio, orientation):
 
     l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
@@ -24,7 +24,7 @@ from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE, STAT
 from vision.identify.catalogue import OBLONG, Assumptions, Catalogue, Sighting, chroma
 from vision.identify.similarity import similarity
 
-_GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
+_GATE = 30.0  # chi-square of 3: a position further off than this is not followed (2e-6)
 
 
 def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
@@ -38,7 +38,8 @@ def options(
     sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
     assumptions: Assumptions,
 ) -> Options:  # fmt: skip
-    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose place is possible.
+    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose position is
+    possible.
 
     covariance (7, 7) of x at the prior; scale (M, J): by which lengths of the region are to be multiplied.
     """
@@ -204,7 +205,7 @@ def _outer(a: Array) -> Array:
 
 
 def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
-    """Which places (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the place as measured.
+    """Which positions (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the position as measured.
 
     1/2 s^2 r is what the linear equation leaves out.
     """

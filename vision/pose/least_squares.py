@@ -3,7 +3,7 @@
     Omega = sum_e A_e^T W_e A_e + diag(0, I),   eta = sum_e A_e^T W_e (z_e + N_e nu_0),   A = (H, N),  W_e = R_e^-1
 
 nu has unit variance by construction, nu_0 is what the drawn outlines contain of it already. The prior of the pose is added to
-solve, and left out of what is reported: information of the pictures alone.
+solve, and left out of what is reported: information of the images alone.
 """
 
 from dataclasses import dataclass

@@ -138,7 +138,7 @@ def _report(
         directions, readings = measured.reported_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     map_errors, slopes, rig = np.split(moved, (_MAP_ERRORS, _MAP_ERRORS + _SLOPES), axis=1)
-    image = image + slopes @ slopes.T  # another ground in the next picture
+    image = image + slopes @ slopes.T  # another ground in the next image
     image, by_rig = 0.5 * (image + image.T), rig @ rig.T
     common = map_errors @ map_errors.T + by_rig
     image = image * max(measured.surprise(delta, image + common, _SURPRISE), 1.0)

@@ -1,8 +1,8 @@
-"""A last look: do the outlines lie where the fit says, landmark by landmark, and do both pictures say the same?
+"""The final check: do the outlines lie where the fit says, landmark by landmark, and do both images say the same?
 
-    r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two pictures, px)
+    r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two images, px)
 
-A fit leaves out edges that disagree; a landmark of which most disagree is not there, and pictures that are swapped, or were not
+A fit leaves out edges that disagree; a landmark of which most disagree is not there, and images that are swapped, or were not
 taken together, or belong to another calibration, differ by one shift for all. What hides a part of a roof hides it in both.
 """
 
@@ -41,7 +41,7 @@ _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
 _OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared,
 _FARTHEST_PX = 4.0  # but half the window at most: else anything in it would do
 _GAP_PX = 4.0  # feet of walls nearer to the roof's edge say nothing by themselves
-_LEAST = 12  # points in both pictures that tell a shift
+_LEAST = 12  # points in both images that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
 _CORRELATED = 4.0  # neighbouring points on an edge are not independent
@@ -53,10 +53,10 @@ _REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is 
 class Recheck:
     """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
 
-    pictures: the same of each picture that is there.
-    stands (L,): logarithm of how much likelier these pictures are if it stands than if it is gone (presence.py).
-    covered: share of all roofs in view that something covers, or where there is no roof, in every picture.
-    apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
+    pictures: the same of each image that is there.
+    stands (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
+    covered: share of all roofs in view that something covers, or where there is no roof, in every image.
+    apart: (du, dv) of right against left image, px, and its standard deviation; None where too little is in both.
     """
 
     share: Array
@@ -67,7 +67,7 @@ class Recheck:
 
 
 class _Checked(NamedTuple):
-    """What one picture shows of the samples of roofs: offsets (N,) px, normals (N, 2), places x_c (N, 3) m in the camera; usable
+    """What one image shows of the samples of roofs: offsets (N,) px, normals (N, 2), positions x_c (N, 3) m in the camera; usable
     ones (N,), and those of them that something hides (N,); across() (E, C + 1) of roofs and walls.
     """
 
@@ -82,7 +82,7 @@ class _Checked(NamedTuple):
 def recheck(
     rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
 ) -> Recheck:
-    """Look at the roofs from the pose that prior and pictures gave together."""
+    """Look at the roofs from the pose that prior and images gave together."""
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)

@@ -1,10 +1,10 @@
-"""Where each landmark is found in the picture, and the pose and the map errors that follow.
+"""Where each landmark is found in the image, and the pose and the map errors that follow.
 
     y_l = D_l dx - D_l,p m_l + e_l,       dx ~ N(0, P),  m_l ~ N(0, s_l^2 I),  e_l ~ N(0, e^2 I)                        (px)
     dx = (P^-1 + sum_l D_l^T N_l^-1 D_l)^-1 sum_l D_l^T N_l^-1 y_l,    N_l = e^2 I + s_l^2 D_l,p D_l,p^T
     m_l = -s_l^2 D_l,p^T N_l^-1 (y_l - D_l dx)
 
-D_l (2, 6): how landmark l moves in the picture with the pose, the mean over its points; D_l,p: with the position.
+D_l (2, 6): how landmark l moves in the image with the pose, the mean over its points; D_l,p: with the position.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ class Settled(NamedTuple):
 def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array) -> Settled:
     """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
 
-    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a place is found.
+    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a position is found.
     """
     y, W, information, weighted = _information(D, found_px, trusted, map_sigma, place_px, error)
     total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
@@ -118,7 +118,9 @@ def _dot(a: Array, b: Array) -> float:
 
 @njit(cache=True)
 def own_places(votes: Array, common: Indices, free: Array) -> Array:
-    """Row and column (L, 2), to a fraction, of each landmark's best place in votes (L, U, V), at most free (L,) from common."""
+    """Row and column (L, 2), to a fraction, of each landmark's best position in votes (L, U, V), at most free (L,) from
+    common.
+    """
     places = np.empty((len(votes), 2))
     for k in range(len(votes)):
         one, radius = votes[k], int(free[k])

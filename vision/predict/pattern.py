@@ -3,9 +3,9 @@
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
-together still have one place (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
+together still have one position (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
 searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
-no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M places is r times the
+no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M positions is r times the
 second one with a probability of about M^(-2 (r - 1)).
 """
 
@@ -34,11 +34,11 @@ from vision.records.reports import Result, fix_of, pose_flaw
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
-_APART_PX = 8.0  # nearer places are one, as for the window of a fit
+_APART_PX = 8.0  # nearer positions are one, as for the window of a fit
 _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that the prior excludes still sample chance
-_PLACE_PX = 1.0  # how well the summit's place is known
+_PLACE_PX = 1.0  # how well the summit's position is known
 _POINTS = 400
-_FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
+_FLOOR = 0.5  # of the image's median gradient: below it there is no direction
 SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
@@ -70,7 +70,7 @@ def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
 
 
 def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
-    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
+    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the image."""
     picture = pictures.right if pictures.only_right else pictures.left
     assert picture is not None
     level = levels(picture, eye.camera, (1,))[0]

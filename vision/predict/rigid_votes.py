@@ -1,4 +1,4 @@
-"""How well landmarks lie on edges of a picture, moved by whole pixels and neither turned nor scaled, for many shifts at once.
+"""How well landmarks lie on edges of an image, moved by whole pixels and neither turned nor scaled, for many shifts at once.
 
     S_e(d) = sum_i f(x_i + d),    f = (g . n_e, |g . n_e|^2, |g|, |g|^2, 1)
     c_e = (|S_1|^2 - S_2) / (S_3^2 - S_4),        support_l = sum_{e of l} length_e c_e
@@ -63,7 +63,7 @@ def _around(pixel: Indices) -> Window:
 
 @njit(cache=True)
 def _into_view(rows: int, columns: int, pixel: Indices, window: Window) -> Window:
-    """The part of the window that brings something of points at pixel (N, 2) into a picture; nothing: from is larger than to."""
+    """The part of the window that brings something of points at pixel (N, 2) into an image; nothing: from is larger than to."""
     left, right, top, bottom = _around(pixel)
     first, last = max(window[0], 1 - right), min(window[1], columns - 2 - left)
     return first, last, max(window[2], 1 - bottom), min(window[3], rows - 2 - top)

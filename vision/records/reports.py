@@ -19,7 +19,7 @@ class RegionReport(msgspec.Struct, frozen=True):
     """What became of one region (path segment), or of one landmark (path predict).
 
     state: identified, open, not_in_map, not_measured, cut_off, not_found;  landmark: what it is, or its best candidate
-    bbox: u0, v0, width, height in the rectified picture (segment), in the picture as it came (predict)
+    bbox: u0, v0, width, height in the rectified image (segment), in the image as it came (predict)
     """
 
     state: str

@@ -9,7 +9,7 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
 
-_NADIR_bc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is y_b, down in the picture is backwards
+_NADIR_bc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is y_b, down in the image is backwards
 
 
 def make_rig(

@@ -94,7 +94,9 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
 
 
 def _places(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """North, east and direction of buildings: on a grid of the spacing, shaken (village, look-alikes) or along streets."""
+    """North, east and direction of buildings: on a grid of the spacing, shaken (village, ambiguous landmarks) or along
+    streets.
+    """
     n = max(1, int(spec.area_m / spec.spacing_m))
     steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
     places = []

@@ -51,7 +51,7 @@ def test_one_pose_from_two_places_is_one() -> None:
 def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, told: bool) -> None:
     best = replace(fitted(whole(), MARKS), odds=2.0)
     outcome = decided([elsewhere(best, apart_m, odds), best], VerifyConfig())
-    assert outcome is best if told else "another place, 106 px off" in str(outcome)
+    assert outcome is best if told else "another position, 106 px off" in str(outcome)
 
 
 @pytest.mark.parametrize(
