@@ -62,7 +62,7 @@ def chosen(estimates: list[Estimate]) -> list[Estimate]:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_covariance_is_honest_from_the_first_estimate_on(name: str) -> None:
+def test_the_covariance_is_consistent_from_the_first_estimate_on(name: str) -> None:
     # GIVEN sensors as the filter believes them to be, and no estimate before it is aligned
     runs, nees = flown(name)
     # THEN all but a few align, and once they do the errors of all runs are what the covariance says

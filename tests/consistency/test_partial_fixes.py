@@ -105,7 +105,7 @@ def _runs(sigma_m: float, sigma_rad: float, later: bool = False, bends: bool = T
 
 
 @pytest.mark.parametrize("later", [False, True])
-def test_a_point_is_fused_honestly_where_the_attitude_is_known(later: bool) -> None:
+def test_a_point_is_fused_consistently_where_the_attitude_is_known(later: bool) -> None:
     """Attitude 1 degree, position 3 m: the bend is below a centimetre. 99.9 % bands of 2400 and 1200 degrees of freedom."""
     pose, measured = _runs(3.0, np.radians(1.0), later).mean(axis=0)
     assert 0.90 < pose < 1.10
@@ -113,7 +113,7 @@ def test_a_point_is_fused_honestly_where_the_attitude_is_known(later: bool) -> N
 
 
 @pytest.mark.parametrize("later", [False, True])
-def test_a_point_is_fused_honestly_where_the_attitude_is_not(later: bool) -> None:
+def test_a_point_is_fused_consistently_where_the_attitude_is_not(later: bool) -> None:
     """Attitude 10 degrees: the sphere about the point bends by 0.6 m where 0.1 m is measured."""
     bent, flat = _runs(3.0, np.radians(10.0), later), _runs(3.0, np.radians(10.0), later, bends=False)
     assert flat[:, 1].mean() > 3.0

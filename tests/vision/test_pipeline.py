@@ -110,8 +110,8 @@ def test_one_camera_goes_on_and_its_covariance_shows_it(lost: str) -> None:
     assert f"{lost} camera not used: missing" in one.report.detail
     assert one.pose is not None
     assert both.pose is not None
-    told, told_by_both = np.trace(one.fix.covariance[:3, :3]), np.trace(both.fix.covariance[:3, :3])
-    assert told / one.pose.factor > 1.05 * told_by_both / both.pose.factor  # at the same scatter of edges
+    by_one, by_both = np.trace(one.fix.covariance[:3, :3]), np.trace(both.fix.covariance[:3, :3])
+    assert by_one / one.pose.factor > 1.05 * by_both / both.pose.factor  # at the same scatter of edges
 
 
 def test_a_dirty_lens_is_a_camera_lost() -> None:
@@ -247,8 +247,8 @@ def test_the_next_house_is_not_taken_for_the_right_one(seeds: tuple[int, ...], f
     result = pipeline(world.map, world.rig_calibrated).process(v.left, v.right, 0, v.prior)
     assert_not_confidently_wrong(result, v)
     only = LandmarkPipeline(world.rig_calibrated, world.map, PipelineConfig(path="predict"))
-    told = only.process(v.left, v.right, 0, v.prior)
-    assert (told.fix, told.report.outcome) == (None, "ambiguous")
+    answer = only.process(v.left, v.right, 0, v.prior)
+    assert (answer.fix, answer.report.outcome) == (None, "ambiguous")
 
 
 def test_a_place_that_the_picture_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,7 +285,7 @@ def moved_mark(mark: Landmark, north: float) -> Landmark:
     )  # fmt: skip
 
 
-def test_a_landmark_that_moved_is_not_believed() -> None:
+def test_a_landmark_that_moved_is_rejected() -> None:
     v = view()
     used = pipeline().process(v.left, v.right, 0, v.prior)
     assert used.fix is not None

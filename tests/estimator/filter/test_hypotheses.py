@@ -131,7 +131,7 @@ def test_while_it_is_open_which_fixes_are_true_the_covariance_covers_both() -> N
     assert not np.array_equal(lead.cov[: E.SIZE, : E.SIZE], end.covariance)
 
 
-def test_health_tells_the_radius_of_what_is_published_while_it_is_open() -> None:
+def test_health_reports_the_radius_of_what_is_published_while_it_is_open() -> None:
     run = _fly(46.0, lambda t: None if 15.0 <= t < 45.0 else LIE)
     published = {e.t_ns: e.covariance for e in run.estimates}
     told = [(h, published[h.t_ns]) for h in run.health if h.t_ns > EPOCH_NS + 10 * SECOND and h.t_ns in published]
@@ -149,7 +149,7 @@ def _overconfidence(run: Run, start_s: float, end_s: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_lie_that_is_believed_after_an_outage_is_not_told_as_sure(seed: int) -> None:
+def test_a_false_fix_that_is_accepted_after_an_outage_is_not_reported_as_sure(seed: int) -> None:
     """One reading in twenty is false: that is what the first ones after an outage are told with, however well they fit."""
     run = _fly(36.5, lambda t: None if 15.0 <= t < 35.0 else LIE if t >= 35.0 else NOWHERE, seed)
     assert _distance(run, 35.1, 36.5).max() > 5.0  # it is believed
@@ -286,7 +286,7 @@ def test_a_copy_is_independent() -> None:
     np.testing.assert_array_equal(bank.lead.x, _state(0.0, 0.0, 0.0))
 
 
-def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
+def test_a_velocity_accepted_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
     """The leading filter takes a receiver's velocity for false, and so, just now, did the one that follows it.
 
     When that one foresees the next, both have explained it: one as true, one as the same falsehood.
@@ -321,7 +321,7 @@ def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
     assert [member.doubts for member in bank.members] == [{}, {}]
 
 
-def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_foresees() -> None:
+def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_predicts() -> None:
     """A velocity fits the leading filter poorly and a third one, of next to no weight, well: no evidence for a doubter."""
     lead, doubter, hopeless = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -2.0, -16.0))
     doubter.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
@@ -338,7 +338,7 @@ def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_fo
     assert hopeless.weight > -16.0
 
 
-def test_who_does_not_believe_in_a_reading_that_it_foresees_does_not_say_what_the_next_one_is() -> None:
+def test_who_does_not_believe_in_a_reading_that_it_predicts_does_not_say_what_the_next_one_is() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
     doubter.filter.x[X.V], believer.filter.x[X.V] = (11.2, 0.0, 0.0), (10.0, 0.0, 0.0)

@@ -68,13 +68,13 @@ def test_each_pair_has_its_request_and_its_report(seen: Path) -> None:
         assert len(_records(seen, topic)) == len(SEEN_S)
 
 
-def test_viewers_are_told_of_the_landmarks_at_the_first_look_and_of_those_in_use(seen: Path) -> None:
+def test_viewers_are_reported_of_the_landmarks_at_the_first_image_and_of_those_in_use(seen: Path) -> None:
     looks = _records(seen, "/landfix/vision", "/landfix/fix", "/landfix/landmarks")
     assert "/landfix/landmarks" in {r.topic for r in looks[1:3]}, "behind the first report and fix"
-    told = [r for r in looks if r.topic == "/landfix/landmarks"]
-    assert 1 <= len(told) <= 2, "four pictures within 1.5 s"
+    sent = [r for r in looks if r.topic == "/landfix/landmarks"]
+    assert 1 <= len(sent) <= 2, "four pictures within 1.5 s"
     fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in looks if r.topic == "/landfix/fix"]
-    markers = STORE.deserialize_cdr(told[0].data, told[0].schema).markers  # type: ignore[attr-defined]
+    markers = STORE.deserialize_cdr(sent[0].data, sent[0].schema).markers  # type: ignore[attr-defined]
     green = {m.text for m in markers if m.text and m.color.g > m.color.r}
     assert green in [set(fix.landmarks) if isinstance(fix, LandmarkFix) else set() for fix in fixes] + [set()]
     assert len({m.text for m in markers if m.text}) > 5

@@ -47,12 +47,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str
         until(lambda: status(session).get("zenoh received") == received, "the status tells of all")
         health = rmw_key(0, "/landfix/health", schemas.DIAGNOSTICS, type_hash(schemas.DIAGNOSTICS))
         keys = [health, "landfix/odometry", "landfix/status", "landfix/config", "landfix/map"]
-        told = {key: ask(session, key) for key in keys}
-        told["health"] = told.pop(health)
+        heard = {key: ask(session, key) for key in keys}
+        heard["health"] = heard.pop(health)
         tokens = [reply.ok for reply in session.liveliness().get("@ros2_lv/**", timeout=5.0)]
-        told["tokens"] = [str(token.key_expr).encode() for token in tokens if token is not None]
+        heard["tokens"] = [str(token.key_expr).encode() for token in tokens if token is not None]
     (log,) = logs_of(folder)
-    return log, text, vehicle.sent, len(vehicle.latency_ns), told
+    return log, text, vehicle.sent, len(vehicle.latency_ns), heard
 
 
 def test_every_input_is_in_the_log_and_every_picture(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
@@ -90,15 +90,15 @@ def test_others_can_read_the_log(flown: tuple[Path, str, dict[str, int], int, ob
         assert [(a.name, a.data.decode()) for a in ours.attachments] == [("config.toml", parse(text).toml())]
 
 
-def test_who_comes_late_is_told(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
-    log, text, sent, _, told = flown
-    (health,) = told["health"]
+def test_who_comes_late_is_reported(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
+    log, text, sent, _, heard = flown
+    (health,) = heard["health"]
     assert health in {r.data for r in records(log, "/landfix/health")}
-    (last,) = told["landfix/odometry"]
+    (last,) = heard["landfix/odometry"]
     assert last in {r.data for r in records(log, ODOMETRY)}
-    assert told["landfix/config"] == [parse(text).toml().encode()]
-    assert told["landfix/map"] == []
-    values = json.loads(told["landfix/status"][0])["daemon"]
+    assert heard["landfix/config"] == [parse(text).toml().encode()]
+    assert heard["landfix/map"] == []
+    values = json.loads(heard["landfix/status"][0])["daemon"]
     assert values["log state"] == "recording"
     assert values["log lost_inputs"] == "0"
     assert int(values["zenoh received"]) == sum(sent.values())

@@ -142,7 +142,7 @@ def test_positions_without_attitude_are_interpolated_too() -> None:
     assert not at.has_attitude.any()
 
 
-def test_nothing_is_told_outside_or_in_a_hole_but_at_its_edges() -> None:
+def test_nothing_is_reported_outside_or_in_a_hole_but_at_its_edges() -> None:
     at, told = interpolate(straight([10, 20, 50, 60]), np.array([5, 10, 15, 20, 35, 50, 55, 65]), 10)
     assert told.tolist() == [False, True, True, True, False, True, True, False]
     np.testing.assert_allclose(at.p[:, 0], [10, 15, 20, 50, 55], atol=1e-12)

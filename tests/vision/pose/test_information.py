@@ -78,7 +78,7 @@ def test_readings_with_the_prior_are_the_joint_optimum() -> None:
     np.testing.assert_allclose(gain @ (D @ delta + y), delta, rtol=1e-6, atol=1e-12)
 
 
-def test_a_well_seen_pose_is_told_as_it_was() -> None:
+def test_a_well_seen_pose_is_reported_as_it_was() -> None:
     system, omega = _system(6, 3, errors=0, sigma_px=0.001)
     measured = Measured.of(omega, 0.1 * np.eye(6))
     assert measured.rank == 6
@@ -174,7 +174,7 @@ def test_what_was_measured_is_as_far_off_as_it_says(kind: str, low: float, high:
     assert low < np.mean(ratios) < high
 
 
-def test_weak_directions_are_told_from_the_joint_optimum() -> None:
+def test_weak_directions_are_reported_from_the_joint_optimum() -> None:
     for seed in SEEDS:
         _, found = seen("corner", seed)
         off = difference(found.p_n, found.R_nb, found.joint_p_n, so3.from_matrix(found.joint_R_nb))

@@ -156,15 +156,15 @@ def test_two_that_look_alike_are_none() -> None:
     np.testing.assert_allclose(shift_of(both, corners, 5), 0.0, atol=0.3)
 
 
-def test_one_side_of_a_rim_tells_no_shift() -> None:
+def test_one_side_of_a_rim_measures_no_shift() -> None:
     """As of a boulder of which the border leaves one side; three sides tell it."""
     corners, px, normal = 8.0 * CORNERS + 50.0, *rim(8.0 * CORNERS + 50.0)
     picture = drawn(corners + np.array([1.0, -2.0]), (150, 160, 170), meadow(4))
-    for n, told in ((6, False), (18, True)):
+    for n, measured in ((6, False), (18, True)):
         offsets, usable, yes = np.zeros(n), np.ones(n, np.bool_), np.ones(n, np.bool_)
         measure(picture, px[:n], normal[:n], yes, np.zeros(n, np.int64), 8, yes, offsets, usable)
-        assert usable.all() == told
-        assert np.isfinite(offsets).any() == told
+        assert usable.all() == measured
+        assert np.isfinite(offsets).any() == measured
 
 
 def test_at_the_border_and_on_plain_ground_there_is_none() -> None:

@@ -86,7 +86,7 @@ def test_the_best_summit_is_where_the_outlines_are(turn: float) -> None:
     assert np.sqrt(off @ stage.across(q) @ off) < 1.5 * SIZE
 
 
-def test_a_landmark_alone_is_told_in_every_turn_and_scale() -> None:
+def test_a_landmark_alone_is_reported_in_every_turn_and_scale() -> None:
     """Its own radius is that of all outlines: votes of one turn and scale serve no other."""
     alone = seen()._replace(marks=seen().marks[:1])
     stage, moves, _ = prepared(alone, np.zeros(6))

@@ -90,8 +90,8 @@ def _shot(t_ns: int, picture: Picture, *, raw: bool) -> Shot:
 
 
 def _outcome(report: Encoded) -> str:
-    told: Any = STORE.deserialize_cdr(report.data, report.schema)
-    return str(told.outcome)
+    report_of: Any = STORE.deserialize_cdr(report.data, report.schema)
+    return str(report_of.outcome)
 
 
 def main() -> None:

@@ -101,10 +101,10 @@ def test_pictures_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path,
 def test_each_sample_has_its_estimate_and_nothing_is_lost_meanwhile(flown: tuple[Path, Path, int]) -> None:
     log, _, killed_ns = flown
     samples = [stamp_of(data) or 0 for _, data in _records(log, "/imu")]
-    told = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/odometry")]
-    assert told[0] < killed_ns < told[-1]
-    assert set(told) >= {t for t in samples if t > told[0]}
-    assert all(a < b for a, b in pairwise(told))
+    heard = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/odometry")]
+    assert heard[0] < killed_ns < heard[-1]
+    assert set(heard) >= {t for t in samples if t > heard[0]}
+    assert all(a < b for a, b in pairwise(heard))
     assert_sound(log)
 
 

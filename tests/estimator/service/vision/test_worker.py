@@ -238,10 +238,10 @@ def test_it_goes_behind_the_daemon_and_never_is_real_time() -> None:
         "except PermissionError: raise SystemExit('not allowed')\n"
         "_give_way(); print(os.sched_getscheduler(0) == os.SCHED_OTHER, os.nice(0))"
     )
-    told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
-    if told.stderr == "not allowed\n":
+    process = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
+    if process.stderr == "not allowed\n":
         pytest.skip("only root may ask for real time")
-    assert told.stdout.split() == ["True", str(os.nice(0) + 5)]
+    assert process.stdout.split() == ["True", str(os.nice(0) + 5)]
 
 
 def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:

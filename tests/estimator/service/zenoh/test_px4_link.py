@@ -143,7 +143,7 @@ class _Px4:
 
 
 @pytest.mark.parametrize("release", ["1.17", "1.18"])
-def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
+def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
     port = free_port()
     text = toml(tmp_path, port) + f'[px4]\nenabled = true\nrelease = "{release}"\nslot = 2\n[autopilot]\ngnss_quiet_s = 1.5\n'
     wanted = px4.AUX_GLOBAL_POSITION if release == "1.18" else px4.VEHICLE_GLOBAL_POSITION

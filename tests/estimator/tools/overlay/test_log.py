@@ -217,7 +217,7 @@ def test_pictures_of_another_camera_are_refused(tmp_path: Path) -> None:
     assert "not the same camera" in _run(log, "--rig", text).stderr
 
 
-def test_the_exposure_is_what_vision_was_told(tmp_path: Path) -> None:
+def test_the_exposure_is_what_vision_was_reported(tmp_path: Path) -> None:
     """A picture vision was not asked about is as late as the one before it; the first one as the rig says."""
     path = tmp_path / "a.mcap"
     stamps = [round(s * SECOND) for s in SEEN_S]

@@ -111,7 +111,7 @@ def test_gnss_is_compared_at_its_antenna() -> None:
     assert said.dof == 3
 
 
-def test_a_lie_and_a_silence_cost_a_bounded_amount() -> None:
+def test_a_false_fix_and_a_silence_cost_a_bounded_amount() -> None:
     config, P = parse(""), np.eye(15) * 1e-4
     lie = PoseFix(0, 0, (30.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.eye(6) * 1e-4)
     told = _compare(lie, _estimate(0, P), config)
