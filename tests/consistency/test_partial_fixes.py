@@ -1,7 +1,8 @@
-"""Is a filter honest that fuses fixes in part? One landmark point, seen from afar, leaves the attitude open; and the truth bends.
+"""Is a filter consistent that fuses fixes in part? One landmark point, seen from afar, leaves the attitude open; and the truth
+bends.
 
-Vision is played by its own equations: the joint optimum of prior and picture, linearised and told there. The picture is where the
-point is in body axes, which is exactly the same from every place on a sphere about it.
+Vision is played by its own equations: the joint optimum of prior and picture, linearised and reported there. The picture is where
+the point is in body axes, which is exactly the same from every place on a sphere about it.
 """
 
 from typing import NamedTuple
@@ -45,7 +46,7 @@ def _seen(x: Array) -> Array:
 
 
 def _look(z_b: Array, prior: Prior) -> LandmarkFix:
-    """What vision tells of a point seen at z_b: Gauss-Newton on prior and picture, then the picture alone."""
+    """What vision reports of a point seen at z_b: Gauss-Newton on prior and picture, then the picture alone."""
     x, information = prior.x.copy(), np.linalg.inv(prior.cov)
     for _ in range(20):
         R = so3.matrix(x[X.Q])

@@ -24,7 +24,7 @@ ALIGNED_S = 5.0
 
 
 class Village(NamedTuple):
-    """What vision believes, and pairs of pictures taken at PLACE, level, heading north."""
+    """The map and rig of vision, and pairs of pictures taken at PLACE, level, heading north."""
 
     rig: StereoRig
     map: LandmarkMap

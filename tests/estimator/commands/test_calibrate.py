@@ -159,7 +159,7 @@ def test_a_picture_that_cannot_be_read_is_left_out_with_its_reason(folder: Path,
 
 
 def test_files_that_cannot_be_written_are_reported_of_before_the_work(tmp_path: Path) -> None:
-    board, log = tmp_path / "board.png", tmp_path / "log.mcap"  # empty: told of, were they looked at first
+    board, log = tmp_path / "board.png", tmp_path / "log.mcap"  # empty: an error if they were read first
     board.touch()
     log.touch()
     nowhere = ("-o", tmp_path / "no" / "x.yaml")

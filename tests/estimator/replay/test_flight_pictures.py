@@ -114,7 +114,7 @@ def test_roofs_are_where_truth_and_rig_put_them(log: Path) -> None:
 
 
 def test_what_the_vehicle_is_reported(log: Path) -> None:
-    """Map and rig are the believed ones, and the configuration finds them."""
+    """Map and rig have their errors, and the configuration finds them."""
     config = load(log.with_suffix(".toml"))
     assert config.rig.file == "flight_rig.yaml"
     assert config.map.landmarks == "flight_map.geojson"

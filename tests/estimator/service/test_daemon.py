@@ -37,14 +37,14 @@ SECOND = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]:
-    """A flight of three seconds: the log, the configuration, what was sent, what came back, what a late joiner was told."""
+    """A flight of three seconds: the log, the configuration, what was sent, what came back, what a late joiner gets."""
     folder, port = tmp_path_factory.mktemp("flown"), free_port()
     text = toml(folder, port, zenoh_keys="ros2dds = true")
     with in_thread(parse(text), folder) as daemon, client(port) as session:
         vehicle = fly(session, 3.0, image_hz=5.0)
         until(lambda: len(daemon.mailbox) == 0, "all is handled")
         received = str(sum(vehicle.sent.values()))
-        until(lambda: status(session).get("zenoh received") == received, "the status tells of all")
+        until(lambda: status(session).get("zenoh received") == received, "the status reports all")
         health = rmw_key(0, "/landfix/health", schemas.DIAGNOSTICS, type_hash(schemas.DIAGNOSTICS))
         keys = [health, "landfix/odometry", "landfix/status", "landfix/config", "landfix/map"]
         heard = {key: ask(session, key) for key in keys}
@@ -133,7 +133,7 @@ def test_an_oversized_message_is_refused_and_the_flight_goes_on(tmp_path: Path) 
         for size in (100_000, 50_000_000):
             other.put(key, b"\0" * size)
         after = fly(session, 1.0)
-        until(lambda: status(session).get("zenoh oversized") == "1", "it is told")  # the larger one never came through
+        until(lambda: status(session).get("zenoh oversized") == "1", "it is reported")  # the larger one never came through
     assert len(before.latency_ns) > 50
     assert len(after.latency_ns) > 100
     assert len(records(logs_of(tmp_path)[0], "/imu")) == before.sent["/imu"] + after.sent["/imu"]
@@ -175,7 +175,7 @@ def test_a_defect_of_ours_costs_one_message(tmp_path: Path, monkeypatch: pytest.
 
         monkeypatch.setattr(daemon._decoder, "decode", fails_once)
         vehicle = fly(session, 1.5)
-        until(lambda: status(session).get("internal_errors") == "1", "the status tells of it")
+        until(lambda: status(session).get("internal_errors") == "1", "the status reports it")
     assert len(vehicle.latency_ns) > 50
 
 

@@ -160,7 +160,7 @@ def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest
     with monkeypatch.context() as broken:
         broken.setattr("estimator.service.log.state_file.checkpoint_of", lambda *_: 1 / 0)
         keeper.note(_estimate(T0))
-        until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is told")
+        until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is reported")
     keeper.note(_estimate(T0 + 1))
     until(lambda: keeper.report() == {"file": "kept"}, "the next one is kept")
     keeper.close()

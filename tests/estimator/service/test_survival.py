@@ -1,4 +1,4 @@
-"""What may happen to the process: killed, stopped, told to stop. The estimate goes on, the log has all but the last instant."""
+"""What may happen to the process: killed, stopped, asked to stop. The estimate goes on, the log has all but the last instant."""
 
 import resource
 import signal

@@ -142,7 +142,7 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
 
 def test_a_frame_that_does_not_say_how_level_it_is_leans_about_both_horizontal_axes() -> None:
     (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5, mount_deg=0.0)).slow_errors
-    assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix tells: it has other states
+    assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix reports: it has other states
     moved = slow.moves(LEVEL)
     assert moved is not None
     lean = math.radians(0.5) ** 2

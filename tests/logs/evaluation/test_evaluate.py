@@ -95,7 +95,7 @@ def test_errors_half_as_large_again_are_not(tmp_path: Path) -> None:
 
 
 def test_outages_and_their_drift(log: Path, consistent: Evaluation) -> None:
-    assert [o.source for o in consistent.outages] == ["all", "all"]  # one source only: not told twice
+    assert [o.source for o in consistent.outages] == ["all", "all"]  # one source only: not listed twice
     first, second = consistent.outages
     assert [first.start_s, first.duration_s] == pytest.approx([20.0, 10.0])
     assert second.start_s + second.duration_s == pytest.approx(90.0)
@@ -236,7 +236,7 @@ def test_outages_are_reported_by_source_and_of_all() -> None:
     late = [aid(t, late_s=1.5) for t in range(41) if not 10 < t < 20]
     assert seconds(find_outages(late, [], estimate)["all"].spans) == [(10.0, 21.5)]
     assert seconds(find_outages(gated, [], estimate)["all"].spans) == [(0.0, 40.0)]
-    assert seconds(find_outages([], [], estimate)["all"].spans) == []  # nothing tells
+    assert seconds(find_outages([], [], estimate)["all"].spans) == []  # nothing to go by
     health = [HealthPoint(EPOCH_NS + t * S, "aided", max(0.0, t - 30.0)) for t in range(41)]
     assert seconds(find_outages([], health, estimate)["all"].spans) == [(30.0, 40.0)]
 
@@ -354,7 +354,7 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
 def test_a_real_flight_with_nothing_but_poses(
     landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
 ) -> None:
-    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README tells."""
+    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README has."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
     e = evaluate(tmp_path / "vision.mcap")
     assert e.accuracy is not None

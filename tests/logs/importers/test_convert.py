@@ -101,11 +101,11 @@ def test_the_same_log_gives_the_same_bytes(flight: Path, tmp_path: Path) -> None
 
 
 def test_progress_goes_up_to_one(flight: Path, tmp_path: Path) -> None:
-    told: list[float] = []
-    convert("csv", flight, tmp_path / "out.mcap", told.append)
-    assert told == sorted(told)
-    assert told[0] < 0.5
-    assert told[-1] == 1.0
+    fractions: list[float] = []
+    convert("csv", flight, tmp_path / "out.mcap", fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.5
+    assert fractions[-1] == 1.0
 
 
 def test_all_of_settings_reaches_the_text() -> None:

@@ -34,7 +34,7 @@ class Case:
         return data
 
     def t_ns(self, name: str, field: str = "timestamp") -> Times:
-        """Stamps of a topic on the clock of the recording, which the first IMU sample tells."""
+        """Stamps of a topic on the clock of the recording, from the first IMU sample."""
         first = int(self.topic("sensor_combined")["timestamp"][0])
         imu = self.recording.stream("/imu")
         assert imu is not None

@@ -311,7 +311,7 @@ def test_ages_at_arrival_are_counted(page: Page) -> None:
 
 @pytest.mark.parametrize(("roll", "pitch", "heading"), [(0.3, -0.2, 1.0), (-1.0, 0.9, -2.5), (3.0, 0.0, 0.0)])
 def test_attitude_is_reported_as_a_pilot_says_it(roll: float, pitch: float, heading: float) -> None:
-    """GIVEN a body FRD in NED at roll, pitch and heading, THEN its odometry in ENU and FLU is told by the same numbers."""
+    """GIVEN a body FRD in NED at roll, pitch and heading, THEN its odometry in ENU and FLU has the same numbers."""
     q = so3.from_euler(roll, pitch, heading)
     data = encode_truth(EPOCH_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), q).data
     x, y, z, w = np.frombuffer(data[-85 * 8 :], "<f8")[3:7]

@@ -17,7 +17,7 @@ from models.messages import ImuSample
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
-FLUSH_NS = 100_000_000  # promised
+FLUSH_NS = 100_000_000  # documented
 
 
 def record(path: Path, count: int) -> None:
@@ -158,7 +158,7 @@ with Recorder(sys.argv[1], metadata={"version": "1"}) as recorder:
 
 @pytest.mark.parametrize("written", [1, 20_011])
 def test_killed_while_writing_loses_at_most_a_tenth_of_a_second(tmp_path: Path, written: int) -> None:
-    # GIVEN a process that writes at full speed, and tells the log time of each message once it is written
+    # GIVEN a process that writes at full speed, and prints the log time of each message once it is written
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     command = [sys.executable, "-c", WRITER, str(log), str(START_NS), str(STEP_NS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]) as process:

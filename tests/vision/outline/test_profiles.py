@@ -76,7 +76,7 @@ def test_points_of_an_edge_inside_the_ground_are_not_the_roofs() -> None:
 
 @pytest.mark.parametrize("hidden", [0, 4, 8])
 def test_a_roof_keeps_its_colour_where_a_tower_hides_most_of_its_rim(hidden: int) -> None:
-    """The tower goes on beyond the rim, the roof ends there; what the tower covers tells nothing of the edge."""
+    """The tower goes on beyond the rim, the roof ends there; what the tower covers does not count."""
     values = bars((13, RED), (12, GREEN))
     values[:hidden] = bars((25, (150.0, 152.0, 150.0)))[:hidden]
     ours = beside(values, ONE)

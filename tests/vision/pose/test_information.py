@@ -89,7 +89,7 @@ def test_a_well_seen_pose_is_reported_as_it_was() -> None:
 
 
 def test_surprise_counts_what_was_measured() -> None:
-    """The same share of honest readings stays below the limit, whatever the rank."""
+    """The same share of consistent readings stays below the limit, whatever the rank."""
     for rank in (2, 4):
         system, omega = _system(rank, rank)
         measured = Measured.of(omega, np.eye(6))
@@ -129,7 +129,7 @@ def test_two_parallel_edges_leave_the_way_along_them_open() -> None:
         assert np.linalg.norm(D @ along) < 0.02
         across = np.array([-along[1], along[0], 0.0, 0.0, 0.0, 0.0])
         assert np.linalg.norm(D @ across) > 0.3
-        # the pose told is the prior's along the edges, and the fix says that it knows nothing there
+        # the pose reported is the prior's along the edges, and the fix says that it knows nothing there
         off = difference(found.p_n, found.R_nb, view.prior.p_n, np.asarray(view.prior.q_nb_wxyz))
         assert abs(off @ along) < 0.15
         assert along @ found.covariance @ along > 100.0 * along @ view.prior.covariance @ along
@@ -154,7 +154,7 @@ def test_a_square_shows_all_of_the_pose() -> None:
 
 
 def test_one_corner_shows_at_least_four_combinations_and_seldom_all_well() -> None:
-    ranks = [len(_directions(seen("corner", seed)[1])) for seed in SEEDS]  # told along directions, every time
+    ranks = [len(_directions(seen("corner", seed)[1])) for seed in SEEDS]  # reported along directions, every time
     assert min(ranks) >= 4
     assert {4, 5} & set(ranks)
 

@@ -1,4 +1,6 @@
-"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, honesty, what repeats, what is refused."""
+"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, consistency, systematic errors, what is
+refused.
+"""
 
 from dataclasses import dataclass
 from typing import Any

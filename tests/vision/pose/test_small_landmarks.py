@@ -208,7 +208,7 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, leas
     once = estimate_pose(view.rig, view.pictures, used, (view.p_n, view.R_nb), view.prior)
     assert isinstance(once, PoseEstimate)
     ratio = np.linalg.det(fit.joint_covariance) / np.linalg.det(once.joint_covariance)
-    assert 0.5 < ratio < 2.0  # what the house tells is told once
+    assert 0.5 < ratio < 2.0  # the information of the house counts once
 
 
 def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:

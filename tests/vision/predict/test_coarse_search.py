@@ -1,4 +1,4 @@
-"""The coarse search on rendered pictures: votes, places, what moves how, and what it must not believe."""
+"""The coarse search on rendered pictures: votes, places, what moves how, and what it must reject."""
 
 from dataclasses import replace
 from functools import cache

@@ -87,7 +87,7 @@ def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: fl
 
 @pytest.mark.parametrize(("odds", "apart_m", "accepted"), [(5.1, 0.1, True), (4.4, 0.1, False), (5.1, 5.0, False)])
 def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, apart_m: float, accepted: bool) -> None:
-    """Less likely by 2.3 at most, and not elsewhere: a landmark more tells more of the pose, and is as right."""
+    """Less likely by 2.3 at most, and not elsewhere: a landmark more adds information on the pose, and is as right."""
     sure = replace(fitted(whole(), MARKS), odds=odds)
     vague = replace(elsewhere(sure, apart_m, 7.0), pose=replace(sure.pose, joint_covariance=4.0 * sure.pose.joint_covariance))
     vague = replace(vague, pose=replace(vague.pose, joint_p_n=sure.pose.joint_p_n + np.array([0.0, apart_m, 0.0])))
@@ -97,7 +97,7 @@ def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, a
 
 
 def test_odds_of_a_place_by_hand() -> None:
-    """One landmark that stands, 20 to 1, one of which nothing is told, one that is gone for sure; two sigma off; 60 % found."""
+    """One landmark that stands, 20 to 1, one without evidence, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
     shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
     odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6, 0.25)

@@ -142,7 +142,9 @@ def test_other_distances_leave_one_roof_where_it_is_in_the_picture() -> None:
     np.testing.assert_allclose(np.log(farther), sigma * np.array([-2.0, -1.0, 1.0, 2.0]))
     for one in places:
         np.testing.assert_allclose(np.cross(one.p_n - middle, away), 0.0, atol=1e-9)
-    assert nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []  # where they lie apart tells how far
+    assert (
+        nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []
+    )  # their separation determines the distance
 
 
 def test_roofs_that_the_border_cuts_take_part() -> None:

@@ -1,4 +1,4 @@
-"""Worlds from a seed: what is in the map, what stands, and errors of the size that is promised."""
+"""Worlds from a seed: what is in the map, what stands, and errors of the documented size."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Clocks: one that never steps, others whose offset is found out, and stamps that are believed only where they are plausible."""
+"""Clocks: one that never steps, others whose offset is found out, and stamps that are used only where they are plausible."""
 
 import numpy as np
 import pytest

@@ -28,6 +28,7 @@ from tests.estimator.service.flying import (
     errors_in_sigma,
     in_thread,
     logs_of,
+    odometry,
     records,
     toml,
 )
@@ -398,11 +399,11 @@ def test_a_flight_over_mavlink_is_flown_sent_logged_and_replayed_to_the_same_byt
             # whichever aligns the estimator is trusted at once; a receiver that comes second is on probation
             flight.until(lambda: _are_active(daemon, "/gnss", "/pose_fix"), "all are fused")
             autopilot.heard.clear()
-            flight.until(lambda: len(autopilot.of("ODOMETRY")) > 20, "it is told")
+            flight.until(lambda: len(autopilot.of("ODOMETRY")) > 20, "it is reported")
             assert {m.quality for m in autopilot.of("ODOMETRY")} <= {-1, 0}  # -1: its IMU was not heard for a moment
             assert autopilot.of("GLOBAL_POSITION_SENSOR") == []
             flight.has_gnss = False
-            flight.until(lambda: len(autopilot.of("GLOBAL_POSITION_SENSOR")) > 3, "fixes from outside are told")
+            flight.until(lambda: len(autopilot.of("GLOBAL_POSITION_SENSOR")) > 3, "fixes from outside are sent")
         sent, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
     (log,) = logs_of(tmp_path)
     assert errors_in_sigma(odometry(log)).max() < 5.0

@@ -33,7 +33,7 @@ PATIENT = VisionConfig(timeout_s=60.0)  # a busy machine is no hang
 
 
 class Heard:
-    """What the worker tells."""
+    """What the worker sends."""
 
     def __init__(self) -> None:
         self.messages: list[Encoded] = []
@@ -61,7 +61,7 @@ def _until(true: Callable[[], bool], timeout_s: float = 180.0) -> None:
 
 @contextmanager
 def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[VisionWorker, Heard, Callable[[], None]]]:
-    """A worker that is seeing, what it tells, and take(): two pictures are taken now."""
+    """A worker that is seeing, what it sends, and take(): two pictures are taken now."""
     clock, track, heard = Clock(), Track(), Heard()
     worker = VisionWorker(
         (files / "rig.yaml", files / "map.geojson", None, None), config or PATIENT, SIDES, clock,

@@ -168,7 +168,7 @@ def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: 
         autopilot.heard.clear()
         fly(vehicle, 0.5, gnss_hz=0.0)
         rebooted = list(autopilot.heard)
-        until(lambda: "px4 fixes" in status(session), "the status tells of PX4")
+        until(lambda: "px4 fixes" in status(session), "the status reports PX4")
     assert {schema for schema, _, _ in without} == {px4.VEHICLE_ODOMETRY, wanted}
     odometry = [m for schema, m, _ in without if schema == px4.VEHICLE_ODOMETRY and m.quality >= 0]
     fixes = [m for schema, m, _ in without if schema == wanted]

@@ -99,7 +99,7 @@ def test_the_residual_is_the_error_of_the_estimate(tmp_path: Path, east_m: float
 
 @pytest.mark.parametrize("sigma_m", [0.2, 1.0])
 def test_edges_are_looked_for_as_far_as_the_estimate_may_be_off(tmp_path: Path, sigma_m: float) -> None:
-    """1.5 m are 14 px: beyond 3 sigma of a filter that is too sure of itself, found where it is honest."""
+    """1.5 m are 14 px: beyond 3 sigma of an overconfident filter, found where it is consistent."""
     residual = _numbers(_write(tmp_path / "a.mcap", 1.5, sigma_m))["residual_px"]
     shift_px = village().rig.left.fx * 1.5 / 75.0
     found = residual["median"] if isinstance(residual, dict) else 0.0
