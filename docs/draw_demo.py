@@ -1,6 +1,7 @@
 """Draws docs/images/demo.webp, ten seconds of what `landfix demo` wrote:  python -m docs.draw_demo [FOLDER]
 
-Left what the camera saw with the map drawn in from the estimate; right the way flown, and the error beside the promised radius.
+Left what the camera saw with the map drawn in from the estimate; right the way flown, and the error with the reported 95 %
+radius.
 """
 
 import sys
@@ -66,7 +67,7 @@ class Panel:
         t = np.array([(view.t_ns - self._start_ns) * 1e-9 for view in self._flown])
         radius = np.array([view.radius95_m for view in self._flown])
         at.plot(t, radius, color="0.8", linewidth=1.0)
-        (self._radius,) = at.plot([], [], color=ORANGE, linewidth=1.4, label="promised, 95 %")
+        (self._radius,) = at.plot([], [], color=ORANGE, linewidth=1.4, label="reported, 95 %")
         (self._line,) = at.plot([], [], color=BLUE, linewidth=1.4, label="error")
         for begin, end in outages["all"].spans:
             at.axvspan((begin - self._start_ns) * 1e-9, (end - self._start_ns) * 1e-9, color="0.9", linewidth=0.0)
@@ -78,17 +79,17 @@ class Panel:
         at.set_ylabel("horizontal [m]", fontsize=8)
         at.tick_params(labelsize=8)
         at.legend(loc="upper right", fontsize=7, frameon=False)
-        self._when, self._promised = t, radius
+        self._when, self._reported = t, radius
 
     def at(self, number: int) -> np.ndarray[Any, Any]:
         """The panel when the vehicle is at view `number`."""
         way = np.array([view.p_n for view in self._flown[: number + 1]])
-        now, radius = self._when[number], self._promised[number]
+        now, radius = self._when[number], self._reported[number]
         angle = np.linspace(0.0, 2.0 * np.pi, 60)
         self._way.set_data(way[:, 1], way[:, 0])
         self._here.set_data(way[-1:, 1], way[-1:, 0])
         self._ring.set_data(way[-1, 1] + radius * np.sin(angle), way[-1, 0] + radius * np.cos(angle))
-        self._radius.set_data(self._when[: number + 1], self._promised[: number + 1])
+        self._radius.set_data(self._when[: number + 1], self._reported[: number + 1])
         shown = self._t <= now
         self._line.set_data(self._t[shown][::20], self._error[shown][::20])
         self._canvas.draw()

@@ -46,15 +46,15 @@ def commands() -> str:
 
     from estimator.cli import app  # noqa: PLC0415
 
-    def told(words: list[str], group: Any, level: int) -> list[str]:
+    def pages_of(words: list[str], group: Any, level: int) -> list[str]:
         text = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "110", "NO_COLOR": "1", "TERM": "dumb"}).output
         lines = [f"{'#' * min(level, 4)} {' '.join(['landfix', *words])}", "", "```text", text.strip("\n"), "```", ""]
         for name in sorted(getattr(group, "commands", {})):
             if not group.commands[name].hidden:
-                lines += told([*words, name], group.commands[name], level + 1)
+                lines += pages_of([*words, name], group.commands[name], level + 1)
         return lines
 
-    return "\n".join(told([], typer.main.get_command(app), 1))
+    return "\n".join(pages_of([], typer.main.get_command(app), 1))
 
 
 def modules(package: str) -> str:

@@ -40,7 +40,7 @@ from models.messages import (
 )
 from models.state import E, X
 
-_ASTRAY_SAMPLES, _ASTRAY_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
+_OUT_OF_SYNC_SAMPLES, _OUT_OF_SYNC_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
 _FAILURES = 2  # in a row, after which the estimator restarts itself
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
@@ -57,7 +57,7 @@ class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=1e-3, le=3600, description="s: a stamp may run ahead of its stream's clock by this much")
     ] = 1.0
     reset_sigma: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is told as a reset")
+        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is reported as a reset")
     ] = 5.0
 
 
@@ -88,7 +88,7 @@ class Fusion:
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
-        self._astray: tuple[int, int, int] | None = None  # count, arrival of the first, stamp of the last sample off our clock
+        self._out_of_sync: tuple[int, int, int] | None = None  # count, first arrival, last stamp of samples off our clock
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._failures = 0  # in a row, of what moves the state
         self._reset_counter = 0
@@ -128,7 +128,9 @@ class Fusion:
         )
 
     def catch_up(self) -> None:
-        """Work in some of what came late, now that the output is out, rather than when the next message comes; it is all one."""
+        """Work in some of what came late, now that the output is out, rather than when the next message comes; the result is the
+        same.
+        """
         self._history.catch_up()
 
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:
@@ -155,7 +157,7 @@ class Fusion:
             refusal = Refusal(reason)
         if refusal is not None:
             return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
-        self._astray = None
+        self._out_of_sync = None
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
@@ -213,7 +215,7 @@ class Fusion:
         return []
 
     def _note_lead(self, message: ImuSample | Tick) -> None:
-        """The quickest message tells most of the stamps' clock; what it told is forgotten by 0.1 s in a second."""
+        """The quickest message bounds the offset of the stamps' clock; the bound is relaxed by 0.1 s in a second."""
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
@@ -223,7 +225,7 @@ class Fusion:
         self._lead = lead_ns, message.arrived_ns
 
     def _future(self, message: Input) -> Refusal | None:
-        """A stamp that runs ahead of the stamps' clock, as its arrival tells it, by more than future_s."""
+        """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than future_s."""
         if self._lead is None:
             return None
         lead_ns, noted_ns = self._lead
@@ -291,13 +293,13 @@ class Fusion:
         """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""
         if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:
             return []
-        count, since_ns, last_ns = self._astray or (0, sample.arrived_ns, sample.t_ns)
+        count, since_ns, last_ns = self._out_of_sync or (0, sample.arrived_ns, sample.t_ns)
         if not 0 <= sample.t_ns - last_ns < self._future_ns:
             count, since_ns = 0, sample.arrived_ns
-        self._astray = (count + 1, since_ns, sample.t_ns)
-        if count < _ASTRAY_SAMPLES or sample.arrived_ns - since_ns < _ASTRAY_NS:
+        self._out_of_sync = (count + 1, since_ns, sample.t_ns)
+        if count < _OUT_OF_SYNC_SAMPLES or sample.arrived_ns - since_ns < _OUT_OF_SYNC_NS:
             return []
-        self._astray = self._lead = self._next_health_ns = None
+        self._out_of_sync = self._lead = self._next_health_ns = None
         return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 
     def _restart(self, tracker: Tracker | None, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
@@ -319,9 +321,9 @@ class Fusion:
     def _aid_status(self, entry: Entry) -> AidStatus:
         aid, decision = entry.aid, entry.decision
         assert decision is not None
-        if entry.told is not None:
-            self._counts[entry.told] -= 1
-        entry.told = decision.reason
+        if entry.counted is not None:
+            self._counts[entry.counted] -= 1
+        entry.counted = decision.reason
         self._count(decision.reason)
         return AidStatus(
             aid.t_ns,
@@ -394,10 +396,10 @@ def _is_whole(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    """What Health tells of the IMU's biases, of the state (16,) and its covariance (15, 15)."""
-    told: dict[str, float] = {}
+    """The IMU's biases for Health, of the state (16,) and its covariance (15, 15)."""
+    values: dict[str, float] = {}
     for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
         sigma = np.sqrt(np.diag(cov)[error])
         for axis, bias, spread in zip("xyz", x[value].tolist(), sigma.tolist(), strict=True):
-            told |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
-    return told
+            values |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
+    return values

@@ -28,7 +28,7 @@ SIGMA = np.repeat([0.3, np.deg2rad(1.0)], 3)  # m, rad: of the fixes that are ma
 
 
 def place_of(message: Any) -> tuple[float, float, float, tuple[float, ...]]:
-    """Latitude and longitude in degrees, height above the sea in m, and q_nb (w, x, y, z) that a simulator tells."""
+    """Latitude and longitude in degrees, height above the sea in m, and q_nb (w, x, y, z) from a simulator."""
     if message.get_type() == "HIL_STATE_QUATERNION":
         return message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3, tuple(message.attitude_quaternion)
     return message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt, (message.q1, message.q2, message.q3, message.q4)

@@ -25,7 +25,7 @@ _CONVERGED = 1e-13  # normalised plane: far below 1e-9 px
 
 
 class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """One camera: size of its picture [px], focal lengths and principal point [px], distortion.
+    """One camera: size of its image [px], focal lengths and principal point [px], distortion.
 
     covariance: (4 + n, 4 + n) of (fx, fy, cx, cy, *distortion), None = exact.
     Raises ValueError where the numbers are not a camera.
@@ -84,7 +84,7 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
         return ray
 
     def contains(self, px: Array, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Which pixels (N, 2) lie in the picture, at least margin_px from its border; NaN does not."""
+        """Which pixels (N, 2) lie in the image, at least margin_px from its border; NaN does not."""
         low, high = margin_px - 0.5, np.array([self.width, self.height]) - 0.5 - margin_px
         inside: NDArray[np.bool_] = np.all((px >= low) & (px <= high), axis=1)
         return inside
@@ -160,7 +160,7 @@ def _fold(distortion: tuple[float, ...]) -> float:
     """The s = tan^2(angle) up to which the distorted radius r g(r^2) grows, inf if it always does.
 
     d(r g) / dr = ((P + 2 s P') Q - 2 s P Q') / Q^2, g = P / Q. Beyond its first zero points from far outside would be drawn
-    into the picture once more.
+    into the image once more.
     """
     k1, k2, _, _, k3, k4, k5, k6 = distortion
     if not any(distortion):

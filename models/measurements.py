@@ -105,7 +105,8 @@ class Pose:
 class PartialPose:
     """r combinations of the position and attitude of the body, D (x_true (-) z) = y + v, metres; D (r, 6), y (r,), noise (r, r).
 
-    z_n, q_nb_wxyz: where the pictures were linearised; the truth may be as far from there as the filter believes afterwards.
+    z_n, q_nb_wxyz: where the images were linearised; the truth may be as far from there as the filter's covariance says
+    afterwards.
     """
 
     z_n: Array

@@ -16,7 +16,7 @@ Vec3: TypeAlias = tuple[float, float, float]
 Quat: TypeAlias = tuple[float, float, float, float]
 Array: TypeAlias = NDArray[np.float64]
 
-ATTITUDE_TOPIC: Final = "/attitude"  # of what an autopilot believes, unless configured otherwise
+ATTITUDE_TOPIC: Final = "/attitude"  # of an autopilot's estimate, unless configured otherwise
 RADIAN_M: Final = 50.0  # metres that count as much as a radian where position and attitude are mixed: a landmark's distance
 
 
@@ -86,7 +86,7 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
     directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured, None where the pose itself was;
-    readings: y (r,) m, what they read from the pose that is told, the optimum of what was believed before and what was seen:
+    readings: y (r,) m, their readings from the reported pose, the optimum of prior and observation:
 
         D (x_true (-) x_fix) = y + v,   v ~ N(0, D (covariance + covariance_common) D^T)
 
@@ -117,10 +117,10 @@ class PictureName(msgspec.Struct, frozen=True):
 
 
 class VisionRequest(msgspec.Struct, frozen=True, eq=False):
-    """Look for landmarks in these pictures, taken at t_ns where the vehicle is believed to have been.
+    """Look for landmarks in these images, taken at t_ns, with the pose estimate as prior.
 
     covariance: (6, 6), x y z rx ry rz in NED axes, as PoseFix; left, right: None where that camera gave none; run: of vision,
-    which begins each without memory of earlier pictures.
+    which begins each without memory of earlier images.
     """
 
     t_ns: int
@@ -144,7 +144,7 @@ class Baro(msgspec.Struct, frozen=True, eq=False):
 
 
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
-    """Attitude of the body as somebody else believes it, to begin the alignment with; never fused in flight.
+    """Attitude of the body as another estimator has it, to begin the alignment with; never fused in flight.
 
     covariance: (3, 3) rad^2, of the error about the axes of n, as in PoseFix.
     """
@@ -214,7 +214,7 @@ class Reason(StrEnum):
     PROBATION = "probation"  # source has just come (back); consistent, but not yet trusted
     STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
     ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
-    THINNED = "thinned"  # no news: too soon after the last one, or a prior that is not needed any more
+    THINNED = "thinned"  # too soon after the last one, or a prior that is not needed any more
     TOO_OLD = "too_old"  # older than history_s
     IN_FUTURE = "in_future"  # stamped later than it arrived, beyond tolerance
     DUPLICATE = "duplicate"  # same content already there
@@ -255,7 +255,7 @@ class Estimate(msgspec.Struct, frozen=True, eq=False):
     """The state with everything of t <= t_ns that has arrived.
 
     nav: (16,) packed NavState (models/state.py, X); covariance: (15, 15) of the error state (E); gyro_b: angular rate with
-    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is told by a Reset, but for
+    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is reported by a Reset, but for
     a new start, whose size is not known).
     """
 

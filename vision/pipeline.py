@@ -1,10 +1,10 @@
-"""From pictures to a LandmarkFix, or the reason why there is none.
+"""From images to a LandmarkFix, or the reason why there is none.
 
     check -> predict and verify (predict.py)      where the prior is good enough
           -> all outlines as one pattern (pattern.py) from far above, where only their shift is open
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
-Nothing in here raises in flight. A picture that is missing or useless leaves the work to the other camera: known landmarks give
+Nothing in here raises in flight. An image that is missing or useless leaves the work to the other camera: known landmarks give
 the scale, the fix says so, and its covariance shows it.
 """
 
@@ -32,14 +32,14 @@ from vision.records.reports import RegionReport, Result, nothing, with_regions
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
 
-_ENOUGH, _MAJORITY = 4, 2.0 / 3.0  # landmarks, and part of those in view, that look-alikes elsewhere match once in thousands,
+_ENOUGH, _MAJORITY = 4, 2.0 / 3.0  # landmarks, and part of those in view, that similar ones elsewhere match once in thousands,
 _MINORITY = 1.0 / 3.0  # unless so many of them are in the map: of that part, and of fewer landmarks
-_ODDS: Final = 1e3  # of the prior against another place, from which that one is out of the question
+_ODDS: Final = 1e3  # of the prior against another position, from which that one is out of the question
 _WIDE: Final = 0.25  # of the limits of the search: from there on the prior is so wide that regions are tried as well
 
 
 class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How pictures become fixes. path: predict, segment, or auto: predict where the prior allows, else segment."""
+    """How images become fixes. path: predict, segment, or auto: predict where the prior allows, else segment."""
 
     path: Literal["auto", "predict", "segment"] = "auto"
     space: Space = "hsv"
@@ -54,22 +54,22 @@ class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandmarkPipeline:
-    """Pictures of one rig over one map. Raises ValueError for a rig whose pictures cannot be rectified."""
+    """Pictures of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
         c = config or PipelineConfig()
         self._rig, self._map, self._config = rig, landmarks, c
         segment = SegmentConfig(c.space, c.least_px, c.most_regions, c.most_landmarks, c.identify, c.memory)
         self._segment = SegmentPath(rig, rectification(rig), segment)
-        self._predict = PredictPath(rig, c.predict, c.pose, c.identify.beliefs.gone_fraction)
+        self._predict = PredictPath(rig, c.predict, c.pose, c.identify.assumptions.gone_fraction)
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
+        """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""
         try:
             with np.errstate(all="ignore"):
                 result = self._process(left, right, t_ns, prior)
                 return result if result.fix is None else replace(result, fix=with_map_error(result.fix, self._map.common_sigma_m))
-        except Exception as error:  # whatever a picture trips over, the flight goes on
+        except Exception as error:  # whatever an image trips over, the flight goes on
             return nothing(t_ns, "internal", f"{type(error).__name__}: {error}")
 
     def _process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
@@ -90,7 +90,7 @@ class LandmarkPipeline:
         return found if isinstance(found, Result) else self._verified(found, near, t_ns, prior)
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
-        """What predict and verify says of the place that identified regions tell."""
+        """What predict and verify says of the position that identified regions tell."""
         moves = self._predict.moves(found.pictures, near, found.place)
         if moves is None:
             return nothing(t_ns, "no_pose", found.pictures.remark)
@@ -115,12 +115,12 @@ class LandmarkPipeline:
         result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
-        settled = result.fix is not None or result.report.outcome == "waiting"  # a likely place is not overruled, but confirmed
+        settled = result.fix is not None or result.report.outcome == "waiting"  # a likely one is not overruled, but confirmed
         narrow = not doubtful and self._predict.narrow(pictures, move, _WIDE)
         return result if only or settled or narrow else None
 
     def _may_be_the_next_house(self, located: Result, pictures: Pictures, near: list[Landmark], prior: Prior) -> bool:
-        """Whether a place from which the map repeats itself shows the same, or nearly so."""
+        """Whether a position from which the map repeats itself shows the same, or nearly so."""
         steps = _to_the_next_house(located, self._config.predict.most_fitted, near, prior)
         if located.pose is None or not len(steps):
             return False
@@ -144,7 +144,7 @@ class LandmarkPipeline:
 
 
 def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:
-    """Steps (S, 3) to places that show the same, as far as the landmarks tell that a fix rests on (`most` of them are fitted).
+    """Steps (S, 3) to positions that show the same, as far as the landmarks tell that a fix rests on (`most` of them are fitted).
 
     Where houses look alike, each step of the map lays its outlines on houses again. An outline that lies within a few pixels by
     chance (1 in 20) against one that is found where it is (6 in 10) is worth 12, one that is not found costs 2.6; eight houses

@@ -1,8 +1,8 @@
 """Recognition by description, for boot and for a prior that is lost: the stages of the thesis' chapter 5 in their order.
 
-rectify -> segment -> regions -> correspond -> measure -> identify -> where the pictures were taken
+rectify -> segment -> regions -> correspond -> measure -> identify -> where the images were taken
 
-That place is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
+That position is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from vision.records.pictures import Pictures
 from vision.records.reports import RegionReport, Result, nothing, report_of
 
 _ROWS_PX: Final = 0.8  # rows that differ by less do no harm
-_WIDER: Final = 4.0  # variances of the place where is looked: outlines of regions are not quite those of roofs
+_WIDER: Final = 4.0  # variances of the position where is looked: outlines of regions are not quite those of roofs
 _TOO_FLAT: Final = "seen too flat to know its size"
 
 
@@ -48,7 +48,7 @@ class SegmentConfig:
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """The pictures rectified; the first is the left one, or the only good one."""
+    """The images rectified; the first is the left one, or the only good one."""
 
     work: Image
     other: Image | None
@@ -69,7 +69,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """A place to look at: pictures, those that fit each other; place: where they were taken, by the prior and the identities.
+    """A position to look at: images, those that fit each other; place: where they were taken, by the prior and the identities.
 
     reports: a line of each region.
     """
@@ -80,7 +80,7 @@ class Identified:
 
 
 class SegmentPath:
-    """Regions of pictures of one rig, identified as landmarks."""
+    """Regions of images of one rig, identified as landmarks."""
 
     def __init__(self, rig: StereoRig, rectified: Rectification, config: SegmentConfig) -> None:
         self._rig, self._rectified, self._config = rig, rectified, config
@@ -121,18 +121,18 @@ class SegmentPath:
 
     def _measure(self, pictures: Pictures, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
         """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
-        told = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
-        refused = [_cut_off(r) for r in regions if all(r is not one for one in told)]
+        usable_regions = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
+        refused = [_cut_off(r) for r in regions if all(r is not one for one in usable_regions)]
         if views.other is None:
-            return self._one_camera(pictures, views, told, prior, known, refused, pictures.remark)
+            return self._one_camera(pictures, views, usable_regions, prior, known, refused, pictures.remark)
         rig = self._rectified.rig
-        matches = correspond(grey(views.work), grey(views.other), told, rig)
+        matches = correspond(grey(views.work), grey(views.other), usable_regions, rig)
         if swapped := epipolar.pair_reason(matches, None):
             return swapped
         if rows := self._rows_off(views, matches):
-            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or pictures not taken together"
+            problem = f"rows differ by {rows:+.1f} px: wrong calibration, or images not taken together"
             return self._one_camera(
-                pictures, views, told, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
+                pictures, views, usable_regions, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
             )
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -167,7 +167,7 @@ class SegmentPath:
         self,
         pictures: Pictures,
         views: _Views,
-        told: list[Region],
+        usable_regions: list[Region],
         prior: Prior,
         known: Catalogue,
         refused: list[RegionReport],
@@ -176,7 +176,7 @@ class SegmentPath:
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         roof_d = float(np.mean(known.place_n[:, 2]))
         kept, seen = list[Region](), list[Sighting]()
-        for region in told:
+        for region in usable_regions:
             one = self._sighting(views, region, sight.from_one_camera(region, prior, rig, roof_d), prior, rig, known)
             if isinstance(one, RegionReport):
                 refused.append(one)
@@ -203,7 +203,7 @@ class SegmentPath:
         return seen_corners(region.corners, width, height, views.valid)
 
     def _decide(self, pictures: Pictures, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
-        """Identify; regions that stay open are kept for the next picture."""
+        """Identify; regions that stay open are kept for the next image."""
         rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
@@ -227,7 +227,7 @@ def _rows_sigma(rig: StereoRig) -> float:
 
 
 def _cut_off(region: Region) -> RegionReport:
-    return RegionReport("cut_off", region.bbox, reason="cut off by the picture's edge")
+    return RegionReport("cut_off", region.bbox, reason="cut off by the image's edge")
 
 
 def _not_measured(region: Region, reason: str) -> RegionReport:
@@ -264,5 +264,5 @@ def _unsettled(found: Identification, now: int) -> str:
 
 def _summary(found: Identification, now: int, remembered: int) -> str:
     count = int(found.accepted[:now].sum())
-    before = f", {remembered} of earlier pictures" if remembered else ""
+    before = f", {remembered} of earlier images" if remembered else ""
     return f"{count} of {now} regions identified{before}, place sure to {found.place_posterior:.5f}"

@@ -1,11 +1,11 @@
-"""Which recogniser looks at a picture, by need and by cost.
+"""Which recogniser looks at an image, by need and by cost.
 
     landmarks by description   always, where the map has any: pipeline.py
-    registration               where they gave nothing, the map holds a picture, and the prior says where to look: registration.py
+    registration               where they gave nothing, the map holds an image, and the prior says where to look: registration.py
     features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
     peak                       where neither succeeded: position by the place where registration's search found the whole, peak.py
 
-All of them end in a LandmarkFix; the picture counts as one landmark, named as its file, with the errors of its georeference.
+All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
 """
 
@@ -49,7 +49,7 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class MapPicture:
-    """A georeferenced picture and its keypoints, found once."""
+    """A georeferenced image and its keypoints, found once."""
 
     picture: GroundPicture
     features: FeatureMap
@@ -80,7 +80,7 @@ class _Likely:
 
 
 class Recognisers:
-    """Pictures of one rig over one map. Raises ValueError for a rig whose pictures cannot be rectified."""
+    """Pictures of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
@@ -91,7 +91,7 @@ class Recognisers:
         self._likely: _Likely | None = None
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """One pair, or one picture (None: there is no other), taken at t_ns where prior says. Never raises."""
+        """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""
         right = None if self._rig.one_camera else right
         described = self._pipeline.process(left, right, t_ns, prior)
         if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_picture", "internal"}:
@@ -99,12 +99,12 @@ class Recognisers:
         try:
             with np.errstate(all="ignore"):
                 seen = self._look(self._known, left, right, t_ns, prior)
-        except Exception as error:  # whatever a picture trips over, the flight goes on
+        except Exception as error:  # whatever an image trips over, the flight goes on
             seen = _refused(t_ns, "internal", f"{type(error).__name__}: {error}")
         return _both(described, seen) if self._has_landmarks else seen
 
     def _look(self, known: MapPicture, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """The picture's turn, with the left camera or, where that gave nothing, with the right one."""
+        """The image's turn, with the left camera or, where that gave nothing, with the right one."""
         use_right = left is None or picture_flaw(left, self._rig.left) is not None
         image, rig = (right if use_right else left), one_eyed(self._rig, right=use_right)
         assert image is not None  # the pipeline found one of them good
@@ -112,11 +112,11 @@ class Recognisers:
         laid = self._laid(known, found, t_ns, prior)
         if laid.fix is not None or laid.report.outcome == "no_ground":
             return laid
-        told = self._by_features(known, rig, image, t_ns, prior)
-        if told.fix is not None:
+        other = self._by_features(known, rig, image, t_ns, prior)
+        if other.fix is not None:
             self._likely = None
-            return told
-        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {told.report.detail}"))
+            return other
+        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {other.report.detail}"))
         return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
 
     def _by_peak(self, known: MapPicture, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
@@ -185,7 +185,7 @@ class Recognisers:
 
 
 def _both(described: Result, seen: Result) -> Result:
-    """One report of both: the outcome is the picture's, what became of the regions is kept."""
+    """One report of both: the outcome is the image's, what became of the regions is kept."""
     detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; picture: {seen.report.detail}"
     return replace(seen, report=msgspec.structs.replace(seen.report, detail=detail), regions=described.regions)
 

@@ -1,7 +1,7 @@
 """Outlines on real aerial pictures: `python -m benchmarks.aerial [brighton] [nust] [spacenet]`.
 
-Predict and verify beside plain segmentation, one camera, every trial with a pipeline of its own. A trial is one picture; where
-the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first picture alone. All thresholds are the
+Predict and verify beside plain segmentation, one camera, every trial with a pipeline of its own. A trial is one image; where
+the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first image alone. All thresholds are the
 pipeline's defaults, made on rendered pictures: nothing is tuned here. How each set is judged: docs/vision_aerial.md.
 Tables and overlays go to out/aerial/.
 """
@@ -56,7 +56,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
     parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
     parser.add_argument(
-        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's belief (1 3)"
+        "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's prior (1 3)"
     )
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
     parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")

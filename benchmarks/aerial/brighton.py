@@ -34,7 +34,7 @@ _DISTORTION_SIGMA = 3e-3
 
 
 def camera(width: int = WIDTH) -> CameraModel:
-    """The camera at a picture width of so many pixels."""
+    """The camera at an image width of so many pixels."""
     f, height = _FOCAL * width, width * 9 // 16
     sigma = np.array([_SENSOR_SIGMA * width] * 4 + [_DISTORTION_SIGMA] * 2 + [1e-4] * 2)
     return CameraModel(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1), _DISTORTION, np.diag(sigma**2))
@@ -43,7 +43,8 @@ def camera(width: int = WIDTH) -> CameraModel:
 def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD) -> Iterator[Trial]:
     """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned.
 
-    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of belief.
+    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of the
+    prior.
     """
     landmarks, names = landmark_map(), photo_names(data)
     cases = {n: case(data, n, where, landmarks, width) for n, where in references(data, landmarks, names).items()}
@@ -59,10 +60,10 @@ def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPRE
             yield Trial(known, number, prior, then)
             if known.group == MANY:
                 decoys = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), known.p_n[:2], rng))
-                yield Trial(_lying(known, decoys), number, prior, then and (_lying(then[0], decoys), then[1]))
+                yield Trial(_turned_map(known, decoys), number, prior, then and (_turned_map(then[0], decoys), then[1]))
 
 
-def _lying(known: Case, decoys: LandmarkMap) -> Case:
+def _turned_map(known: Case, decoys: LandmarkMap) -> Case:
     """The same photo under another map."""
     return replace(known, group=DECOY, landmarks=decoys)
 
@@ -91,7 +92,7 @@ def photo(data: Path, name: str) -> Picture:
 
 
 def read(path: Path) -> Picture:
-    """A picture in colour."""
+    """A image in colour."""
     picture = cv2.imread(str(path))
     if picture is None:
         raise FileNotFoundError(path)
@@ -99,7 +100,7 @@ def read(path: Path) -> Picture:
 
 
 def ortho(data: Path, landmarks: LandmarkMap) -> Ortho:
-    """Orthophoto with the place of every pixel in the map's n."""
+    """Orthophoto with the position of every pixel in the map's n."""
     folder = data / FOLDER
     with np.load(folder / "dsm_0.1m_utm15n.npz") as archive:
         height_m, x0, y1, step = archive["dsm"], float(archive["x0"]), float(archive["y1"]), float(archive["res"])

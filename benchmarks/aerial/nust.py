@@ -3,7 +3,7 @@
 The reference is a registration of every fifth frame to the orthophoto (SIFT, a homography a frame; about 0.5 m). Neither camera
 nor height is known, only their ratio: a frame shows 223 m. The ratio of focal length to width is taken as 0.77, that of common
 survey cameras; another one scales the height and moves nothing on the ground. The ground is the plane of the map. Judged is the
-place on the ground that the frame's middle shows.
+position on the ground that the frame's middle shows.
 """
 
 import csv
@@ -73,7 +73,7 @@ def frames(data: Path, wanted: Collection[int]) -> Iterator[tuple[int, Image]]:
 
 
 def pose(homography: Array, landmarks: LandmarkMap) -> tuple[Array, Array]:
-    """p_nc, R_nc of the camera whose picture of the ground plane the homography describes best."""
+    """p_nc, R_nc of the camera whose image of the ground plane the homography describes best."""
     u, v = np.meshgrid(np.linspace(0.0, _WIDTH - 1.0, 9), np.linspace(0.0, _HEIGHT - 1.0, 6))
     px = np.column_stack((u.ravel(), v.ravel()))
     ortho_px = cv2.perspectiveTransform(px[None], homography)[0]
@@ -98,7 +98,7 @@ def case(number: int, picture: Image, homography: Array, landmarks: LandmarkMap)
 
 
 def _by_middle(p_nc: Array, R_nc: Array) -> Judge:
-    """Distance on the ground between what the middle of the picture shows; the body stands at the camera."""
+    """Distance on the ground between what the middle of the image shows; the body stands at the camera."""
     ray_c = camera().ray(_MIDDLE)[0]
 
     def ground(p: Array, R: Array) -> Array:

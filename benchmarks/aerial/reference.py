@@ -1,4 +1,4 @@
-"""Where a picture was taken, without any outline: by an orthophoto with heights, or by known points of a plane."""
+"""Where an image was taken, without any outline: by an orthophoto with heights, or by known points of a plane."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
 """Position from maps that hold a picture: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
 
 Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, and both as in flight, on the
-same pictures in one run. All thresholds are the recognisers' defaults. Judged is the place on the ground that the picture's
+same images in one run. All thresholds are the recognisers' defaults. Judged is the position on the ground that the image's
 middle shows, by fix and prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to
 out/registration/.
 """
@@ -41,7 +41,7 @@ _NOWHERE = LandmarkMap.from_landmarks((0.0, 0.0, 0.0), [])
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of a picture. squared: squared error of the ground's place over its covariance, per degree of freedom."""
+    """What became of an image. squared: squared error of the ground's position over its covariance, per degree of freedom."""
 
     group: str
     way: Way
@@ -84,7 +84,7 @@ def arguments() -> argparse.Namespace:
 
 
 def fly(flight: Flight) -> Iterator[Outcome]:
-    """Every picture of a flight, in order, as registration may wait for the next one; decoys as in flight only."""
+    """Every image of a flight, in order, as registration may wait for the next one; decoys as in flight only."""
     nothing = FeatureMap(flight.known.picture, np.empty((0, 3)), np.empty((0, 128), np.float32))
     for way in WAYS[:1] if flight.decoy else WAYS:
         known = replace(flight.known, features=nothing) if way == "registration" else flight.known
@@ -112,7 +112,7 @@ def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEs
 
 
 def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float]:
-    """Distance on the ground between what the picture's middle shows, and that squared over its covariance."""
+    """Distance on the ground between what the image's middle shows, and that squared over its covariance."""
 
     def middle(p_n: Array, R_nb: Array) -> Array:
         camera, (p_nc, R_nc) = flight.rig.left, flight.rig.camera_pose(p_n, R_nb)

@@ -1,4 +1,4 @@
-"""Draws the picture of docs/vision_pictures.md, rendered ground in another season:
+"""Draws the image of docs/vision_pictures.md, rendered ground in another season:
 python -m benchmarks.aerial.registration_picture
 """
 

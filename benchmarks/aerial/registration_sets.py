@@ -1,7 +1,7 @@
 """What registration is tried on: a real video, real photos, and rendered ground on other days and in another season.
 
 Decoys have no right answer: the map turned by half a turn or by a quarter about its middle, or a vehicle 100 to 200 m from
-where it is believed to be, beyond what is searched.
+where the prior has it, beyond the search range.
 """
 
 import math
@@ -38,7 +38,7 @@ _OVERCAST = Sun(0.0, math.radians(60.0), 0.85)
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture, where it was truly taken, and where it is believed to have been."""
+    """An image, the pose it was taken from, and its prior."""
 
     t_ns: int
     picture: Image
@@ -164,7 +164,7 @@ def _other_season(world: World) -> World:
 
 
 def _turned(known: MapPicture, turn: int) -> MapPicture:
-    """The same georeference over a picture that is turned about its middle, as far as the new one covers the same pixels."""
+    """The same georeference over an image that is turned about its middle, as far as the new one covers the same pixels."""
     picture = known.picture
     image = np.asarray(cv2.rotate(picture.image, turn), dtype=np.uint8)
     return MapPicture.of(replace(picture, image=image))
@@ -176,7 +176,7 @@ def _shots(
     key: tuple[int, str, int],
     away: tuple[float, float] = (0.0, 0.0),
 ) -> Callable[[], Iterator[Shot]]:
-    """Priors drawn anew every 3 s of the flight, so that pictures within share their error; away: that much farther off, m."""
+    """Priors drawn anew every 3 s of the flight, so that images within share their error; away: that much farther off, m."""
 
     def shots() -> Iterator[Shot]:
         drawn = generator(*key)

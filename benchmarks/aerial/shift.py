@@ -3,7 +3,7 @@
 python -m benchmarks.aerial.shift [--seed N]
 
 found: the summit of the joint score (vision/predict/joint_score.py) is within 2 m of the truth, as all *other* footprints tell
-it; ratio: of the summit to the second one, which is what decides. Decoys: the same sets turned, where no place is right.
+it; ratio: of the summit to the second one, which is what decides. Decoys: the same sets turned, where no position is right.
 """
 
 import argparse

@@ -1,7 +1,7 @@
-"""SpaceNet Atlanta: footprints over a panchromatic picture of 0.5 m, taken as that of a camera far above.
+"""SpaceNet Atlanta: footprints over a panchromatic image of 0.5 m, taken as that of a camera far above.
 
 The map is a set of neighbouring footprints, the prior is shifted by up to 24 m. What is judged is the shift left between the
-projected footprints and the picture; how far map and picture lie apart by themselves is measured with all the *other* footprints.
+projected footprints and the image; how far map and image lie apart by themselves is measured with all the *other* footprints.
 """
 
 import math
@@ -27,14 +27,14 @@ HEIGHT_M, STEP_M, SIZE = 2000.0, 0.5, 900
 SHIFT_M = 24.0  # of the prior, on each axis
 SPREAD = Spread(2.0 / math.sqrt(3.0) * SHIFT_M, 1.0, math.radians(0.01), math.radians(0.1))  # as uniform in a square
 SIZES = (10, 3)
-_NORTH_WEST = (733601.0, 3725139.0)  # of the picture
+_NORTH_WEST = (733601.0, 3725139.0)  # of the image
 _ROOF_SIGMA_M = 0.7  # footprint to what is seen of the roof: each house leans and was drawn by hand
 _SEARCHED_PX, _BLUR_PX = 10, 1.0
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Picture (16 bit), all footprints, camera and its pose p_nc, R_nc; slope (2, H, W): du, dv of the blurred picture."""
+    """Picture (16 bit), all footprints, camera and its pose p_nc, R_nc; slope (2, H, W): du, dv of the blurred image."""
 
     picture: Image
     landmarks: LandmarkMap
@@ -87,7 +87,7 @@ def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
 
 
 def case(of: Scene, name: str, marks: Sequence[Landmark], apart_m: Array) -> Case:
-    """The picture with these footprints for a map; judged by how much farther they are off than all the others."""
+    """The image with these footprints for a map; judged by how much farther they are off than all the others."""
     rig = nadir_rig(of.camera)
     landmarks = LandmarkMap.from_landmarks(of.landmarks.origin, marks)
 
@@ -106,7 +106,7 @@ def prior(of: Case, rng: np.random.Generator) -> Prior:
 
 
 def projected_shift(of: Scene, marks: Sequence[Landmark], p_n: Array, R_nb: Array) -> Array:
-    """Mean shift (2,) [m], right and down in the picture, of the projected set against where the file puts it."""
+    """Mean shift (2,) [m], right and down in the image, of the projected set against where the file puts it."""
     roofs = np.concatenate([np.column_stack((m.outline_n, np.full(len(m.outline_n), m.roof_d))) for m in marks])
     p_nc, R_nc = nadir_rig(of.camera).camera_pose(p_n, R_nb)
     px = of.camera.project((roofs - p_nc) @ R_nc) - of.camera.project((roofs - of.p_nc) @ of.R_nc)

@@ -1,4 +1,4 @@
-"""One picture, one map, one belief: what the pipeline makes of it, beside what is known independently."""
+"""One image, one map, one prior: the pipeline's result against an independent reference."""
 
 import math
 import time
@@ -23,7 +23,7 @@ from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 Way = Literal["predict", "segment"]
 PATHS: tuple[Way, ...] = get_args(Way)
 WRONG_M = 2.0
-_NEXT_NS = 2_000_000_000  # a camera in flight takes a picture each second or so
+_NEXT_NS = 2_000_000_000  # a camera in flight takes an image each second or so
 _TURNED_DEG = (30.0, 150.0)  # decoys: not by half a turn, which a row of houses survives
 
 Judge = Callable[[Array, Array], float]  # (p_n, R_nb) -> m from what is known
@@ -31,7 +31,9 @@ Judge = Callable[[Array, Array], float]  # (p_n, R_nb) -> m from what is known
 
 @dataclass(frozen=True)
 class Spread:
-    """What a filter would know: place uniform within radius_m, height normal, attitude normal about x, y (level) and z (yaw)."""
+    """What a filter would know: position uniform within radius_m, height normal, attitude normal about x, y (level) and z
+    (yaw).
+    """
 
     radius_m: float
     height_sigma_m: float
@@ -45,7 +47,7 @@ class Spread:
         return np.array([plane, plane, self.height_sigma_m, level, level, self.yaw_sigma_rad])
 
     def draw(self, rng: np.random.Generator, p_n: Array, R_nb: Array) -> Prior:
-        """A belief about the pose (p_n, R_nb)."""
+        """A prior drawn about the pose (p_n, R_nb)."""
         bearing, distance = rng.uniform(0.0, 2.0 * math.pi), self.radius_m * math.sqrt(rng.uniform())
         error = rng.normal(size=6) * self.sigma
         error[:2] = distance * math.cos(bearing), distance * math.sin(bearing)
@@ -55,7 +57,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Case:
-    """A picture, a map, and the pose known without the pipeline; shown: landmarks in the picture.
+    """A image, a map, and the pose known without the pipeline; shown: landmarks in the image.
 
     group: what is counted together; judge: how far a pose is off.
     """
@@ -73,7 +75,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Trial:
-    """A case with what is believed; after: the next picture, with the same error of the belief, for a fix that waits for it."""
+    """A case and its prior; after: the next image, with the same error of the prior, for a fix that waits for it."""
 
     case: Case
     number: int
@@ -84,7 +86,7 @@ class Trial:
 class Outcome(msgspec.Struct, frozen=True):
     """What became of a trial. prior_m: horizontal error of the prior; error_m: of fix and prior together, alone_m: of the fix
     alone, as the case judges; squared: squared error of the fix's position over its covariance, per degree of freedom; at_once:
-    from the first picture; within_m: what fix and prior together promise (95 %), as `landfix locate --within` asks for.
+    from the first image; within_m: 95 % radius of fix and prior together, as `landfix locate --within` asks for.
     """
 
     group: str
@@ -115,12 +117,12 @@ class Outcome(msgspec.Struct, frozen=True):
 
     @property
     def sure(self) -> bool:
-        """Whether there is a fix that promises not to be far off."""
+        """Whether there is a fix with a 95 % radius of at most WRONG_M."""
         return self.accepted and self.within_m <= WRONG_M
 
 
 def nadir_rig(camera: CameraModel) -> StereoRig:
-    """One camera that looks down, the picture's top is the body's front; the right camera never gives a picture."""
+    """One camera that looks down, the image's top is the body's front; the right camera never gives an image."""
     return StereoRig(camera, camera, np.eye(3), np.array([-1.0, 0.0, 0.0]), NADIR, np.zeros(3))
 
 
@@ -130,12 +132,12 @@ def generator(seed: int, name: str, number: int) -> np.random.Generator:
 
 
 def distance_from(p_n: Array) -> Judge:
-    """Judges by the distance (3D) from a place."""
+    """Judges by the distance (3D) from a position."""
     return lambda p, _: float(np.linalg.norm(p - p_n))
 
 
 def outline_share(camera: CameraModel, p_nc: Array, R_nc: Array, mark: Landmark) -> float:
-    """Share of a landmark's roof outline that lies in the picture."""
+    """Share of a landmark's roof outline that lies in the image."""
     t = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
     edge = (mark.outline_n + t * (np.roll(mark.outline_n, -1, axis=0) - mark.outline_n)).reshape(-1, 2)
     roof_n = np.column_stack((edge, np.full(len(edge), mark.roof_d)))
@@ -184,7 +186,7 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
 
 class Row(msgspec.Struct, frozen=True):
     """Trials of one kind; pictures: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
-    share accepted from the first picture; sure: share that promises not to be so far off, sure_wrong: of these, off all the same.
+    share accepted from the first image; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m.
     """
 
     group: str

@@ -1,4 +1,4 @@
-"""Calibration against known truth: are errors what the reported sigmas say, on corners, on rendered pictures, on recordings?
+"""Calibration against known truth: are errors what the reported sigmas say, on corners, on rendered images, on recordings?
 
     python -m benchmarks.calibration corners flexing rendered shaded camera-imu [--runs 50]
 
@@ -35,7 +35,7 @@ POSE_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def rig() -> StereoRig:
-    """A rig like the one of the real pictures."""
+    """A rig like the one of the real images."""
     right = CameraModel(640, 480, 537.0, 536.5, 327.0, 249.0, (-0.29, 0.1, -0.0009, 0.0003, -0.01))
     R_rc = so3.matrix(so3.quat_exp(np.deg2rad([0.4, 0.25, -0.2])))
     return StereoRig(VGA, right, R_rc, np.array([-0.083, 0.001, -0.0002]), np.eye(3), np.zeros(3))
@@ -119,7 +119,7 @@ def flexing(runs: int) -> dict[str, Any]:
 
 
 def shaded(runs: int) -> dict[str, Any]:
-    """One camera on rendered pictures whose corners get a quarter of the light; noise 3 grey levels, blur 0.7 px."""
+    """One camera on rendered images whose corners get a quarter of the light; noise 3 grey levels, blur 0.7 px."""
     painter, (v, u) = synthetic.Painter(VGA, BOARD), np.mgrid[0 : VGA.height, 0 : VGA.width]
     middle = 0.5 * np.array([VGA.width, VGA.height])
     light = 1.0 - 0.75 * ((u - middle[0]) ** 2 + (v - middle[1]) ** 2) / (middle @ middle)

@@ -40,7 +40,7 @@ DATA_SHEETS = {  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz)
 
 
 def views_of(folder: Path, pattern: str, board: Board) -> list[View]:
-    """All views of a board in a folder's pictures."""
+    """All views of a board in a folder's images."""
     found = [find(np.asarray(cv2.imread(str(p))), board, p.name) for p in sorted(folder.glob(pattern))]
     return [v for v in found if isinstance(v, View)]
 
@@ -101,7 +101,7 @@ def stability(folder: Path) -> Table:
         ):
             rows.append((f"{side} {name}", f"{x:.2f}", f"{sigma:.2f}", f"{moved:.2f}", f"{z:.1f}"))
     columns = ("parameter px", "all views", "sigma", "jackknife over views", "odd - even views / sigma")
-    return Table("Is sigma honest on the published pictures?", columns, rows)
+    return Table("Is sigma consistent on the published images?", columns, rows)
 
 
 def pinhole(solution: Solution) -> Array:
@@ -138,7 +138,7 @@ def published(folder: Path) -> Table:
 
 
 def euroc(folder: Path, calibration: Path) -> Table:
-    """EuRoC's published rig, through our Kalibr import, on its own pictures of a 7 x 6 board of 60 mm."""
+    """EuRoC's published rig, through our Kalibr import, on its own images of a 7 x 6 board of 60 mm."""
     rig, board = load_rig(calibration), Board(7, 6, 0.06)
     left, right = views_of(folder / "cam0", "*", board), views_of(folder / "cam1", "*", board)
     pairs = [p for a, b in zip(left, right, strict=True) if (p := stereo.shared(Pair(a, b), board)) is not None]

@@ -1,4 +1,4 @@
-"""Monte-Carlo campaign: is the covariance honest, and is the error as small as it can be? Over many simulated flights.
+"""Monte-Carlo campaign over simulated flights: is the covariance consistent, and the error near its lower bound?
 
     python -m benchmarks.campaign                            all flights, 100 seeds each
     python -m benchmarks.campaign --quick                    every third flight, 10 seeds

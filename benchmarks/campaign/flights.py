@@ -1,4 +1,4 @@
-"""What flies in the campaign: vehicles, sensors, outages, and what the filter is told of them.
+"""The campaign's flights: vehicles, sensors, outages, and the filter's configuration of them.
 
 A matched flight is one whose sensors are exactly what the filter's model says: no slow GNSS error, no false fix, biases that
 wake up as the filter expects. A mismatched one breaks one assumption, or several.
@@ -26,7 +26,7 @@ AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by th
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
 _HANDOVER_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
-_NONE_FALSE = 1e-6  # share of falsehoods: the filter knows that there are none
+_NONE_FALSE = 1e-6  # share of false measurements: the filter knows that there are none
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
 Phase = Literal["before", "during", "end", "after"]
@@ -46,19 +46,19 @@ class Instant(msgspec.Struct, frozen=True):
 
 
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
-    """A scenario of the simulator with its outages (begin, end), and what the filter is told.
+    """A scenario of the simulator with its outages (begin, end), and the filter's configuration.
 
-    matched: sensors as modelled; told_slow_m: [gnss] slow_sigma_m; told_noise: multiple of the grade's noise;
-    told_scale: [imu] gyro_scale.
+    matched: sensors as modelled; configured_slow_m: [gnss] slow_sigma_m; configured_noise: multiple of the grade's noise;
+    configured_scale: [imu] gyro_scale.
     """
 
     name: str
     scenario: Scenario
     outages_s: tuple[Interval, ...]
     matched: bool = True
-    told_slow_m: float = 0.0
-    told_noise: float = 1.0
-    told_scale: float = 0.0
+    configured_slow_m: float = 0.0
+    configured_noise: float = 1.0
+    configured_scale: float = 0.0
 
     def seed(self, run: int) -> int:
         """Of the simulation: flights do not share their noise, so that their cells are independent."""
@@ -80,8 +80,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     def noise(self) -> ImuNoise:
         """The IMU's as the filter knows it: white noise of the grade or a multiple of it, random walks of the grade."""
         noise = GRADES[self.scenario.imu.grade].noise
-        white = {"gyro_noise": noise.gyro_noise * self.told_noise, "accel_noise": noise.accel_noise * self.told_noise}
-        return msgspec.structs.replace(noise, **white, gyro_scale=self.told_scale)
+        white = {"gyro_noise": noise.gyro_noise * self.configured_noise, "accel_noise": noise.accel_noise * self.configured_noise}
+        return msgspec.structs.replace(noise, **white, gyro_scale=self.configured_scale)
 
     def config(self, process_scale: float = 1.0) -> FusionConfig:
         """What the filter knows: the IMU's noise, its turn-on biases as prior; process_scale multiplies Q."""
@@ -92,7 +92,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             accel_bias_sigma=GRADES[imu.grade].accel_turn_on * imu.turn_on,
             still_gyro=_NEVER_STILL,
         )
-        gnss = GnssConfig(slow_sigma_m=self.told_slow_m, slow_s=self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0)
+        slow_s = self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0
+        gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s)
         pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0, false_share=_NONE_FALSE)  # simulated fixes: level, true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
@@ -118,7 +119,7 @@ def flight(
     aided_s: float = AIDED_S,
     between_s: float = BETWEEN_S,
     matched: bool = True,
-    told_noise: float = 1.0,
+    configured_noise: float = 1.0,
 ) -> Flight:
     """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
     gone = outages(lengths_s, aided_s, between_s)
@@ -136,7 +137,7 @@ def flight(
         pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
-    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, told_noise=told_noise)
+    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, configured_noise=configured_noise)
 
 
 def matched() -> list[Flight]:
@@ -171,16 +172,16 @@ def mismatched() -> list[Flight]:
         slow_m: float = 0.0, scale: float = 0.0,
     ) -> Flight:  # fmt: skip
         plain = flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False)
-        return msgspec.structs.replace(plain, told_slow_m=slow_m, told_scale=scale)
+        return msgspec.structs.replace(plain, configured_slow_m=slow_m, configured_scale=scale)
 
     def imu(**errors: float) -> Imu:
         return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)
 
     return [
         of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),
-        of("scale-0.3%-told", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
+        of("scale-0.3%-modelled", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
         of("misaligned-0.3deg", imu=imu(misalignment_deg=0.3), pose_fix=fixes),
-        of("misaligned-0.3deg-told", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
+        of("misaligned-0.3deg-modelled", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
         of("noise-x2", imu=imu(noise_multiplier=2.0), pose_fix=fixes),
         of("slow-gnss-ignored", gnss=slow),
         of("slow-gnss-considered", gnss=slow, slow_m=slow.slow_sigma_m),

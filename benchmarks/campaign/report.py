@@ -16,8 +16,8 @@ AIM_INSIDE, AIM_GATED, AIM_RATIO = 0.93, 0.002, (0.95, 1.10)
 WORST = 15  # cells listed
 PHASES = ("before", "during", "end", "after")
 
-HOW = """NEES/dof is the mean over seeds at one instant of a flight: 1 is honest, more is overconfident. A cell is one instant and
-one of pose (6 degrees of freedom), velocity (3) and full state (15). RMSE/bound: root mean square error over the posterior
+HOW = """NEES/dof is the mean over seeds at one instant of a flight: 1 is consistent, more is overconfident. A cell is one instant
+and one of pose (6 degrees of freedom), velocity (3) and full state (15). RMSE/bound: root mean square error over the posterior
 Cramer-Rao bound along each true trajectory, pooled over instants (in brackets: the extremes of single cells, which scatter by
 about 0.5/sqrt(seeds)). In the tables: in 95 %, out: cells within their 95 % band, outside their 99.99 % band; N: NEES/dof; e/B:
 RMSE/bound of position, velocity, attitude; gated, lost: of the valid measurements (lost: for any other reason); missing: instants
@@ -31,8 +31,8 @@ The filter aligns by itself: from pose fixes; GNSS flights have them for the fir
 the biases are the grade's turn-on values, so they are the truth's distribution; that of the velocity (10 m/s) is not, and scoring
 begins 99 s later, when it is forgotten. Levelling at rest is switched off, so that the bound can begin at the first pose fix
 with exactly the filter's covariance (for GNSS alone: with a diffuse one). Gates and fault logic are as by default; of what the
-sensors do, the filter is told the noise of the IMU's grade and, in matched flights, that GNSS has no slow error. Late fixes are
-judged with all defaults.
+sensors do, the filter is configured with the noise of the IMU's grade and, in matched flights, that GNSS has no slow error. Late
+fixes are judged with all defaults.
 """
 
 
@@ -49,7 +49,7 @@ def verdict(results: Sequence[Result], orders: Sequence[OrderResult]) -> Table:
         rows += [
             ("NEES cells within 95 %", f"{share(c.inside for c in cells)} of {len(cells)}", f">= {AIM_INSIDE:.0%}"),
             ("NEES cells outside 99.99 %", str(sum(c.outside for c in cells)), "0"),
-            ("NEES of whole flights off 1", f"{sum(not w.honest for w in wholes)} of {len(wholes)}", "0"),
+            ("NEES of whole flights off 1", f"{sum(not w.consistent for w in wholes)} of {len(wholes)}", "0"),
             *((f"RMSE/bound, {block}", ratios([e for e in efficiency if e.block == block]), "0.95-1.10") for block in BLOCKS),
             ("valid measurements gated", f"{gated:.3%} of {fixes}", f"<= {AIM_GATED:.1%}"),
             ("lost for another reason", str(sum(r.lost for r in matched)), "0"),

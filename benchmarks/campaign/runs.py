@@ -31,7 +31,7 @@ Arrived = tuple[int, str, str]  # t_ns, topic, kind: one measurement
 class Score(msgspec.Struct, frozen=True):
     """One run at k instants: nees (k, PARTS), squared errors and bound's traces (k, BLOCKS); what became of the valid fixes.
 
-    nan where there was no estimate; resets: jumps told; internal: defects reported.
+    nan where there was no estimate; resets: jumps reported; internal: defects reported.
     """
 
     nees: Array

@@ -68,7 +68,7 @@ class Whole(msgspec.Struct, frozen=True):
     error: float
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """Not further from 1 than chance explains."""
         return abs(self.mean - 1.0) <= MOST_ERRORS * self.error
 

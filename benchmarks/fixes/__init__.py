@@ -1,1 +1,1 @@
-"""Single fixes on rendered and recorded pairs: how accurate, how honest, from how far off."""
+"""Single fixes on rendered and recorded pairs: accuracy, consistency, range of convergence."""

@@ -15,8 +15,8 @@ WRONG_M, WRONG_CHI2 = 3.0, 21.11  # 99.99 % of 3 degrees of freedom
 class Outcome(msgspec.Struct, frozen=True):
     """One view and its fix.
 
-    error_m, bound_m: of the position, prior and pictures together; position, pose: squared Mahalanobis distances of that
-    posterior over 3 and 6; alone: per direction, of the pictures without the prior; wrong: off by more than 3 m and outside its
+    error_m, bound_m: of the position, prior and images together; position, pose: squared Mahalanobis distances of that
+    posterior over 3 and 6; alone: per direction, of the images without the prior; wrong: off by more than 3 m and outside its
     own 99.99 % ellipse. name: what was tried; number: of the view; share: of the outlines in view; seconds, sift_s: what the fix,
     and SIFT + FLANN, took; at_once: from the first pair.
     """
@@ -61,7 +61,7 @@ def _error(view: View, p_n: Array, R_nb: Array) -> Array:
 
 
 def _alone(view: View, fit: PoseEstimate) -> float:
-    """Squared Mahalanobis distance of the pictures' own reading, per direction."""
+    """Squared Mahalanobis distance of the images' own reading, per direction."""
     error, covariance = _error(view, fit.p_n, fit.R_nb), fit.covariance + fit.covariance_common
     if fit.directions is not None and fit.readings is not None:
         error, covariance = fit.directions @ error - fit.readings, fit.directions @ covariance @ fit.directions.T

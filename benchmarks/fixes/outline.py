@@ -1,11 +1,11 @@
-"""The outline path on rendered views: from how far off it finds its place, how accurate and honest it is, and what it refuses.
+"""The outline path on rendered views: range of convergence, accuracy, consistency, rejected decoys.
 
 python -m benchmarks.fixes.outline --seed 1 --views 300
 python -m benchmarks.fixes.outline --seed 1 --views 100 --only decoys
 
 Views are those of single_fix (benchmarks/fixes/single_fix_views.py): 10 to 120 m high, tilted up to 25 degrees, one to three
-landmarks, painted and pale, exact maps and maps off by 0.5 m, pictures clean, noisy, blurred, dark, bright. The pipeline is told
-a prior and the map, nothing else. Where it waits for the next picture to agree it gets one, half a second later; *at once* counts
+landmarks, painted and pale, exact maps and maps off by 0.5 m, images clean, noisy, blurred, dark, bright. The pipeline gets
+a prior and the map, nothing else. Where it waits for the next image to agree it gets one, half a second later; *at once* counts
 the first pair alone. A fix is wrong if it is off by more than 3 m and outside its own 99.99 % ellipse. Tables go to out/outline/.
 """
 
@@ -95,7 +95,7 @@ def partial(seed: int, number: int) -> list[Outcome]:
 
 
 def decoys(seed: int, number: int) -> list[Outcome]:
-    """Maps and priors that lie."""
+    """Wrong maps and priors."""
     outcomes = []
     for kind in DECOYS:
         view, pictures, prior, possible = decoy(seed, number, kind)
@@ -132,13 +132,13 @@ def _fixed(
     if not at_once:
         view, pictures, prior = later(view, prior)
         result = pipeline.process(*pictures, 1 + NEXT_NS, prior)
-    limit = float(np.sqrt(np.trace(bound(_believing(view, prior))[:3, :3]))) if with_bound else 0.0
+    limit = float(np.sqrt(np.trace(bound(_with_prior(view, prior))[:3, :3]))) if with_bound else 0.0
     said = f"{result.report.outcome}: {result.report.detail}"
     found = outcome_of(view, result.pose, said)
     return msgspec.structs.replace(found, name=name, share=share, seconds=seconds, bound_m=limit, at_once=at_once)
 
 
-def _believing(view: View, prior: Prior) -> View:
+def _with_prior(view: View, prior: Prior) -> View:
     """The view with another prior."""
     return View(
         view.cell, view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rig, view.landmarks, prior, view.rng

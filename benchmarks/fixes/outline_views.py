@@ -25,13 +25,13 @@ PRIOR_PX = 55.0  # 1 sigma of the shift: 3 sigma are the limit of the search
 TURN_DEG, TILT_DEG, HEIGHT = 2.0, 0.5, 0.03  # 1 sigma; HEIGHT of the height above ground
 DECOYS = ("turned", "shifted", "empty", "row", "gone", "one gone")
 _POINTS = 40  # of an outline, where its visible share is counted
-_ON, _TURN_RAD = 0.03, 0.02  # 1 sigma, from one picture to the next: of the height flown on, and turned
+_ON, _TURN_RAD = 0.03, 0.02  # 1 sigma, from one image to the next: of the height flown on, and turned
 _SLIP_M, _SLIP_RAD = 0.03, 1e-3  # 1 sigma, by which dead reckoning errs over that
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A view, its pictures and the share of the roofs' outlines that the left one shows."""
+    """A view, its images and the share of the roofs' outlines that the left one shows."""
 
     view: View
     pictures: tuple[Image, Image]
@@ -80,7 +80,7 @@ def _off(view: View, error: Array, covariance: Array) -> Prior:
 
 
 def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
-    """Half a second on: the view from there, its pictures, and the prior, which errs as before but for a slip."""
+    """Half a second on: the view from there, its images, and the prior, which errs as before but for a slip."""
     rng = view.rng
     way, turn = rng.normal(size=3) * _ON * view.cell.height_m, so3.quat_exp(rng.normal(size=3) * _TURN_RAD)
     slip = np.array([_SLIP_M] * 3 + [_SLIP_RAD] * 3)
@@ -92,7 +92,7 @@ def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
 
 
 def visible_share(view: View) -> float:
-    """Share of the points just inside the roofs' outlines that the left picture shows."""
+    """Share of the points just inside the roofs' outlines that the left image shows."""
     camera, (p_nc, R_nc) = view.true_rig.left, view.true_rig.camera_pose(view.p_n, view.R_nb)
     labels = render_labels(view.world, camera, p_nc, R_nc)
     shown = total = 0
@@ -148,7 +148,7 @@ def _hidden(view: View, share: float) -> View:
 
 
 def decoy(seed: int, number: int, kind: str) -> tuple[View, tuple[Image, Image], Prior, bool]:
-    """A view whose map or prior lies, its pictures, the prior that is told, and whether a right fix is still possible."""
+    """A view whose map or prior is wrong, its images, the prior, and whether a right fix is still possible."""
     view = _row(seed, number) if kind == "row" else draw_view(seed, number)
     prior, possible = prior_of(view, PRIOR_PX), kind in {"shifted", "row", "one gone"}
     marks = view.landmarks
@@ -197,7 +197,7 @@ def _period(view: View) -> float:
 
 
 def _row(seed: int, number: int) -> View:
-    """A row of equal houses that goes on beyond both borders of the picture, seen from 40 to 80 m; the prior spans a period."""
+    """A row of equal houses that goes on beyond both borders of the image, seen from 40 to 80 m; the prior spans a period."""
     rng = np.random.default_rng([seed, number, 7])
     height = rng.uniform(40.0, 80.0)
     spacing, length = rng.uniform(0.11, 0.2) * height, 0.0

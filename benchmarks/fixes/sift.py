@@ -1,4 +1,4 @@
-"""What vision is compared with: SIFT and FLANN between the pictures of a pair, ratio 0.75, RANSAC 3 px, at least 10 inliers."""
+"""What vision is compared with: SIFT and FLANN between the images of a pair, ratio 0.75, RANSAC 3 px, at least 10 inliers."""
 
 import time
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ import numpy as np
 from vision.describe.survey import grey
 from vision.image.rectify import Image
 
-KEYPOINTS = 1000  # strongest ones of each picture
+KEYPOINTS = 1000  # strongest ones of each image
 RATIO, RANSAC_PX, LEAST_INLIERS = 0.75, 3.0, 10
 
 
 @dataclass(frozen=True)
 class Matched:
-    """Processor time, key points of the poorer picture, and inliers of the homography."""
+    """Processor time, key points of the poorer image, and inliers of the homography."""
 
     seconds: float
     points: int

@@ -1,4 +1,4 @@
-"""Accuracy and honesty of single fixes on rendered views, against the Cramer-Rao bound.
+"""Accuracy and consistency of single fixes on rendered views, against the Cramer-Rao bound.
 
 python -m benchmarks.fixes.single_fix --seed 1 --views 2000
 python -m benchmarks.fixes.single_fix --seed 1 --views 2000 --resume      (goes on where it was ended)
@@ -64,7 +64,7 @@ def run_view(job: tuple[int, int]) -> Outcome:
 
 
 def _regions(view: View) -> tuple[Array, Array]:
-    """Centres (L, 2) and sizes (L,) px of the roofs in the left picture, as segmentation would give them."""
+    """Centres (L, 2) and sizes (L,) px of the roofs in the left image, as segmentation would give them."""
     eye = eyes(view.true_rig)[0]
     p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
     centres, sizes = [], []

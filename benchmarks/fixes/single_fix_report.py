@@ -66,8 +66,8 @@ def as_text(rows: Sequence[Row]) -> str:
         f"{'cell':24} {'views':>6} {'fixes':>7} {'RMS m':>7} {'/bound':>7} {'d2/3':>7} {'d2/6':>7} {'alone':>7} {'wrong':>6}"
     ]
     for r in rows:
-        honest = " ".join(f"{value:6.2f}{' ' if BAND[0] <= value <= BAND[1] else '*'}" for value in (r.position, r.pose, r.alone))
-        lines.append(f"{r.cell:24} {r.views:6} {r.accepted:7.1%} {r.rms_m:7.3f} {r.rms_over_bound:7.2f} {honest} {r.wrong:6}")
+        nees = " ".join(f"{value:6.2f}{' ' if BAND[0] <= value <= BAND[1] else '*'}" for value in (r.position, r.pose, r.alone))
+        lines.append(f"{r.cell:24} {r.views:6} {r.accepted:7.1%} {r.rms_m:7.3f} {r.rms_over_bound:7.2f} {nees} {r.wrong:6}")
     return "\n".join(lines)
 
 

@@ -1,6 +1,6 @@
 """Views for the accuracy of single fixes: a world, its map with errors, a rig with errors, a pose, and what a filter would know.
 
-Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator is told.
+Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator gets.
 """
 
 import itertools
@@ -24,7 +24,7 @@ MARKS = (1, 2, 3)
 ROOFS = ("painted", "pale")
 MAP_SIGMAS_M = (0.0, 0.5)
 TAKES = ("clean", "noisy", "blurred", "dark", "bright")
-NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # R_bc: the picture's top is the vehicle's front
+NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # R_bc: the image's top is the vehicle's front
 PAINTS = ((40, 40, 190), (190, 70, 40), (40, 160, 200), (60, 140, 50), (160, 60, 150))
 PALES = ((150, 165, 172), (170, 176, 180), (128, 140, 150), (110, 128, 150), (185, 190, 192))
 ATTITUDE_SIGMA_DEG = (0.5, 0.5, 2.0)
@@ -45,7 +45,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class View:
-    """One view: what is true (world, true_rig, p_n, R_nb) and what is believed (rig, landmarks, prior)."""
+    """One view: the truth (world, true_rig, p_n, R_nb) and the estimator's model of it (rig, landmarks, prior)."""
 
     cell: Cell
     world: World
@@ -198,7 +198,7 @@ def _conditions(take: str, rng: np.random.Generator) -> Conditions:
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
-    """The filter's belief, drawn about the truth. It is level to 0.5 degrees and turned by 2."""
+    """The filter's prior, drawn about the truth. It is level to 0.5 degrees and turned by 2."""
     sigma = np.array([*POSITION_SIGMA_M, *np.radians(ATTITUDE_SIGMA_DEG)])
     sigma[2] = min(sigma[2], 0.1 * -p_n[2])
     error = rng.normal(size=6) * sigma

@@ -42,7 +42,7 @@ def _errors(pair: RealPair) -> tuple[Array, Array]:
 
 
 def test_disparity_on_recorded_pairs() -> None:
-    """Region by region: the median of its cells' errors against the truth at the same places."""
+    """Region by region: the median of its cells' errors against the truth at the same positions."""
     folder = data_folder()
     if not (folder / "images").is_dir():
         pytest.skip("no recorded pictures: set LANDFIX_DATA to the folder that holds images/")

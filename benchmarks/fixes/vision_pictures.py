@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/vision.md, one per stage, from a rendered pair:  python -m benchmarks.fixes.vision_pictures"""
+"""Draws the images of docs/vision.md, one per stage, from a rendered pair:  python -m benchmarks.fixes.vision_pictures"""
 
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def show(ax: Axes, image: Image, title: str) -> None:
-    """A BGR, grey or label picture without axes."""
+    """A BGR, grey or label image without axes."""
     ax.imshow(image if image.ndim == 2 else image[..., ::-1], cmap="gray", interpolation="nearest", aspect="equal")
     ax.set_title(title, fontsize=10, color=INK)
     ax.axis("off")
@@ -62,7 +62,7 @@ def sheet(rows: int, columns: int, width: float = 12.0, height: float = 4.6) -> 
 
 
 def check() -> Figure:
-    """Bad pictures and what is said of them."""
+    """Bad images and what is said of them."""
     torn, stuck = VIEW.left.copy(), VIEW.left.copy()
     torn[300:] = 128
     stuck[260:] = stuck[260]
@@ -89,7 +89,7 @@ def rectified() -> Figure:
 
 
 def enhanced() -> Figure:
-    """A dim, hazy, noisy picture and what each operation makes of it."""
+    """A dim, hazy, noisy image and what each operation makes of it."""
     rng = np.random.default_rng(1)
     noisy = np.clip(0.22 * LEFT + 60 + rng.normal(0, 2.5, LEFT.shape), 0, 255).astype(np.uint8)
     noisy[rng.random(noisy.shape[:2]) < 0.01] = 255
@@ -130,7 +130,7 @@ def segmented() -> Figure:
 
 
 def found_regions() -> list[Region]:
-    """Of the left picture, by the map's colours."""
+    """Of the left image, by the map's colours."""
     assert MADE.left is not None
     return find_regions(LEFT, segment_colours(enhance.median(LEFT, 3), TABLE), valid=MADE.left.valid)
 
@@ -162,7 +162,7 @@ def regions() -> Figure:
 
 
 def corresponded() -> Figure:
-    """Edges, the strip of the right picture, the coefficient along it, and the cells."""
+    """Edges, the strip of the right image, the coefficient along it, and the cells."""
     (match, *_) = [m for m in correspond(grey(LEFT), grey(RIGHT), found_regions(), MADE.rig) if isinstance(m, Match)]
     u0, v0, width, height = match.region.bbox
     figure, axes = sheet(1, 4, 15.0, 3.6)
@@ -214,7 +214,7 @@ def errors_in_sigmas(views: int = 40) -> Array:
 
 
 def measured() -> Figure:
-    """The annotated picture, and errors against the stated sigmas over many views."""
+    """The annotated image, and errors against the stated sigmas over many views."""
     found = survey(VIEW.left, VIEW.right, MADE, Settings(colours_bgr=roofs.COLOURS))
     assert isinstance(found, Survey)
     errors = errors_in_sigmas()
@@ -233,7 +233,7 @@ def measured() -> Figure:
 
 
 def epipolar() -> Figure:
-    """The vertical residual of regions: good calibration, wrong pitch, pictures not taken together."""
+    """The vertical residual of regions: good calibration, wrong pitch, images not taken together."""
     pitch = msgspec.structs.replace(RIG, R_rc=so3.matrix(so3.quat_exp(np.array([0.004, 0.0, 0.0]))) @ RIG.R_rc)
     cases = (
         ("as calibrated", VIEW.right, MADE),

@@ -1,8 +1,8 @@
 """What light and weather do to segmentation, and what helps: `python -m benchmarks.fixes.weather`.
 
 Rendered views of painted roofs in eleven conditions, the map's colours known, fourteen ways to tell colours. Recognised: share
-of the roofs wholly in view that one region covers (intersection over union at least 0.8). Wrong: regions a picture that agree
-with the description of a landmark (eq. 5.5, 75 %) and are none. The edges are always taken from the picture as it came.
+of the roofs wholly in view that one region covers (intersection over union at least 0.8). Wrong: regions an image that agree
+with the description of a landmark (eq. 5.5, 75 %) and are none. The edges are always taken from the image as it came.
 """
 
 import argparse
@@ -41,7 +41,7 @@ LOW_SUN = Sun(1.0, math.radians(18.0), 0.3)
 
 @dataclass(frozen=True)
 class Weather:
-    """How a picture is taken; cloud: light that its shadow leaves on one side of the picture."""
+    """How an image is taken; cloud: light that its shadow leaves on one side of the image."""
 
     conditions: Conditions = PLAIN
     sun: Sun | None = None
@@ -50,7 +50,7 @@ class Weather:
 
 @dataclass(frozen=True)
 class Way:
-    """How a picture is prepared for its colours, and how wide the thresholds are."""
+    """How an image is prepared for its colours, and how wide the thresholds are."""
 
     prepare: Callable[[Image], Image] = lambda image: image
     space: Space = "hsv"
@@ -111,7 +111,7 @@ WAYS = {
 
 
 def take(sample: Sample, weather: Weather, rng: np.random.Generator) -> Image:
-    """The sample's left picture in that weather."""
+    """The sample's left image in that weather."""
     scene = sample.scene
     world = scene.world if weather.sun is None else replace(scene.world, sun=weather.sun)
     image = render(world, scene.rig.left, *scene.rig.camera_pose(sample.p_n, sample.R_nb), weather.conditions, rng)

@@ -1,4 +1,4 @@
-"""The demonstration's flight with and without landmarks, with and without GPS after its first third: error and promised radius.
+"""The demonstration's flight with and without landmarks, with and without GPS after its first third: error and 95 % radius.
 
 python -m benchmarks.flights.demo_flight --seed 0 --flights 5
 

@@ -1,6 +1,6 @@
 """The pictures of docs/estimator.md, from recorded flights: `python -m benchmarks.flights.estimator_pictures`.
 
-EuRoC MH_04 with outages (scenario A) and V1_01 with consistent lies (scenario C), seed 0, through `landfix replay` and the
+EuRoC MH_04 with outages (scenario A) and V1_01 with consistent false fixes (scenario C), seed 0, through `landfix replay` and the
 smoother. Prints the figures that the text quotes. Tasks and logs go to out/estimator_pictures.
 """
 
@@ -99,7 +99,7 @@ def draw_band(flight: Flight) -> Figure:
     return figure
 
 
-def draw_lies(flight: Flight, begin: float, end: float) -> Figure:
+def draw_false_fixes(flight: Flight, begin: float, end: float) -> Figure:
     """One stretch: where the vehicle was, what the fixes said, what was published and when it came back; then the smoother."""
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     e, s = flight.estimate, flight.smoothed
@@ -164,10 +164,10 @@ def main() -> None:
     outages = Flight("MH_04_difficult", "A")
     tell("MH_04 A", outages)
     save(draw_band(outages), IMAGES / "estimator_band.png")
-    lies = Flight("V1_01_easy", "C")
+    false = Flight("V1_01_easy", "C")
     tell("V1_01 A", Flight("V1_01_easy", "A"))
-    tell("V1_01 C", lies)
-    save(draw_lies(lies, 22.0, 82.0), IMAGES / "estimator_lies.png")
+    tell("V1_01 C", false)
+    save(draw_false_fixes(false, 22.0, 82.0), IMAGES / "estimator_lies.png")
 
 
 if __name__ == "__main__":

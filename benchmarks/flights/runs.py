@@ -25,7 +25,7 @@ OURS, NAIVE = "landfix", "naive"
 
 
 class Job(msgspec.Struct, frozen=True):
-    """A task for one or more estimators. vision_sigma: m, degrees, what the filter is told of real vision fixes.
+    """A task for one or more estimators. vision_sigma: m, degrees, configured for real vision fixes.
 
     imu: every n-th sample is left, and those of so many seconds in each second are not; config: file in place of the task's own.
     """
@@ -73,9 +73,9 @@ def run_ours(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
 
 def run_naive(task_file: Path, config: Path, out: Path) -> dict[str, Any]:
     """The same files through the plain filter: one Odometry per IMU sample."""
-    told = tomllib.loads(config.read_text())
-    axes = told["imu"].pop("axes")
-    decoder, naive = Decoder(Topics.of(told["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**told["imu"]))
+    settings = tomllib.loads(config.read_text())
+    axes = settings["imu"].pop("axes")
+    decoder, naive = Decoder(Topics.of(settings["inputs"]), ImuMounting(axes=axes)), NaiveFilter(ImuNoise(**settings["imu"]))
     with LogReader(task_file) as reader, Recorder(out, metadata={}) as recorder:
         for record in reader:
             message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)

@@ -31,7 +31,7 @@ SCENARIOS = {
     "L": "as A, fixes 0-5 s late, out of order",
     "F": "as A, 10 Hz fixes",
     "X": "as A, one fix in ten false",
-    "C": "as A, consistent lies after each outage and within 38-42 s",
+    "C": "as A, consistent false fixes after each outage and within 38-42 s",
     "G": "position only, 5 Hz, outages 5, 10, 30 s",
     "V": "real vision estimates of EuRoC as fixes, 2 Hz, no outage",
     "W": "real vision estimates of EuRoC as fixes, outages as A",

@@ -94,7 +94,7 @@ def tasks(groups: list[str], scenarios: str, seeds: list[int], every: int = 1) -
 def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5)) -> Path | None:
     """The task's MCAP (its .toml and .json beside it), None if the flight is too short for the scenario.
 
-    vision_sigma: m and degrees per axis, what the filter is told of vision fixes (scenarios V and W).
+    vision_sigma: m and degrees per axis, configured for vision fixes (scenarios V and W).
     """
     source = Path(tool().__file__ or "").read_bytes()
     folder = folder / hashlib.sha256(source).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""Is the estimate honest where landmarks alone tell the place? One flight each over many villages, whose maps err differently.
+"""Is the estimate consistent with landmarks alone? One flight each over many villages, each with its own map errors.
 
 python -m benchmarks.flights.villages --scenario examples/scenarios/night.toml --villages 25
 python -m benchmarks.flights.villages --scenario examples/scenarios/night.toml --villages 25 --day

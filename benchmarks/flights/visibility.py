@@ -6,9 +6,9 @@ The same multirotor flies at 40 m over the same kind of village with pictures of
 landmark that is seen best nearly all, about half, or about a fifth of the outline is in view. From 14 s on the camera alone aids
 the IMU. Each flight is drawn once and flown in closed loop (predict and verify, from the filter's own prior) in four modes:
 
-    in part     as it is: fixes are told and fused along the directions that were measured
+    in part     as it is: fixes are reported and fused along the directions that were measured
     whole only  fixes of fewer than six directions are thrown away
-    inflated    such fixes are told as a pose, with large variances where nothing was measured
+    inflated    such fixes are reported as a pose, with large variances where nothing was measured
     none        no fixes, the IMU alone
 
 Table to the screen and to out/visibility/.
@@ -89,7 +89,7 @@ class Frames(msgspec.Struct, frozen=True):
     pictures: int
     visible: float  # mean share of outline in view of the landmark seen best
     fixes: int
-    told: int  # of these with fewer than six directions
+    partial: int  # of these with fewer than six directions
     fused: int
     error2: tuple[float, ...]  # squared distance of the position, ten times a second
     nees: tuple[float, ...]  # of position, over 3
@@ -134,7 +134,7 @@ def fly(simulation: Simulation, shots: Shots, mode: str) -> Frames:
     """Messages and pictures in order of arrival, each look from the filter's own prior."""
     fusion = Fusion(parse(simulation.config_toml).fusion())
     flight = shots.flight
-    pipeline = LandmarkPipeline(flight.scene.rig_believed, flight.scene.map, PipelineConfig(path="predict"))
+    pipeline = LandmarkPipeline(flight.scene.rig_calibrated, flight.scene.map, PipelineConfig(path="predict"))
     delay_ns = round(flight.cameras.delay_s * 1e9)
     due = list(flight.t_ns + delay_ns)
     estimates: list[Estimate] = []
@@ -203,11 +203,11 @@ def table(results: dict[tuple[str, str], list[Frames]]) -> str:
     ]
     for (share, mode), flights in results.items():
         pictures = sum(f.pictures for f in flights)
-        fixes, told, fused = (sum(getattr(f, what) for f in flights) for what in ("fixes", "told", "fused"))
+        fixes, partial, fused = (sum(getattr(f, what) for f in flights) for what in ("fixes", "partial", "fused"))
         error2, nees, attitude = (np.concatenate([getattr(f, what) for f in flights]) for what in ("error2", "nees", "attitude"))
         lines.append(
             f"{share:9} {mode:11} {np.mean([f.visible for f in flights]):8.0%} {pictures:9} {fixes / pictures:7.0%} "
-            f"{told / pictures:8.0%} {fused / pictures:7.0%} {np.sqrt(error2.mean()):7.2f} "
+            f"{partial / pictures:8.0%} {fused / pictures:7.0%} {np.sqrt(error2.mean()):7.2f} "
             f"{np.sqrt(np.quantile(error2, 0.95)):7.2f} {nees.mean():7.2f} {attitude.mean():6.2f}"
         )
     return "\n".join(lines)

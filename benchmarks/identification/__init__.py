@@ -1,1 +1,1 @@
-"""Look-alikes: which landmark is which, in numbers and on rendered pictures."""
+"""Look-alikes: which landmark is which, in numbers and on rendered images."""

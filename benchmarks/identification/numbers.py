@@ -4,7 +4,7 @@
 Wrong fix: the place is off by more than 3 m and outside its own 99.99 % ellipsoid. Wrong identity: an identified region that is
 another landmark or none. Beside it what the thesis' rule alone does: the most similar landmark within the prior's 99.99 %, if it
 is >= 75 % similar. Objects differ by +-10 % in width and length and stand 25 m apart, 30 % of them are not in the map and 10 % of
-the map is gone. Numbers only, no pictures; seeds from the command line. Writes identification.md and .png to --out.
+the map is gone. Numbers only, no images; seeds from the command line. Writes identification.md and .png to --out.
 """
 
 import argparse
@@ -35,7 +35,7 @@ STRESS = {
     "every gone one replaced in its place": {"replaced": 1.0},
     "half of the objects not segmented": {"found": 0.5},
     "15 % measured badly": {"bad": 0.15},
-    "all errors 1.5 x those told": {"claim": 1.5},
+    "all errors 1.5 x those claimed": {"claim": 1.5},
     "objects differ by +-3 % only": {"variation": 0.03},
 }
 CONFIG = IdentifyConfig()
@@ -136,7 +136,7 @@ def row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
 def sequences(
     name: str, conditions: Conditions, count: int, seed: int, pictures: int = 4, step_m: float = 12.0
 ) -> tuple[str, ...]:
-    """Flights of a few pictures a second apart, regions that stay open waiting for the next: share fixed after each picture.
+    """Flights of a few images a second apart, regions that stay open waiting for the next: share fixed after each image.
 
     The prior's error stays the same but for a drift of 0.3 m a second, as in dead reckoning.
     """
@@ -190,7 +190,7 @@ def acceptance_table(results: dict[str, list[Outcome]]) -> Table:
 
 
 def calibration(posterior: Sequence[float], right: Sequence[bool]) -> list[tuple[float, float, float, int]]:
-    """Mean told probability of being wrong, measured frequency, its standard error and the count, per bin."""
+    """Mean claimed probability of being wrong, measured frequency, its standard error and the count, per bin."""
     p, wrong = 1.0 - np.array(posterior), ~np.array(right, np.bool_)
     edges = [0.0, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0]
     table = []
@@ -213,12 +213,12 @@ def absences(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, int
 
 
 def calibration_table(title: str, bins: Sequence[tuple[float, float, float, int]]) -> Table:
-    rows = [(f"{told:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for told, measured, error, n in bins]
-    return Table(title, ("told", "measured", "regions"), rows)
+    rows = [(f"{claimed:.1e}", f"{measured:.1e} +- {error:.0e}", str(n)) for claimed, measured, error, n in bins]
+    return Table(title, ("claimed", "measured", "regions"), rows)
 
 
 def draw(results: dict[str, list[Outcome]], path: Path) -> None:
-    """Acceptance over the number of regions; told against measured probability of being wrong."""
+    """Acceptance over the number of regions; claimed against measured probability of being wrong."""
     fig, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained")
     colours = {5.0: "#0072B2", 10.0: "#009E73", 20.0: "#D55E00"}
     for name, outcomes in results.items():
@@ -237,7 +237,7 @@ def draw(results: dict[str, list[Outcome]], path: Path) -> None:
         table[seen, 0], table[seen, 1], [table[seen, 1] - low[seen], table[seen, 2]], fmt="o", color="black", ms=4, capsize=2
     )
     right.plot(table[~seen, 0], 1.0 / table[~seen, 3], "v", color="0.4", ms=6, label="none wrong: 1 / regions")
-    right.set(xscale="log", yscale="log", xlabel="told probability of being wrong", ylabel="measured", title="Calibration")
+    right.set(xscale="log", yscale="log", xlabel="claimed probability of being wrong", ylabel="measured", title="Calibration")
     if not seen.all():
         right.legend(fontsize=8)
     for axes in (left, right):
@@ -250,7 +250,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, default=1000, help="frames of at least 3 regions, per world")
-    parser.add_argument("--stress", action="store_true", help="also worlds that are not as the method believes")
+    parser.add_argument("--stress", action="store_true", help="also worlds that differ from the method's assumptions")
     parser.add_argument("--out", type=Path, default=Path("out/identification"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -275,7 +275,7 @@ def main() -> None:
             for layout in ("random", "grid"):
                 c = msgspec.structs.replace(Conditions(layout, 10.0), **change)
                 rows.append(row(f"{layout}: {name}", run(c, args.frames, args.seed * 100 + 50 + k)))
-        tables.append(Table("Worlds other than believed, prior 10 m", COLUMNS, rows))
+        tables.append(Table("Worlds other than assumed, prior 10 m", COLUMNS, rows))
     text = "\n".join(table.markdown() for table in tables)
     print(text)
     (args.out / "identification.md").write_text(text)

@@ -1,4 +1,4 @@
-"""As benchmarks.identification.numbers, on rendered pictures through the whole pipeline:
+"""As benchmarks.identification.numbers, on rendered images through the whole pipeline:
 `python -m benchmarks.identification.pictures`.
 
 Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), houses of all shapes (village), the same along streets
@@ -53,7 +53,7 @@ class Outcome(msgspec.Struct, frozen=True):
     identified: int
     wrong: int
     error_m: float | None  # None: no fix
-    nees: float | None  # of the fix, pictures alone, over 6
+    nees: float | None  # of the fix, images alone, over 6
     seconds: float
 
 
@@ -73,7 +73,7 @@ def run_world(job: Job) -> list[Outcome]:
         left, right = render_pair(scene.world, scene.rig, p_n, so3.matrix(q), Conditions(), rng)
         error = rng.normal(0.0, sigma)
         prior = Prior(p_n - error[:3], so3.multiply(so3.quat_exp(-error[3:]), q), np.diag(sigma**2))
-        pipeline = LandmarkPipeline(scene.rig_believed, scene.map)
+        pipeline = LandmarkPipeline(scene.rig_calibrated, scene.map)
         begin = process_time()
         result = pipeline.process(left, None if one_camera else right, k, prior)
         outcomes.append(judge(result, scene, p_n, q, process_time() - begin))
@@ -96,9 +96,9 @@ def judge(result: Result, scene: Scene, p_n: Array, q: Array, seconds: float) ->
 
 
 def _is_there(scene: Scene, said: RegionReport, p_n: Array, R_nb: Array) -> bool:
-    """Whether the region's box and what the left picture shows of the true landmark's roof hold each other's middle.
+    """Whether the region's box and what the left image shows of the true landmark's roof hold each other's middle.
 
-    Both in the picture that the line's path speaks of. A roof that is not in view is nowhere.
+    Both in the image that the line's path speaks of. A roof that is not in view is nowhere.
     """
     true = next((m for m in scene.world.landmarks if m.id == said.landmark), None)
     if true is None:

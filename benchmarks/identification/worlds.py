@@ -30,8 +30,8 @@ RIG = StereoRig(_CAMERA, _CAMERA, np.eye(3), np.array([-BASELINE_M, 0.0, 0.0]), 
 class Conditions(msgspec.Struct, frozen=True):
     """One kind of world.
 
-    variation: of width and length, +-; unmapped, gone, found, bad: fractions as in vision's Beliefs; replaced: of the gone, an
-    unmapped object stands in the very place; claim: true errors over those that are told; scale_sigma: relative, of all depths
+    variation: of width and length, +-; unmapped, gone, found, bad: as in vision's Assumptions; replaced: of the gone, an
+    unmapped object stands in the very place; claim: true errors over those claimed; scale_sigma: relative, of all depths
     alike; disparity_sigma_px: of each region.
     """
 
@@ -70,7 +70,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture pair: true place and attitude, the prior, what was seen and the id of the object each sighting shows."""
+    """One image pair: true place and attitude, the prior, what was seen and the id of the object each sighting shows."""
 
     p_n: Array
     prior: Prior
@@ -137,7 +137,7 @@ def _sigmas(prior_sigma_m: float) -> Array:
 def _measure(
     rng: np.random.Generator, x_c: Array, width: float, length: float, turn: float, scale: float, R_nc: Array, c: Conditions
 ) -> Sighting:
-    """A region as the stereo stage would measure it; told sigmas are those drawn from, times 1 / claim."""
+    """A region as the stereo stage would measure it; claimed sigmas are those drawn from, times 1 / claim."""
     depth_sigma = x_c[2] * c.disparity_sigma_px / (FOCAL_PX * BASELINE_M)
     pixel_m = x_c[2] / FOCAL_PX
     size_sigma = EDGE_SIGMA_PX * pixel_m / np.array([width, length])

@@ -30,7 +30,7 @@ from logs.store.reader import LogReader
 from logs.wire.decoding import LANDMARK_FIX_TOPIC
 
 _OWN_WORDS = "/landfix/daemon"
-_ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # a circle at constant speed tells the heading too slowly
+_ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # on a circle at constant speed the heading is observable too slowly
 
 
 def configuration(folder: Path, port: int, mavlink_port: int | None) -> str:
@@ -86,13 +86,13 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, aw
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     (log,) = (folder / "logs").glob("*.mcap")
     logged, status = _counts(log), heard.pop("daemon")
-    told = "log ", "vision ", "zenoh ", "mavlink ", "handling"
+    shown = "log ", "vision ", "zenoh ", "mavlink ", "handling"
     result: dict[str, Any] = (heard | flown) | {
         "start_s": round(start_s, 1),
         "processes": used,
         "not_logged": {topic: n - logged.get(topic, 0) for topic, n in flown["sent"].items()},
         "fixes": logged.get(LANDMARK_FIX_TOPIC, 0),
-        "status": {name: value for name, value in status.items() if name.startswith(told)},
+        "status": {name: value for name, value in status.items() if name.startswith(shown)},
         "estimates_logged": logged.get("/landfix/odometry", 0),
         "log_mb": round(log.stat().st_size / 1e6, 1),
         "replay_says_the_same": _same(log, text, folder),

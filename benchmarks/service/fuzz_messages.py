@@ -319,9 +319,9 @@ class _Packer:
         rng = self._rng
         kind = self._kinds[_pick(rng, _HEARD)] if rng.random() < 0.9 else _pick(rng, list(self._kinds.values()))
         arguments = dict(zip(kind.fieldnames, self._arguments(kind), strict=True))
-        if rng.random() < 0.7:  # a stamp that may be believed
-            believed = {"time_usec": _boot_us(t_ns), "time_boot_ms": _boot_us(t_ns) // 1000}
-            arguments |= {name: believed[name] for name in believed.keys() & arguments}
+        if rng.random() < 0.7:  # a plausible stamp
+            plausible = {"time_usec": _boot_us(t_ns), "time_boot_ms": _boot_us(t_ns) // 1000}
+            arguments |= {name: plausible[name] for name in plausible.keys() & arguments}
         data = bytearray(self._pack(kind(**arguments)))
         match int(rng.integers(6)):
             case 0:

@@ -23,20 +23,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hz", type=float, default=400.0)
     period_ns = round(1e9 / parser.parse_args().hz)
-    told_to_stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: told_to_stop.set())
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     late_ns: list[int] = []
     minutes: list[dict[str, float]] = []
     whole, minute, first, due_ns = _Steal(), _Steal(), 0, time.monotonic_ns()
-    while not told_to_stop.is_set():
+    while not stop.is_set():
         due_ns = max(due_ns + period_ns, time.monotonic_ns())  # what was slept through is one late waking
         time.sleep(max(due_ns - time.monotonic_ns(), 0) * 1e-9)
         late_ns.append(time.monotonic_ns() - due_ns)
         if minute.seconds >= _MINUTE_S:
             minutes.append(quantiles_ms(late_ns[first:]) | {"stolen_percent": minute.percent})
             first, minute = len(late_ns), _Steal()
-    told = {"wakes_late_ms": quantiles_ms(late_ns), "stolen_percent": whole.percent, "each_minute": minutes}
-    print(json.dumps(told))
+    measured = {"wakes_late_ms": quantiles_ms(late_ns), "stolen_percent": whole.percent, "each_minute": minutes}
+    print(json.dumps(measured))
 
 
 class _Steal:

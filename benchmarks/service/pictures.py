@@ -42,7 +42,7 @@ def write(folder: Path) -> None:
     """Render the turn on all cores."""
     scene = _scene()
     (folder / "map.geojson").write_bytes(scene.map.to_geojson())
-    save_rig(folder / "rig.yaml", scene.rig_believed)
+    save_rig(folder / "rig.yaml", scene.rig_calibrated)
     with Recorder(folder / "turn.mcap") as recorder:
         for k, pair in enumerate(_pairs()):
             for message in pair:

@@ -53,8 +53,8 @@ class Ear:
         self.minutes_ns[-1].append(now_ns - t_ns)
         self.out_of_order += t_ns <= self._last_ns
         self._last_ns = t_ns
-        told = decode_odometry(data)
-        self.not_finite += not np.isfinite([*told.p_n, *told.q_nb_wxyz, *told.pose_covariance.ravel()]).all()
+        odometry = decode_odometry(data)
+        self.not_finite += not np.isfinite([*odometry.p_n, *odometry.q_nb_wxyz, *odometry.pose_covariance.ravel()]).all()
 
 
 def quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
@@ -66,12 +66,12 @@ def quantiles_ms(latency_ns: list[int]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
-    told_to_stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: told_to_stop.set())
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     session = connected(parser.parse_args().connect)
     ear = Ear(session)
     print("ready", flush=True)
-    told_to_stop.wait()
+    stop.wait()
     status: dict[str, Any] = {}
     for reply in session.get("landfix/status", timeout=5.0):
         status = json.loads(reply.ok.payload.to_bytes())["daemon"] if reply.ok else {}

@@ -3,7 +3,7 @@
 python -m benchmarks.speed.compile_time replay
 python -m benchmarks.speed.compile_time demo --top 40
 
-replay: IMU, GNSS and late fixes through decoder, estimator and encoders. demo: the same, the pictures of a short flight drawn,
+replay: IMU, GNSS and late fixes through decoder, estimator and encoders. demo: the same, the images of a short flight drawn,
 looked at and replayed. The time of a kernel is without that of the kernels it calls. All runs in this process, one thread; the
 command that compiles before the demonstration (estimator.tools.kernels) takes less, as it collects no garbage.
 """

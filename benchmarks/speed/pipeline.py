@@ -1,9 +1,9 @@
-"""What a stereo pair costs from pictures to fix, stage by stage, beside SIFT + FLANN on the same pair: one run, one thread.
+"""What a stereo pair costs from images to fix, stage by stage, beside SIFT + FLANN on the same pair: one run, one thread.
 
 python -m benchmarks.speed.pipeline --seed 1 --pairs 40
 
 Pairs: rendered villages on textured ground from 30 to 120 m, lenses distorted, 3 to 12 landmarks, at least 500 SIFT key points in
-each picture. Three priors: as after a fix a second ago (0.3 m, 0.3 and 0.5 degrees), as among GNSS fixes (1.5 m, 0.5 and 1
+each image. Three priors: as after a fix a second ago (0.3 m, 0.3 and 0.5 degrees), as among GNSS fixes (1.5 m, 0.5 and 1
 degree), as minutes after the last fix (3 m, 0.5 and 2 degrees). Times are of the processor, so that other work on the machine
 counts less; the ratio is between two things measured one after the other. Nothing is asserted.
 """
@@ -163,12 +163,12 @@ def measure(size: str, pair: Pair, clock: StageClock, rng: np.random.Generator) 
     if theirs is None or theirs.points < LEAST_POINTS:
         return []
     rows = []
-    for name, told in PRIORS.items():
-        sigma = np.array(told) * np.repeat([1.0, math.pi / 180.0], 3)
+    for name, sigmas in PRIORS.items():
+        sigma = np.array(sigmas) * np.repeat([1.0, math.pi / 180.0], 3)
         error = rng.normal(0.0, sigma)
         q = so3.multiply(so3.quat_exp(-error[3:]), pair.q_nb)
         prior = Prior(pair.p_n - error[:3], so3.normalise(q), np.diag(sigma**2))
-        landmarks = LandmarkPipeline(pair.scene.rig_believed, pair.scene.map)
+        landmarks = LandmarkPipeline(pair.scene.rig_calibrated, pair.scene.map)
         clock.read()
         begin = time.process_time()
         result = landmarks.process(pair.left, pair.right, 1, prior)

@@ -1,6 +1,6 @@
-"""Corners of a chessboard or ChArUco board in a picture, to a part of a pixel (thesis 5.1.1, steps 2-6).
+"""Corners of a chessboard or ChArUco board in an image, to a part of a pixel (thesis 5.1.1, steps 2-6).
 
-grey -> median 5 -> contrast stretch -> find the board -> corners refined on the grey picture (corners.py).
+grey -> median 5 -> contrast stretch -> find the board -> corners refined on the grey image (corners.py).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from models.messages import Array
 from vision.image.enhance import median, stretch
 from vision.image.rectify import Image
 
-_SEARCH_PX = 1500  # larger pictures are searched at reduced size
+_SEARCH_PX = 1500  # larger images are searched at reduced size
 _BLURRED_PX: Final = 6.0  # an edge that takes more pixels from 10 to 90 % is blurred ...
 _BLURRED_SQUARE: Final = 0.25  # ... and so is one that takes this part of a square
 _UNKNOWN_PX: Final = 9999.0  # OpenCV's word for it
@@ -29,7 +29,7 @@ _OTHER_SIZES: Final = (
 
 
 class Why(StrEnum):
-    """Why a picture gives no view."""
+    """Why an image gives no view."""
 
     NOT_FOUND = "no board found"
     BLURRED = "blurred"
@@ -95,7 +95,7 @@ def grey(image: Image) -> Grey:
 
 
 def find(image: Image, board: Board, name: str = "") -> View | Why:
-    """The view of a board in a picture, or why there is none."""
+    """The view of a board in an image, or why there is none."""
     picture = grey(image)
     height, width = picture.shape
     if board.marker_m > 0.0:
@@ -114,7 +114,7 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
 
 
 def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
-    """Another number of inner corners that a picture shows a board of, the largest; BLURRED where its edges are; None: none."""
+    """Another number of inner corners that an image shows a board of, the largest; BLURRED where its edges are; None: none."""
     picture = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     sizes = sorted({*near, *_OTHER_SIZES} - {board.size}, key=lambda s: -s[0] * s[1])
@@ -126,7 +126,7 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
 
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
-    """The inner corners of the larger chessboard that a board found in a picture is a part of; None where there is none."""
+    """The inner corners of the larger chessboard that a board found in an image is a part of; None where there is none."""
     picture, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:
@@ -153,7 +153,7 @@ def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
         )
         ok, corners = cv2.findChessboardCorners(small, size, flags=flags)
         if ok:
-            # Pixel centres are at integers: the corner of a shrunk picture's pixel (0, 0) stays at -0.5.
+            # Pixel centres are at integers: the corner of a shrunk image's pixel (0, 0) stays at -0.5.
             return np.asarray((np.array(corners, dtype=np.float64).reshape(-1, 2) + 0.5) * shrink - 0.5)
     return None
 
@@ -173,7 +173,7 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
 
     With an odd number of squares between the end corners' own squares the two ends differ in colour; else they look alike and
-    nothing can be told (stereo then compares the two pictures, camera-imu one with the next).
+    the two ends are ambiguous (stereo then compares the two images, camera-imu one with the next).
     """
     if board.ends_alike:
         return False

@@ -1,8 +1,8 @@
 """Corners of a chessboard to a part of a pixel, from where they roughly are; size: inner corners, columns and rows.
 
-The window of the refinement follows the local size of the squares and ends at the picture's border. A corner that left its
+The window of the refinement follows the local size of the squares and ends at the image's border. A corner that left its
 neighbours' pattern is put back and refined again: the first guess may be off by pixels where squares are small. It stays there if
-the picture is more of a saddle there: of a wide lens the pattern itself may be wrong.
+the image is more of a saddle there: of a wide lens the pattern itself may be wrong.
 
 The refinement takes edges for straight. An edge of curvature kappa, y = kappa x^2 / 2 along and across it, pulls the corner:
 
@@ -10,7 +10,7 @@ The refinement takes edges for straight. An edge of curvature kappa, y = kappa x
 
 which is taken back: 0.02 px at the border of a usual lens, of one sign all round, and so a wrong focal length.
 
-Light that falls off along an edge has a gradient of its own on the edge's bright side, and pulls the corner there; so the picture
+Light that falls off along an edge has a gradient of its own on the edge's bright side, and pulls the corner there; so the image
 is first divided by the light on the board, a quadratic through the middles of its bright squares.
 """
 
@@ -95,7 +95,7 @@ def _saddle(picture: Level, px: Array) -> Array:
 
 
 def _windows(picture: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
-    """Half windows (N,) [px] as near to half_px as serves a corner and as the picture holds."""
+    """Half windows (N,) [px] as near to half_px as serves a corner and as the image holds."""
     height, width = picture.shape
     to_border = np.minimum(px, np.array([width - 1.0, height - 1.0]) - px).min(axis=1)
     return np.asarray(np.maximum(np.minimum(np.clip(half_px, *_WINDOW_PX), to_border - 2.0), _LEAST_PX), dtype=np.int64)

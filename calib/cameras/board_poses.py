@@ -1,4 +1,4 @@
-"""Where the board is in each picture of a recording, with covariance: x_c = R_co @ x_o + t_co."""
+"""Where the board is in each image of a recording, with covariance: x_c = R_co @ x_o + t_co."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ class BoardPoses:
     lens_covariance: Array | None
 
     def only(self, kept: NDArray[np.bool_]) -> "BoardPoses":
-        """Some of the pictures."""
+        """Some of the images."""
         return replace(
             self, R_co=self.R_co[kept], t_co=self.t_co[kept], covariance=self.covariance[kept], by_lens=self.by_lens[kept]
         )  # fmt: skip
@@ -63,13 +63,13 @@ def board_poses(
 
     A view whose corners fit far worse than the others' is left out: what was found in it was not the board.
     """
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     solved: list[tuple[int, Solution]] = []
     for k, view in enumerate(views):
         seen = Seen(board.points[view.ids], view.px)
         with contextlib.suppress(CalibrationError, cv2.error):
             solved.append((k, adjust(Problem((camera,), (IDENTITY,), ((seen,),), (board_pose(camera, seen),)))))
-        told((k + 1) / len(views))
+        report((k + 1) / len(views))
     usual = float(np.median([s.rms for _, s in solved])) if solved else 0.0
     good = [(k, s) for k, s in solved if s.rms <= _OUTLIER * usual]
     if not good:

@@ -2,8 +2,8 @@
 
     C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views, their poses eliminated (bundle.py)
 
-is honest while errors of corners are independent. A board that bends or moves makes those of a view agree. In units in which H
-is I, s = W z with W^T H W = I, a view's gradient g_i tells what its corners have in common (Bell & McCaffrey 2002):
+is right while errors of corners are independent. A board that bends or moves makes those of a view agree. In units in which H
+is I, s = W z with W^T H W = I, a view's gradient g_i holds the error that its corners share (Bell & McCaffrey 2002):
 
     y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i while errors are independent,   sum M_i = I
     f = sum |y_i|^2 / (m sigma^2),   sum y_i y_i^T = f sigma^2 V diag(lambda) V^T

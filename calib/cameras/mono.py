@@ -32,21 +32,21 @@ class Lens(StrEnum):
     FOUR = "4"  # k1 k2 p1 p2
     FIVE = "5"  # Brown: k1 k2 p1 p2 k3
     EIGHT = "8"  # rational: k4 k5 k6 too
-    FISHEYE = "fisheye"  # equidistant (Kannala & Brandt 2006), written as the rational model that equals it in the picture
+    FISHEYE = "fisheye"  # equidistant (Kannala & Brandt 2006), written as the rational model that equals it in the image
 
 
 _FLAGS = {
     Lens.TWO: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3,
     Lens.FOUR: cv2.CALIB_FIX_K3,
     Lens.FIVE: 0,
-    Lens.EIGHT: 0,  # begins as Brown's: OpenCV's rational fits may have a pole in the picture
+    Lens.EIGHT: 0,  # begins as Brown's: OpenCV's rational fits may have a pole in the image
 }
 _COUNT = {Lens.TWO: 4, Lens.FOUR: 4, Lens.FIVE: 5, Lens.EIGHT: 8, Lens.FISHEYE: 8}
 
 
 @dataclass(frozen=True)
 class Dropped:
-    """A picture that was not used, and why."""
+    """A image that was not used, and why."""
 
     name: str
     reason: str
@@ -88,18 +88,18 @@ def calibrate(
     check_sizes(views)
     chosen = [views[i] for i in choose(views, board)]
     rest = [v for v in views if v not in chosen]
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     problem = start(chosen, board, lens)
-    told(0.3)
+    report(0.3)
     solution, kept, dropped = without_outliers(problem, [v.name for v in chosen])
-    told(0.6)
+    report(0.6)
     used = tuple(chosen[i] for i in kept)
     n = 4 + _COUNT[lens]
     camera = with_covariance(solution.problem.cameras[0], solution.covariance[:n, :n])
     held_out, spread = cross_validate(solution)
     if len(rest) >= FEWEST:
         held_out = HeldOut.of([predicted_rms(camera, v, board) for v in rest])
-    told(1.0)
+    report(1.0)
     return Mono(camera, lens, used, solution, tuple(dropped), held_out, spread)
 
 

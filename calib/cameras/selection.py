@@ -1,4 +1,4 @@
-"""Which pictures of a recording to calibrate with: about twenty that differ most, and whether they differ enough."""
+"""Which images of a recording to calibrate with: about twenty that differ most, and whether they differ enough."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -12,12 +12,12 @@ from models.messages import Array
 
 ENOUGH: Final = 20  # views, thesis 5.1.1 step 7
 FEWEST: Final = 5
-_ALIKE: Final = 0.02  # of the picture's diagonal: boards that moved less are one view
+_ALIKE: Final = 0.02  # of the image's diagonal: boards that moved less are one view
 _GRID = 8  # cells a side of the coverage
 
 
 def check_sizes(views: Sequence[View], what: str = "pictures") -> None:
-    """Refuse pictures of different sizes: a camera is known for one size."""
+    """Refuse images of different sizes: a camera is known for one size."""
     sizes = {(v.width, v.height): v.name for v in views}
     if len(sizes) > 1:
         (one, name), (other, other_name) = list(sizes.items())[:2]
@@ -30,7 +30,7 @@ def check_sizes(views: Sequence[View], what: str = "pictures") -> None:
 def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int]:
     """Indices of at most `count` views, farthest first: each differs most from those before; the first is the sharpest.
 
-    Two views differ by the mean distance of their corners [diagonals of the picture]. Views alike are left out.
+    Two views differ by the mean distance of their corners [diagonals of the image]. Views alike are left out.
     Raises CalibrationError where fewer than FEWEST differ.
     """
     if len(views) < FEWEST:
@@ -55,7 +55,7 @@ def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int
 
 
 def coverage(views: Sequence[View]) -> NDArray[np.int64]:
-    """Corners in each of 8 x 8 cells of the picture."""
+    """Corners in each of 8 x 8 cells of the image."""
     count = np.zeros((_GRID, _GRID), dtype=np.int64)
     for v in views:
         columns = np.clip((v.px[:, 0] + 0.5) / v.width * _GRID, 0, _GRID - 1).astype(int)
@@ -65,7 +65,7 @@ def coverage(views: Sequence[View]) -> NDArray[np.int64]:
 
 
 def _outlines(views: Sequence[View], board: Board) -> Array:
-    """The board's four end corners in each view (V, 8), in diagonals of the picture; hidden ones from a homography."""
+    """The board's four end corners in each view (V, 8), in diagonals of the image; hidden ones from a homography."""
     ends = board.points[[0, board.columns - 1, -board.columns, -1], :2]
     out = np.empty((len(views), 8))
     for k, v in enumerate(views):

@@ -1,4 +1,4 @@
-"""Two cameras from pairs of pictures of a board: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
+"""Two cameras from pairs of images of a board: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
 
 Each camera alone first, then both together with the poses between them: one bundle adjustment, whose covariance of t_rc, R_rc
 holds what the lenses leave open. Epipolar geometry of the pair:
@@ -28,7 +28,7 @@ _FOLDS: Final = 4
 
 
 class Pair(NamedTuple):
-    """The same corners in both pictures of a pair."""
+    """The same corners in both images of a pair."""
 
     left: View
     right: View
@@ -36,7 +36,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Stereo:
-    """A calibrated rig. Distances [px] of corners from the epipolar line of their partner: raw pictures, then rectified rows.
+    """A calibrated rig. Distances [px] of corners from the epipolar line of their partner: raw images, then rectified rows.
 
     held_out: rectified, of pairs that had no part in the calibration; square_m: mean triangulated side of the board's squares.
     """
@@ -58,15 +58,15 @@ def calibrate(
     pairs: Sequence[Pair], board: Board, lens: Lens = Lens.FIVE, progress: Callable[[float], None] | None = None
 ) -> Stereo:
     """The rig that took the pairs. Raises CalibrationError with what to do."""
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     for side in (0, 1):
         check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} pictures")
     both = [common for pair in pairs if (common := shared(pair, board)) is not None]
     chosen = [both[i] for i in choose([p.left for p in both], board)]
     problem = _start(chosen, board, lens)
-    told(0.4)
+    report(0.4)
     solution, kept, dropped = mono.without_outliers(problem, [f"{p.left.name}, {p.right.name}" for p in chosen])
-    told(0.7)
+    report(0.7)
     used = tuple(chosen[i] for i in kept)
     rig = _rig(solution)
     _check_sides(rig)
@@ -74,7 +74,7 @@ def calibrate(
     F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
     rows = row_errors(rig, used)
     before = np.concatenate([epipolar_distances(F, p.left.px, p.right.px) for p in used])
-    told(1.0)
+    report(1.0)
     return Stereo(
         rig, lens, used, solution, tuple(dropped), E, F / np.linalg.norm(F), _rms(before), _rms(np.concatenate(rows)),
         _held_out(solution, used), float(np.mean(square_sides(rig, used, board))),
@@ -90,7 +90,7 @@ def epipolar_distances(F: Array, left: Array, right: Array) -> Array:
 
 
 def row_errors(rig: StereoRig, pairs: Sequence[Pair]) -> list[Array]:
-    """Row in the rectified left picture minus row in the right one, of each pair's corners [px]."""
+    """Row in the rectified left image minus row in the right one, of each pair's corners [px]."""
     flat = rectification(rig).rig
     R_left = flat.R_bc.T @ rig.R_bc
     errors = []
@@ -127,7 +127,7 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
 
 
 def shared(pair: Pair, board: Board) -> Pair | None:
-    """The corners that both pictures show, in one order; None where there are too few."""
+    """The corners that both images show, in one order; None where there are too few."""
     left, right = pair
     ids, a, b = np.intersect1d(left.ids, right.ids, return_indices=True)
     if len(ids) < 6:
@@ -164,7 +164,7 @@ def _rig(solution: Solution) -> StereoRig:
 
 
 def _check_sides(rig: StereoRig) -> None:
-    """The right camera stands to the right of the left one, within 45 degrees of its picture's rows."""
+    """The right camera stands to the right of the left one, within 45 degrees of its image's rows."""
     x, y, z = -rig.R_rc.T @ rig.t_rc
     if x * x < y * y + z * z:
         raise CalibrationError(

@@ -1,6 +1,6 @@
 """Rig and camera files: ours (rig.yaml, versioned, with covariances), OpenCV XML/YAML, ROS camera_info, Kalibr camchain.
 
-What a file is, its content tells, not its name:  load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel.
+The form of a file follows from its content, not its name:  load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel.
 A file that cannot be used raises CalibrationError with one line that says what is wrong.
 """
 
@@ -99,7 +99,7 @@ def load_camera(path: str | Path, side: str = "left") -> CameraModel:
 
 
 def save_rig(path: str | Path, rig: StereoRig, form: Format | None = None) -> list[Path]:
-    """Write a rig; without a form the name tells (.xml, .yml: OpenCV, else ours). Returns the files written."""
+    """Write a rig; without a form its name decides (.xml, .yml: OpenCV, else ours). Returns the files written."""
     path = Path(path)
     try:
         texts = _rig_texts(path, rig, form or _form_of(path))

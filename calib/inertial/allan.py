@@ -48,7 +48,7 @@ class Noise:
 
     @property
     def walk_seen(self) -> bool:
-        """Whether the record is long enough for the walk to be told from none."""
+        """Whether the record is long enough to distinguish the walk from none."""
         return self.walk > _SEEN * self.walk_sigma
 
     def model(self, tau_s: Array) -> Array:

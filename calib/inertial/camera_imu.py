@@ -2,7 +2,7 @@
 
     min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-with e the normalised innovations of a filter that is told them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
+with e the normalised innovations of a filter that uses them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
 times the innovations' mean square where that is above 1, plus what the camera's own covariance does to them.
 """
 
@@ -32,17 +32,17 @@ _SIZE: Final = 10
 _STEP: Final = np.array([1e-4] * 3 + [1e-5] * 3 + [2e-5] + [1e-5] * 2 + [1e-3])  # m, rad, s, rad, m/s^2: for derivatives
 _GRAVITY_SIGMA: Final = 0.03  # m/s^2, over the Earth
 _ITERATIONS: Final = 12
-_FEWEST: Final = 50  # pictures
+_FEWEST: Final = 50  # images
 _LONGEST_OFFSET_S: Final = 0.5
 _STILL_RAD_S: Final = 0.05
 _OTHER_AXIS_RAD_S: Final = 0.05  # scatter of the rate about the second axis
-_OUTLIER: Final = 35.0  # e^T e of one picture, 6 degrees of freedom: 4e-6 by chance
+_OUTLIER: Final = 35.0  # e^T e of one image, 6 degrees of freedom: 4e-6 by chance
 
 
 @dataclass(frozen=True)
 class CameraImu:
     """Extrinsics x_b = R_bc @ x_c + p_bc and time_offset_s (shutter time minus stamp); covariance (7, 7), order x y z rx ry rz
-    about the axes of b, then the offset. innovations (M, 6), normalised; used: which pictures.
+    about the axes of b, then the offset. innovations (M, 6), normalised; used: which images.
     """
 
     R_bc: Array
@@ -76,7 +76,7 @@ def calibrate(
     progress: Callable[[float], None] | None = None,
 ) -> CameraImu:  # fmt: skip
     """Extrinsics from views of a board at rest, stamped in the IMU's time. Raises CalibrationError with what to do."""
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     check(imu.t_ns, imu.gyro, imu.accel)
     inside = (stamps_ns > imu.t_ns[0] + 6e8) & (stamps_ns < imu.t_ns[-1] - 6e8)
     if int(inside.sum()) < _FEWEST:
@@ -85,15 +85,15 @@ def calibrate(
         )
     order = np.flatnonzero(inside)[np.argsort(stamps_ns[inside], kind="stable")]
     one_board = read_from_one_end([views[i] for i in order], board)
-    poses, fits = board_poses(one_board, board, camera, lambda f: told(0.6 * f))
+    poses, fits = board_poses(one_board, board, camera, lambda f: report(0.6 * f))
     problem = _Problem(imu, stamps_ns[order][fits], poses, noise)
-    theta, J, e = _minimise(problem, lambda f: told(0.6 + 0.2 * f))
+    theta, J, e = _minimise(problem, lambda f: report(0.6 + 0.2 * f))
     good = np.sum(e[:-1].reshape(-1, 6) ** 2, axis=1) <= _OUTLIER * max(1.0, float(np.median(e[:-1] ** 2)) / 0.455)
     if not good.all():
         problem = problem.without(~good)
-        theta, J, e = _minimise(problem, lambda f: told(0.8 + 0.15 * f), theta)
+        theta, J, e = _minimise(problem, lambda f: report(0.8 + 0.15 * f), theta)
     covariance, mean_square = _covariance(problem, theta, J, e)
-    told(1.0)
+    report(1.0)
     R_bc = problem.R_bc(theta)
     turn = rotation_vector(problem.R_bc0.T @ R_bc)
     return CameraImu(
@@ -113,7 +113,7 @@ class _Problem:
         self.R_no0 = self._level()
 
     def without(self, bad: NDArray[np.bool_]) -> "_Problem":
-        """Without some of the pictures after the first."""
+        """Without some of the images after the first."""
         kept = np.concatenate(([True], ~bad))
         fewer = object.__new__(_Problem)
         fewer.__dict__.update(self.__dict__)
@@ -140,7 +140,7 @@ class _Problem:
         return np.append(e.ravel(), theta[_GRAVITY] / _GRAVITY_SIGMA)
 
     def _first_state(self, poses: BoardPoses, R_no: Array, R_bc: Array, p_bc: Array) -> tuple[Array, Array]:
-        """State at the first picture, as it measures it; velocity from the first few."""
+        """State at the first image, as it measures it; velocity from the first few."""
         few = min(6, len(self.stamps_ns))
         R_nb = [R_no @ poses.R_co[k].T @ R_bc.T for k in range(few)]
         p_n = np.array([-R_no @ poses.R_co[k].T @ poses.t_co[k] - R_nb[k] @ p_bc for k in range(few)])

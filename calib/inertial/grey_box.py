@@ -1,6 +1,6 @@
 """The filter inside the camera-IMU calibration: normalised innovations of board poses for given extrinsics (Hol 2010, ch. 5).
 
-State as in models/state.py, n = the board's corner, z down; motion by models/imu.py. A picture measures the board in c,
+State as in models/state.py, n = the board's corner, z down; motion by models/imu.py. An image measures the board in c,
 
     t_co = -R_cb (R_nb^T p_n + p_bc),   R_co = R_cb R_nb^T R_no
     r = (t - t_co, log(R R_co^T)),   dr = -R_cb R_nb^T dp,   dr = (-R_cb [R_nb^T p_n]x theta, -R_cb theta)

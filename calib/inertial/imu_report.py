@@ -1,4 +1,4 @@
-"""Verdicts, tables and pictures of the two calibrations that have an IMU in them."""
+"""Verdicts, tables and images of the two calibrations that have an IMU in them."""
 
 from typing import Final
 

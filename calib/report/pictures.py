@@ -14,7 +14,7 @@ from calib.cameras.stereo import Stereo, row_errors
 from models.messages import Array
 
 BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#888888"
-_VECTOR_PART = 0.05  # of the picture's width that the 95th percentile of the residuals is drawn
+_VECTOR_PART = 0.05  # of the image's width that the 95th percentile of the residuals is drawn
 
 
 def mono_figure(result: Mono) -> Figure:
@@ -53,7 +53,7 @@ def stereo_figure(result: Stereo) -> Figure:
 
 
 def draw_coverage(axes: Axes, views: Sequence[View], title: str) -> None:
-    """Corners of all views over the cells of the picture; cells that no corner fell into are shaded."""
+    """Corners of all views over the cells of the image; cells that no corner fell into are shaded."""
     width, height = views[0].width, views[0].height
     counts = coverage(views)
     rows, columns = counts.shape

@@ -147,7 +147,7 @@ def _covered(counts: NDArray[np.int64], good: float, usable: float) -> Figure:
 
 
 def uncovered(camera: CameraModel) -> float:
-    """Percent of the picture's pixels that no direction is drawn to: beyond where the lens model folds."""
+    """Percent of the image's pixels that no direction is drawn to: beyond where the lens model folds."""
     u, v = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 40), np.linspace(0.0, camera.height - 1.0, 30))
     plane = camera.undistort(np.column_stack((u.ravel(), v.ravel())))
     return 100.0 * float(np.mean(np.isnan(plane[:, 0])))

@@ -75,7 +75,7 @@ class Motion:
 def record(
     truth: Truth, camera: CameraModel, board: Board, noise: ImuNoise, rng: np.random.Generator
 ) -> tuple[Recording, Times, list[View], Motion]:
-    """IMU samples, stamps (shutter time minus offset) and views of a board; pictures that lose a corner are left out."""
+    """IMU samples, stamps (shutter time minus offset) and views of a board; images that lose a corner are left out."""
     motion = Motion(truth, board, rng)
     t = np.arange(0.0, truth.seconds, 1.0 / truth.imu_hz)
     exact = np.array([np.concatenate(motion.imu(x)) for x in t])

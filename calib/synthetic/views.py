@@ -31,7 +31,7 @@ class Painter:
         self._by_v, self._by_u = (np.asarray(np.gradient(plane, axis=axis)) for axis in (0, 1))  # from pixel to pixel
 
     def paint(self, pose: Pose, rng: np.random.Generator, noise: float = 2.0, blur_px: float = 0.6) -> Grey:
-        """The picture of a board at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma of the lens' blur."""
+        """The image of a board at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma of the lens' blur."""
         picture = self._levels(pose, self._plane)
         around = np.ones((3, 3), np.uint8)
         edge = cv2.dilate(picture, around) != cv2.erode(picture, around)
@@ -56,7 +56,7 @@ class Painter:
 
 
 def poses(cameras: Sequence[tuple[CameraModel, Pose]], board: Board, count: int, rng: np.random.Generator) -> list[Pose]:
-    """Poses of a board as a person holds it: through the whole picture, tilted to 40 degrees, wholly seen by all cameras."""
+    """Poses of a board as a person holds it: through the whole image, tilted to 40 degrees, wholly seen by all cameras."""
     first = cameras[0][0]
     middle = board.points.mean(axis=0)
     chosen: list[Pose] = []

@@ -1,4 +1,4 @@
-"""How much of each roof a picture shows, and towers that hide a part of some."""
+"""How much of each roof an image shows, and towers that hide a part of some."""
 
 import math
 from dataclasses import replace
@@ -14,7 +14,7 @@ from vision.synthetic.render import render_labels
 from vision.synthetic.shapes import rectangle
 from vision.synthetic.world import Look, Solid, World
 
-_MARGIN_PX: Final = 400  # beyond the picture, where roofs that it cuts are still drawn
+_MARGIN_PX: Final = 400  # beyond the image, where roofs that it cuts are still drawn
 _TOWER: Final = Look((150.0, 150.0, 152.0), (165.0, 168.0, 170.0), "gravel", 0.1)
 _REACH: Final = (0.55, 0.75)  # place of a tower between the point below the camera and the roof that it hides
 _TRIES: Final = 8
@@ -22,20 +22,20 @@ _GAP_M: Final = 0.5  # between a tower and anything else
 
 
 def whole(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark, edge_px: float) -> bool:
-    """Whether the left picture holds all corners of the roof, edge_px from its border."""
+    """Whether the left image holds all corners of the roof, edge_px from its border."""
     px, limit = _corners_px(mark, rig.left, *rig.camera_pose(p_n, R_nb)), np.array([rig.left.width, rig.left.height]) - 1.0
     return bool((px >= edge_px).all() and (px <= limit - edge_px).all())
 
 
 def cut(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark) -> bool:
-    """Whether the left picture's border runs through the roof."""
+    """Whether the left image's border runs through the roof."""
     px, limit = _corners_px(mark, rig.left, *rig.camera_pose(p_n, R_nb)), np.array([rig.left.width, rig.left.height]) - 1.0
     inside = ((px >= 0.0) & (px <= limit)).all(axis=1)
     return bool(inside.any() and not inside.all())
 
 
 def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, float]:
-    """Share of each roof's area that the left picture shows: not beyond its border, not behind something else; 0 left out."""
+    """Share of each roof's area that the left image shows: not beyond its border, not behind something else; 0 left out."""
     camera, (p_nc, R_nc) = rig.left, rig.camera_pose(p_n, R_nb)
     labels = render_labels(world, camera, p_nc, R_nc)
     found = {}
@@ -51,7 +51,7 @@ def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, f
 
 
 def hide(world: World, rig: StereoRig, p_n: Array, R_nb: Array, rng: np.random.Generator) -> World:
-    """The world with a tower before every roof in the picture that stands far enough to its side for one to hide it.
+    """The world with a tower before every roof in the image that stands far enough to its side for one to hide it.
 
     A tower of height t at s of the way from the point below the camera to the roof hides it where s = (H - t) / (H - h).
     """

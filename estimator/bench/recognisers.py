@@ -72,20 +72,20 @@ def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = 
 
     cpu_ms: what is built once a flight is not timed.
     """
-    pipeline, again = (LandmarkPipeline(sample.scene.rig_believed, sample.scene.map, config) for _ in range(2))
+    pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
     def method(seen: Sample, timed: bool) -> Answer:
         if timed:
-            again.process(seen.left, seen.right, 0, seen.prior)  # tables of colours, as in a flight's first picture
+            again.process(seen.left, seen.right, 0, seen.prior)  # tables of colours, as in a flight's first image
         begin = time.process_time()
         result = pipeline.process(seen.left, seen.right, next(stamps), seen.prior)
-        return _judged(result, seen, 1e3 * (time.process_time() - begin) if timed else None)
+        return judged(result, seen, 1e3 * (time.process_time() - begin) if timed else None)
 
     return until_heard(method, sample, timed, pairs)
 
 
-def _judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
+def judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
     """By the truth of the moment."""
     if result.fix is None:
         return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}")
@@ -133,7 +133,7 @@ def thesis(sample: Sample, timed: bool = True) -> Answer:
 
 def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
     """What the pair shows, in metres."""
-    made = rectification(sample.scene.rig_believed)
+    made = rectification(sample.scene.rig_calibrated)
     left, right = rectify(sample.left, made.left), rectify(grey(sample.right), made.right)
     colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
     regions = segment_regions(left, made.left.valid if made.left else None, Settings(colours))
@@ -144,7 +144,7 @@ def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
 
 
 class Looked(NamedTuple):
-    """SIFT's key points of a picture (N, 2) px with descriptors (N, 128), and what finding them took."""
+    """SIFT's key points of an image (N, 2) px with descriptors (N, 128), and what finding them took."""
 
     points: Points
     descriptors: Points
@@ -152,7 +152,7 @@ class Looked(NamedTuple):
 
 
 def look(picture: Image) -> Looked:
-    """All key points of a picture."""
+    """All key points of an image."""
     begin = time.process_time()
     points, descriptors = _sift().detectAndCompute(grey(picture), np.array([]))
     cpu_ms = 1e3 * (time.process_time() - begin)
@@ -161,7 +161,7 @@ def look(picture: Image) -> Looked:
 
 
 def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
-    """The left picture against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
+    """The left image against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
 
     From the key points on the roof alone or with those around it, which find the place rather than the landmark. The reference's
     own are found beforehand. Without a reference there is nothing to look for.
@@ -179,7 +179,7 @@ def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer
 
 
 def homography(reference: Looked, looked: Looked) -> Array | None:
-    """From the reference to the picture (3, 3); None where fewer than ten key points agree on one."""
+    """From the reference to the image (3, 3); None where fewer than ten key points agree on one."""
     if len(reference.points) < 2 or len(looked.points) < 2:
         return None
     matcher = cv2.FlannBasedMatcher({"algorithm": 1, "trees": 5}, {"checks": 50})
@@ -218,7 +218,7 @@ def _off_m(sample: Sample, H: Array) -> float:
 
 
 def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, Answer]:
-    """All answers, by METHODS' names; looked: the key points of the left picture. Timing looks twice at a picture."""
+    """All answers, by METHODS' names; looked: the key points of the left image. Timing looks twice at an image."""
     key_points = {sample.numbers: looked}
 
     def sift(surroundings: bool) -> Answer:

@@ -22,13 +22,13 @@ TITLES: Final[dict[str, str]] = {
     "partial": "30 to 70 % in view",
     "description": "known by description only",
 }
-LEAST_KEY_POINTS: Final = 500  # in a picture; with fewer the comparison would be unfair to feature matching
+LEAST_KEY_POINTS: Final = 500  # in an image; with fewer the comparison would be unfair to feature matching
 
 TIMED: Final = 4  # one sample in so many
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """One sample: how much of the roof was in view, key points, pictures drawn before that had too few, answers by method."""
+    """One sample: how much of the roof was in view, key points, images drawn before that had too few, answers by method."""
 
     experiment: Experiment
     roof: Roof
@@ -60,7 +60,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Recognition(msgspec.Struct, frozen=True):
-    """A run. pairs: that each method is shown at most; redrawn: pictures that had too few key points for a fair comparison."""
+    """A run. pairs: that each method is shown at most; redrawn: images that had too few key points for a fair comparison."""
 
     samples: int
     seed: int

@@ -1,8 +1,8 @@
-"""Samples for the thesis' four experiments: a world, map and rig with errors, a pair of pictures, a landmark asked for.
+"""Samples for the thesis' four experiments: a world, map and rig with errors, a pair of images, a landmark asked for.
 
     draw(experiment, roof, seed, number) -> Sample
 
-What is true is drawn about what is believed, within the covariances that a recogniser is told; so is the prior. Everything
+The truth is drawn about map, rig and prior, within the covariances that a recogniser gets. Everything
 follows from (seed, experiment, roof, number), whatever the order in which samples are drawn.
 """
 
@@ -47,13 +47,13 @@ _WAY_SIGMA_M: Final = np.array([1.0, 1.0, 0.2])  # from a pair to the next
 _TURN_SIGMA_RAD: Final = math.radians(0.7)
 _SLIP_SIGMA: Final = np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3])  # of odometry between them
 _POSES: Final = 8  # tried in a world
-_EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the picture's border
+_EDGE_PX: Final = 6.0  # a roof that is whole keeps this distance from the image's border
 _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The landmark's picture, taken from above on another day; mask: its roof; centre_px: of the roof."""
+    """The landmark's image, taken from above on another day; mask: its roof; centre_px: of the roof."""
 
     picture: Image
     mask: NDArray[np.uint8]
@@ -62,7 +62,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """One pair. scene: the truth and what is believed of it; target: the landmark asked for; seen: share of its roof in view.
+    """One pair. scene: the truth, and the map and rig with their errors; target: the landmark asked for; seen: share of its roof
+    in view.
 
     numbers: of which everything is drawn, another one for each next pair.
     """
@@ -129,7 +130,7 @@ def _scene(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> Scen
 
 
 def _measured_colours(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A map whose colours were taken from a picture, each channel within some 4 %; what is gone keeps what it had."""
+    """A map whose colours were taken from an image, each channel within some 4 %; what is gone keeps what it had."""
     looks = {m.id: look for m, look in zip(scene.world.landmarks, scene.world.looks, strict=True)}
     return scene._replace(map=_recoloured(scene.map, {k: _noted(look, rng) for k, look in looks.items()}))
 
@@ -164,7 +165,7 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
     look = scene.world.looks[int(rng.integers(len(scene.world.looks)))]
     colour = _noted(look, rng)
     mapped = {m.id: m for m in scene.map}
-    believed, marks, clutter = [], [], list(scene.world.clutter)
+    mapped_marks, marks, clutter = [], [], list(scene.world.clutter)
     for true in scene.world.landmarks:
         old = mapped[true.id]
         centre, shift = np.array(old.centre_n), np.array(true.centre_n) - np.array(old.centre_n)
@@ -174,10 +175,10 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
         if rng.random() < _SPEC.unmapped:
             clutter.append(Solid(outline + shift, true.base_d, true.height_m, look))
         else:
-            believed.append(_with(old, outline, colour))
+            mapped_marks.append(_with(old, outline, colour))
             marks.append(_with(true, outline + shift, colour))
     world = replace(scene.world, landmarks=tuple(marks), looks=(look,) * len(marks), clutter=tuple(clutter))
-    return scene._replace(world=world, map=LandmarkMap.from_landmarks(scene.map.origin, believed))
+    return scene._replace(world=world, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 
 
 def _pose(experiment: Experiment, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -188,7 +189,7 @@ def _pose(experiment: Experiment, rng: np.random.Generator) -> tuple[Array, Arra
 
 
 def _whole(scene: Scene, p_n: Array, R_nb: Array) -> tuple[Scene, dict[str, float]] | None:
-    """Landmarks of the map whose roofs lie wholly in the left picture."""
+    """Landmarks of the map whose roofs lie wholly in the left image."""
     seen = {m.id: 1.0 for m in scene.world.landmarks if whole(scene.rig, p_n, R_nb, m, _EDGE_PX)}
     return (scene, seen) if len(seen) >= _LEAST else None
 
@@ -211,8 +212,8 @@ def _without(scene: Scene, names: set[str]) -> Scene:
     world = scene.world
     kept = [(m, look) for m, look in zip(world.landmarks, world.looks, strict=True) if m.id not in names]
     left = World(tuple(m for m, _ in kept), tuple(look for _, look in kept), world.clutter, world.ground, world.sun)
-    believed = [m for m in scene.map if m.id not in names]
-    return scene._replace(world=left, map=LandmarkMap.from_landmarks(scene.map.origin, believed))
+    mapped_marks = [m for m in scene.map if m.id not in names]
+    return scene._replace(world=left, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 
 
 def _conditions(rng: np.random.Generator) -> Conditions:
@@ -230,7 +231,7 @@ def _conditions(rng: np.random.Generator) -> Conditions:
 
 
 def _reference(world: World, target: str, height_m: float, rng: np.random.Generator) -> Reference:
-    """The landmark in the middle of a picture from above: at another hour, from another height, turned."""
+    """The landmark in the middle of an image from above: at another hour, from another height, turned."""
     mark = next(m for m in world.landmarks if m.id == target)
     hour = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 65.0)))
     p_nc = np.array([*mark.centre_n, -height_m * rng.uniform(0.8, 1.25)])
@@ -245,7 +246,7 @@ def _reference(world: World, target: str, height_m: float, rng: np.random.Genera
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
-    """The filter's belief, drawn about the truth."""
+    """The filter's prior, drawn about the truth."""
     error = rng.normal(size=6) * PRIOR_SIGMA
     q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(np.ascontiguousarray(R_nb)))
     return Prior(p_n - error[:3], so3.normalise(q), np.diag(PRIOR_SIGMA**2))

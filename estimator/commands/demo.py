@@ -52,8 +52,8 @@ def _print_verdict(evaluation: "Evaluation") -> None:
         rows.append(("error with fixes, RMSE", f"{evaluation.accuracy.aided_position_m.rmse:.2f} m"))
     for outage in evaluation.outages:
         if outage.source == "all" and outage.drift:
-            promised = f", reported 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
-            rows.append((f"after {outage.duration_s:.0f} s of blackout", f"{outage.drift.end_m:.2f} m{promised}"))
-    if evaluation.honesty:
-        rows.append(("inside the 95 % radius", f"{evaluation.honesty.radius95_covered:.0%} of the time"))
+            reported = f", reported 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
+            rows.append((f"after {outage.duration_s:.0f} s of blackout", f"{outage.drift.end_m:.2f} m{reported}"))
+    if evaluation.consistency:
+        rows.append(("inside the 95 % radius", f"{evaluation.consistency.radius95_covered:.0%} of the time"))
     print_table("Against the truth", rows)

@@ -57,7 +57,7 @@ def command(
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
     if sight:
-        note(f"landfix: {sight.tally}")
+        note(f"landfix: {sight.counts}")
     for name in summary.torn_parts:
         note(f"landfix: {name} is torn; replayed up to its last whole record")
     if summary.missing:
@@ -72,7 +72,7 @@ def command(
 
 
 def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
-    """Rig and map that the configuration names, for whoever draws with the output; those that are not there are told."""
+    """Rig and map that the configuration names, for whoever draws with the output; missing ones are reported."""
     from estimator.config import ConfigError
     from estimator.publish import file_attachment
 

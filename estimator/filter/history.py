@@ -40,7 +40,7 @@ class Entry:
     decision: Decision | None = None
     revision: int = -1
     replayed: int = 0
-    told: Reason | None = None
+    counted: Reason | None = None
     failed: bool = False
 
 
@@ -165,7 +165,7 @@ class History:
         """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""
         if not self._changed:  # nearly every call
             return []
-        changed = [e for e in set(self._changed) if e.decision is not None and e.told is not e.decision.reason]
+        changed = [e for e in set(self._changed) if e.decision is not None and e.counted is not e.decision.reason]
         self._changed.clear()
         for entry in changed:
             entry.revision += 1

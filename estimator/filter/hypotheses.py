@@ -25,7 +25,7 @@ leading one refuses is a conflict: both count alike in the covariance until it i
 Baseline advanced RAIM user algorithm, 2015, sec. IV.)
 
 A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
-believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to believe_after_s),
+believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to reset_after_s),
 sooner when it has long been unaided. A cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking;
 Blackman and Popoli 1999, ch. 16.)
 """
@@ -308,7 +308,7 @@ class Hypotheses:
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
-        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s if doubt else 0.0 for doubt in doubts]
+        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.fault_s if doubt else 0.0 for doubt in doubts]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
         told = self._told(believe, seen)
         again = [
@@ -356,7 +356,7 @@ class Hypotheses:
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement
-            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.lie_s, 0.0)
+            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.fault_s, 0.0)
             doubt.last_ns = aid.t_ns
             return False
         if passed:
@@ -407,9 +407,9 @@ class Hypotheses:
             math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
             + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
-        patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.believe_after_s)
-        broken = aid.log_false + _MARGIN - patience_s / aid.rules.lie_s
-        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.rules.lie_s
+        patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.reset_after_s)
+        broken = aid.log_false + _MARGIN - patience_s / aid.rules.fault_s
+        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.rules.fault_s
         believer.weight += min(max(overconfident, broken), most)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)

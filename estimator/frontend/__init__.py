@@ -1,4 +1,4 @@
-"""The visual front-end: camera pictures become requests with a prior, requests become landmark fixes.
+"""The visual front-end: camera images become requests with a prior, requests become landmark fixes.
 
     requests (pairs, prior) -> processor (recognise, locate, draw) -> LandmarkFix, VisionReport
 

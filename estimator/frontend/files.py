@@ -1,4 +1,4 @@
-"""What vision needs from disk: the rig file, the landmark map and the map's picture that the configuration names."""
+"""What vision needs from disk: the rig file, the landmark map and the map's image that the configuration names."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, pictu
 
 
 def map_origin(map_file: Path | None, picture: PictureFile | None = None) -> Vec3:
-    """Where the frame of a map lies, of its landmarks or else of its picture. Raises ConfigError."""
+    """Where the frame of a map lies, of its landmarks or else of its image. Raises ConfigError."""
     try:
         return map_store.load(map_file).origin if map_file else _picture_origin(picture)
     except MapError as error:

@@ -16,20 +16,20 @@ _LEAST_NS: Final = 1_000_000_000  # between two messages
 
 
 class LandmarkBoard:
-    """Tells of the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
+    """Publishes the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
 
     def __init__(self, landmarks: LandmarkMap) -> None:
         self._landmarks = landmarks
-        self._told_ns: int | None = None
+        self._sent_ns: int | None = None
         self._used: frozenset[str] = frozenset()
         self._place = np.zeros(3)
 
     def news(self, t_ns: int, p_n: Array, used: frozenset[str]) -> list[Encoded]:
         """The message if one is due; p_n: the estimated position, used: ids of the landmarks of the newest fix."""
-        if self._told_ns is not None:
+        if self._sent_ns is not None:
             same = used == self._used and np.linalg.norm((p_n - self._place)[:2]) <= _MOVED_M
-            if same or 0 <= t_ns - self._told_ns < _LEAST_NS:
+            if same or 0 <= t_ns - self._sent_ns < _LEAST_NS:
                 return []
-        self._told_ns, self._used, self._place = t_ns, used, p_n
+        self._sent_ns, self._used, self._place = t_ns, used, p_n
         near = self._landmarks.near(float(p_n[0]), float(p_n[1]), _REACH_M)[:_MOST]
         return [encode_landmarks(t_ns, near, used)]

@@ -1,4 +1,4 @@
-"""Vision behind a door of messages: a request and its pictures in, report and fix out."""
+"""Vision behind a door of messages: a request and its images in, report and fix out."""
 
 from typing import Final, NamedTuple
 
@@ -33,7 +33,7 @@ class _Look(NamedTuple):
 
 
 class Sight:
-    """Vision, from request and pictures to messages. Each run of requests has recognisers of its own: memory begins anew."""
+    """Vision, from request and images to messages. Each run of requests has recognisers of its own: memory begins anew."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
@@ -53,7 +53,7 @@ class Sight:
         return round(self._rig.time_offset_s * 1e9)
 
     def look(self, request: VisionRequest, pictures: tuple[Shot | None, Shot | None]) -> list[Encoded]:
-        """What the pictures show: the report, the fix if there is one, and for viewers the landmarks where that is news.
+        """What the images show: the report, the fix if there is one, and for viewers the landmarks where that is news.
 
         Never raises.
         """
@@ -75,7 +75,7 @@ class Sight:
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
 
     def draw(self, mode: str) -> Encoded | None:
-        """The picture looked at last with the map drawn in from the estimate; None where there is none. Never raises.
+        """The image looked at last with the map drawn in from the estimate; None where there is none. Never raises.
 
         Residuals are those of the landmarks identified so far.
         """
@@ -91,13 +91,13 @@ class Sight:
             if picture is None or picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
                 return None
             canvas = overlay.frame(picture, view, self._used).canvas
-        except Exception:  # a picture for people must not cost the next fix; `overlays` of the status stands still then
+        except Exception:  # an image for people must not cost the next fix; `overlays` of the status stands still then
             return None
         return encode_picture(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
 
 
 def _decoded(shot: Shot | None) -> Picture | str | None:
-    """The picture, or why it cannot be read."""
+    """The image, or why it cannot be read."""
     if shot is None:
         return None
     try:

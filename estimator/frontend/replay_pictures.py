@@ -1,7 +1,7 @@
-"""A replay that looks at the pictures again, instead of taking the fixes in the log.
+"""A replay that looks at the images again, instead of taking the fixes in the log.
 
 Of a flight in which vision worked the log holds each request: it is repeated, and its answer stands where the flight's stood, so
-the same fixes come out, bit for bit. A log of pictures that were never looked at gets requests of its own, from the estimate of
+the same fixes come out, bit for bit. A log of images that were never looked at gets requests of its own, from the estimate of
 the replay, and answers replay_latency_ms later.
 """
 
@@ -24,13 +24,13 @@ from models.messages import Output, PictureName, VisionRequest
 FIX_TOPIC: Final = "/landfix/fix"
 REPORT_TOPIC: Final = "/landfix/vision"
 _ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC})
-_KEPT: Final = 400  # pictures
+_KEPT: Final = 400  # images
 
 
-class PictureTally(msgspec.Struct):
-    """looked_at: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: pictures not in it."""
+class ImageCounts(msgspec.Struct):
+    """processed: requests; fixes: what they gave; same, different: beside the fixes in the log; missing: images not in it."""
 
-    looked_at: int = 0
+    processed: int = 0
     fixes: int = 0
     same: int = 0
     different: int = 0
@@ -39,11 +39,11 @@ class PictureTally(msgspec.Struct):
     def __str__(self) -> str:
         beside = f"; of the log's fixes {self.same} the same, {self.different} not" if self.same or self.different else ""
         lost = f"; pictures of {self.missing} requests are not in the log" if self.missing else ""
-        return f"{self.looked_at} pairs looked at, {self.fixes} fixes{beside}{lost}"
+        return f"{self.processed} pairs looked at, {self.fixes} fixes{beside}{lost}"
 
 
 class SightReplay:
-    """Puts the answers of vision among the records of a log. left, right: topics of the pictures."""
+    """Puts the answers of vision among the records of a log. left, right: topics of the images."""
 
     def __init__(
         self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
@@ -57,7 +57,7 @@ class SightReplay:
         self._answers: dict[tuple[str, int], Encoded] = {}  # by topic and exposure
         self._answered_ns = 0  # exposure of the last
         self._due: deque[tuple[int, list[Encoded]]] = deque()
-        self.tally = PictureTally()
+        self.counts = ImageCounts()
 
     def note(self, outputs: Iterable[Output]) -> None:
         """What Fusion said: the priors of requests to come."""
@@ -100,7 +100,7 @@ class SightReplay:
         return self._counted(self._sight.look(decode_vision_request(message.data, request.arrived_ns), (pair.left, pair.right)))
 
     def _ask(self, request: VisionRequest) -> None:
-        """Requests are answered in their order, when the fix or report of one is needed: all pictures have been read by then."""
+        """Requests are answered in their order, when the fix or report of one is needed: all images have been read by then."""
         self._asked.append(request)
 
     def _again(self, record: Record) -> Iterator[Record]:
@@ -110,8 +110,8 @@ class SightReplay:
             self._answer(self._asked.popleft())
         answer = self._answers.pop((record.topic, t_ns or 0), None)
         if record.topic == FIX_TOPIC and self._repeats:
-            self.tally.same += answer is not None and answer.data == record.data
-            self.tally.different += answer is None or answer.data != record.data
+            self.counts.same += answer is not None and answer.data == record.data
+            self.counts.different += answer is None or answer.data != record.data
         if answer is not None:
             yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
 
@@ -119,14 +119,14 @@ class SightReplay:
         self._answered_ns = request.t_ns
         left, right = (self._shots.get(name) if name else None for name in (request.left, request.right))
         if (request.left and left is None) or (request.right and right is None):
-            self.tally.missing += 1
+            self.counts.missing += 1
             return
         for message in self._counted(self._sight.look(request, (left, right))):
             self._answers[message.topic, request.t_ns] = message
 
     def _counted(self, answers: list[Encoded]) -> list[Encoded]:
-        self.tally.looked_at += 1
-        self.tally.fixes += any(a.topic == FIX_TOPIC for a in answers)
+        self.counts.processed += 1
+        self.counts.fixes += any(a.topic == FIX_TOPIC for a in answers)
         return answers
 
 

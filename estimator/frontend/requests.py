@@ -1,6 +1,6 @@
-"""From pictures to requests: pairs are put together, and the prior is taken from the estimate at their exposure.
+"""From images to requests: pairs are put together, and the prior is taken from the estimate at their exposure.
 
-    pictures -> Pairing -> VisionRequest (with the prior of Track) -> sight.Sight -> LandmarkFix, VisionReport
+    images -> Pairing -> VisionRequest (with the prior of Track) -> sight.Sight -> LandmarkFix, VisionReport
 
 All of it is bytes on the wire and values: the daemon runs Sight in a process of its own, a replay in its own thread, and both
 get the same answers, because the request is in the log.
@@ -29,11 +29,11 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are looked at")] = 10.0
     pair_ms: Annotated[float, Meta(ge=0, le=100, description="ms: stamps of a pair differ by no more")] = 5.0
     patience_ms: Annotated[
-        float, Meta(ge=0, le=1000, description="ms: how long one picture waits for the other, then it goes alone")
+        float, Meta(ge=0, le=1000, description="ms: how long one image waits for the other, then it goes alone")
     ] = 100.0
     replay_latency_ms: Annotated[
         float,
-        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of pictures that were never looked at in flight"),
+        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of images that were never looked at in flight"),
     ] = 50.0
     timeout_s: Annotated[
         float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
@@ -41,7 +41,7 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Shot(NamedTuple):
-    """A picture as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
+    """A image as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
 
     topic: str
     schema: str
@@ -64,23 +64,23 @@ class Pair(NamedTuple):
 
     @property
     def t_ns(self) -> int:
-        """Exposure of the left picture, or of the only one."""
+        """Exposure of the left image, or of the only one."""
         shot = self.left or self.right
         assert shot is not None
         return shot.t_ns
 
 
 class Pairing:
-    """Puts pictures together by their stamps. One that waits in vain goes alone; at most most_hz go on."""
+    """Puts images together by their stamps. One that waits in vain goes alone; at most most_hz go on."""
 
     def __init__(self, config: VisionConfig) -> None:
         self._pair_ns, self._patience_ns = round(config.pair_ms * 1e6), round(config.patience_ms * 1e6)
-        self._period_ns = round(_SECOND_NS / config.most_hz * 0.9)  # pictures at that very rate all go on
+        self._period_ns = round(_SECOND_NS / config.most_hz * 0.9)  # images at that very rate all go on
         self._waiting: dict[str, deque[Shot]] = {"left": deque(maxlen=8), "right": deque(maxlen=8)}
         self._last_ns = 0
 
     def put(self, side: str, shot: Shot) -> list[Pair]:
-        """A picture of the "left" or "right" camera; the pairs that are complete now."""
+        """A image of the "left" or "right" camera; the pairs that are complete now."""
         other_side = "right" if side == "left" else "left"
         ready = self.overdue(shot.arrived_ns)
         others = self._waiting[other_side]
@@ -95,7 +95,7 @@ class Pairing:
         return [*ready, *self._paced(pair)]
 
     def overdue(self, now_ns: int) -> list[Pair]:
-        """The pictures whose other one does not come any more."""
+        """The images whose other one does not come any more."""
         alone: list[Pair] = []
         for side, shots in self._waiting.items():
             while shots and now_ns - shots[0].arrived_ns > self._patience_ns:

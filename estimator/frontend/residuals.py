@@ -1,6 +1,6 @@
-"""The augmented-reality test of a flight: the map projected from the estimate, beside the edges that the pictures show.
+"""The augmented-reality test of a flight: the map projected from the estimate, beside the edges that the images show.
 
-A picture's residual is the median over its landmarks of their spread (vision/show/overlay.py, Residuals.spread_px): how far edges
+An image's residual is the median over its landmarks of their spread (vision/show/overlay.py, Residuals.spread_px): how far edges
 lie from the drawn outlines, along the normals, as one standard deviation. What the estimate's own covariance and the map's let
 one expect is reported with it.
 """
@@ -29,7 +29,7 @@ _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of 
 class View(NamedTuple):
     """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) of both about the axes of n; what it rests on.
 
-    identified: landmarks of the fix that vision made of the picture.
+    identified: landmarks of the fix that vision made of the image.
     """
 
     t_ns: int
@@ -42,7 +42,7 @@ class View(NamedTuple):
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """One picture: what the estimate said then, and how well its outlines lie on the picture."""
+    """One picture: what the estimate said then, and how well its outlines lie on the image."""
 
     t_s: Annotated[float, Meta(description="since the estimate began")]
     mode: str
@@ -72,7 +72,7 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class LandmarkRow(msgspec.Struct, frozen=True):
-    """One landmark over the flight: pictures in which it is in view, in which it is seen, and its residuals there."""
+    """One landmark over the flight: images in which it is in view, in which it is seen, and its residuals there."""
 
     id: str
     name: str
@@ -81,7 +81,7 @@ class LandmarkRow(msgspec.Struct, frozen=True):
 
 
 class Summary(NamedTuple):
-    """Residuals of all pictures together; with_fix: of those of which vision made a fix."""
+    """Residuals of all images together; with_fix: of those of which vision made a fix."""
 
     residual_px: Spread | None
     with_fix_px: Spread | None
@@ -102,7 +102,7 @@ class Summary(NamedTuple):
 
 
 class OverlayResult(msgspec.Struct, frozen=True):
-    """All pictures, and apart those of which vision made a fix; ratio: median of residual / expected; 1: consistent."""
+    """All images, and apart those of which vision made a fix; ratio: median of residual / expected; 1: consistent."""
 
     log: str
     video: str
@@ -120,14 +120,14 @@ class OverlayResult(msgspec.Struct, frozen=True):
 
 
 class Frame(NamedTuple):
-    """A picture with the map in it, and its numbers."""
+    """A image with the map in it, and its numbers."""
 
     canvas: Picture
     moment: Moment
 
 
 class Overlay:
-    """Draws and measures one picture after the other; right: those of the right camera; times count from start_ns."""
+    """Draws and measures one image after the other; right: those of the right camera; times count from start_ns."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, start_ns: int, right: bool = False) -> None:
         self._rig, self._landmarks, self._start_ns, self._right = rig, landmarks, start_ns, right
@@ -136,7 +136,7 @@ class Overlay:
 
     @property
     def camera(self) -> CameraModel:
-        """The camera that took the pictures."""
+        """The camera that took the images."""
         return self._rig.right if self._right else self._rig.left
 
     def frame(
@@ -146,7 +146,7 @@ class Overlay:
         measured: Collection[str] | None = None,
         draw: bool = True,
     ) -> Frame:
-        """The picture with the map drawn in from the view; as it is unless it is to be drawn.
+        """The image with the map drawn in from the view; as it is unless it is to be drawn.
 
         measured: ids of the landmarks that are measured; None: all in view.
         """
@@ -203,7 +203,7 @@ class Overlay:
 
 
 def _strip(moment: Moment) -> list[str]:
-    """What is written below a picture."""
+    """What is written below an image."""
     residual = "residual -" if moment.residual_px is None else f"residual {moment.residual_px:.2f} px"
     expected = "" if moment.expected_px is None else f" (expected {moment.expected_px:.2f})"
     mode = moment.mode.replace("_", " ") or "mode unknown"

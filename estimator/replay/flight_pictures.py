@@ -58,9 +58,9 @@ class Flight:
                     yield t_ns + delay_ns, message
 
     def write_map_and_rig(self, map_file: Path, rig_file: Path) -> None:
-        """What the vehicle is told: the map with its errors, the rig as it was calibrated."""
+        """The vehicle's files: the map with its errors, the rig as it was calibrated."""
         map_file.write_bytes(self.scene.map.to_geojson())
-        save_rig(rig_file, self.scene.rig_believed)
+        save_rig(rig_file, self.scene.rig_calibrated)
 
     def draw(self, k: int) -> tuple[Encoded, Encoded]:
         """The k-th pair as it goes over the wire."""

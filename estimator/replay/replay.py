@@ -13,7 +13,7 @@ from typing import Protocol
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
-from estimator.replay.summary import ReplaySummary, Tally
+from estimator.replay.summary import ReplaySummary, SummaryBuilder
 from estimator.version import version
 from logs.store.parts import PartsReader, files_of
 from logs.store.reader import Attachment, LogError, Record
@@ -79,7 +79,7 @@ def replay(
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
-    fusion, decoder, publisher, tally = Fusion(config.fusion()), config.decoder(), Publisher(config.output), Tally()
+    fusion, decoder, publisher, builder = Fusion(config.fusion()), config.decoder(), Publisher(config.output), SummaryBuilder()
     text = config.toml().encode()
     began = time.perf_counter()
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
@@ -92,22 +92,22 @@ def replay(
             if _is_own_output(topic, schema, data):
                 continue
             recorder.write(topic, schema, data, log_time_ns)
-            tally.record(log_time_ns)
+            builder.record(log_time_ns)
             message = decoder.decode(topic, schema, data, log_time_ns)
             if message is not None:
                 outputs = fusion.handle(message)
-                tally.step(message, outputs)
+                builder.step(message, outputs)
                 if sight:
                     sight.note(outputs)
                 for encoded in publisher.encoded(outputs):
                     recorder.write(*encoded, log_time_ns)
-            if progress and tally.records % _PROGRESS_EVERY == 0:
+            if progress and builder.records % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
         kinds = {_kind(attachment) for attachment in kept}
         for attachment in reader.attachments:
             if _kind(attachment) not in kinds:
                 recorder.attach(*attachment)
-    return tally.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing, reader.imported_as)
+    return builder.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing, reader.imported_as)
 
 
 def _kind(attachment: Attachment) -> str:

@@ -35,7 +35,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
-class Tally:
+class SummaryBuilder:
     """Counts records, inputs and outputs as they pass."""
 
     def __init__(self) -> None:

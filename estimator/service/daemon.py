@@ -148,7 +148,7 @@ class Daemon:
             return arrival
         t_ns = self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
         if t_ns is None:
-            self._status.unbelieved += 1
+            self._status.implausible += 1
             return arrival._replace(topic=REFUSED_PREFIX + topic)
         return arrival if t_ns == stamp_ns else arrival._replace(data=restamped(data, t_ns))
 

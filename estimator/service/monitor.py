@@ -128,7 +128,7 @@ class View:
         table.add_row("", d.get("log file", ""))
         dropped = f"{lost} inputs, {d.get('log dropped_images', '0')} pictures, {d.get('log dropped_outputs', '0')} outputs"
         table.add_row("not logged", Text(dropped, style="" if lost == "0" else "red"))
-        refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('unbelieved_stamps', '0')} with unbelievable stamps"
+        refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('implausible_stamps', '0')} with unbelievable stamps"
         table.add_row("refused", refused)
         steps = d.get("clock wall_steps", "0")
         clock = f"wall clock {float(d.get('clock wall_ahead_s', '0')):+.3f} s since the start, {steps} steps"

@@ -1,4 +1,4 @@
-"""The attitude that an autopilot believes, as a prior for the alignment: levelling and heading before motion has shown them.
+"""The attitude estimated by an autopilot, as a prior for the alignment: levelling and heading before motion has shown them.
 
 It is taken once and never fused in flight: it rests on the same IMU, and often the same GNSS, as our own estimate, and its errors
 repeat from message to message. Fused as white noise it would count all that twice.

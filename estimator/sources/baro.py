@@ -26,12 +26,12 @@ class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    lie_s: Annotated[
+    fault_s: Annotated[
         float,
         Meta(
             ge=1e-3,
             le=1e6,
-            description="s: how long a fault that repeats itself is expected to last (a port in the wind, weather)",
+            description="s: expected duration of a fault that repeats itself (a port in the wind, weather)",
         ),
     ] = 60.0
     spacing_s: Annotated[

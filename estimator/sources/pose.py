@@ -213,9 +213,9 @@ def _unit_pose(p_n: Array, q: Array, given: NDArray[np.bool_]) -> float:
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
-    """What repeats: errors of each landmark and of the rig, where a fix tells them apart; else all of it as one, the topic's own.
+    """Systematic errors: of each landmark and of the rig, where a fix separates them; else all of it as one, the topic's own.
 
-    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it tells.
+    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it reports.
     """
     common = fix.covariance_common
     if common is None:
@@ -226,10 +226,10 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     root, largest = symmetric_root(rest) if rest.shape == (6, 6) else (rest, math.nan)
     if math.isnan(largest):
         return Refusal(Reason.NOT_PSD, "common covariance")
-    if not (told := _given(_bits(rest, -math.inf))).whole:
-        if (given.mask & ~told.mask).any():
+    if not (rest_given := _given(_bits(rest, -math.inf))).whole:
+        if (given.mask & ~rest_given.mask).any():
             return Refusal(Reason.IMPLAUSIBLE, "common covariance as large as that of what is not given")
-        root, largest = symmetric_root(np.where(np.logical_and.outer(told.mask, told.mask), rest, 0.0))
+        root, largest = symmetric_root(np.where(np.logical_and.outer(rest_given.mask, rest_given.mask), rest, 0.0))
     if not apart or not isinstance(fix, LandmarkFix) or fix.landmark_errors is None:
         return (_steady(fix.topic, root),) if largest > 0.0 else ()
     errors = np.array(fix.landmark_errors, dtype=float, order="C")
@@ -284,7 +284,7 @@ def _on_the_body(block: str, moved: Array) -> SlowError:
 
 @njit(cache=True, error_model="numpy")
 def _turned_back(q: Array, root: Array) -> Array:
-    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was told at the attitude R."""
+    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was reported at the attitude R."""
     back = so3.conjugate(q)
     return _turned(back, _turned(back, root).T.copy())
 

@@ -39,10 +39,8 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     timeout_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: silent for longer, the source has stopped")] = 5.0
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    lie_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last")] = (
-        1.5
-    )
-    believe_after_s: Annotated[
+    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 1.5
+    reset_after_s: Annotated[
         float,
         Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
     ] = 20.0
@@ -94,7 +92,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def witness(self) -> str:
-        """The topic of its receiver's positions, which cannot vouch for it, or its own."""
+        """The topic of its receiver's positions, which is no independent source, or its own."""
         return self.receiver or self.topic
 
 
@@ -224,7 +222,7 @@ class SourceState(msgspec.Struct, frozen=True):
     sums: tuple[float, ...] = ()
 
     def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
-        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no one to vouch."""
+        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source."""
         phase, passed, sums = self.phase, self.passed, self.sums
         if t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
             phase, passed, sums = Phase.STARTING, 0, ()
@@ -242,7 +240,7 @@ class SourceState(msgspec.Struct, frozen=True):
     ) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.
 
-        A drift is the source's only where another source vouches for the filter: alone, the filter may be what drifts.
+        A drift is the source's only where an independent source agrees with the filter: alone, the filter may be what drifts.
         """
         state = replace(self, fused_ns=t_ns) if fused else self
         if state.phase is Phase.STARTING:

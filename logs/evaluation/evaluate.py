@@ -20,7 +20,16 @@ import numpy as np
 from logs.evaluation import metrics
 from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
 from logs.evaluation.metrics import Mask, Stats, Times
-from logs.evaluation.records import Accuracy, AidSummary, Evaluation, Honesty, Outage, Percentiles, RelativeError, ResetRow
+from logs.evaluation.records import (
+    Accuracy,
+    AidSummary,
+    ConsistencySummary,
+    Evaluation,
+    Outage,
+    Percentiles,
+    RelativeError,
+    ResetRow,
+)
 from logs.evaluation.trajectory import Trajectory, interpolate, nearest
 from models.messages import AidStatus, Array, Reason
 from models.radius import horizontal_radius
@@ -68,8 +77,8 @@ class Comparison:
 def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
     """The estimate at the truth's stamps, and its errors there. Estimates that are not finite do not count."""
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1) & estimate.has_attitude)]
-    at, told = interpolate(estimate, truth.t_ns, LONGEST_STEP_NS)
-    inside = truth[told]
+    at, covered = interpolate(estimate, truth.t_ns, LONGEST_STEP_NS)
+    inside = truth[covered]
     theta_error, attitude = np.full((len(inside), 3), np.nan), inside.has_attitude
     if attitude.any():
         theta_error[attitude] = metrics.attitude_error(at.q_wxyz[attitude], inside.q_wxyz[attitude])
@@ -80,15 +89,15 @@ def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
         p_covariance=at.covariance[:, :3, :3] + _known(inside.covariance[:, :3, :3]),
         theta_error=theta_error,
         v_error=inside.v_body - at.v_body,
-        left_out=int(np.count_nonzero(~told)),
+        left_out=int(np.count_nonzero(~covered)),
     )
 
 
 def _known(covariance: Array) -> Array:
-    """The truth's own covariance, zero where it tells none."""
+    """The truth's own covariance, zero where it has none."""
     variances = np.diagonal(covariance, axis1=1, axis2=2)
-    told = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
-    return np.where(np.reshape(told, (-1, 1, 1)), covariance, 0.0)
+    given = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
+    return np.where(np.reshape(given, (-1, 1, 1)), covariance, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +205,7 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
         modes=_mode_shares(evidence.health, end),
         without_absolute_s=without,
         accuracy=_accuracy(comparison, aided) if compared else None,
-        honesty=_honesty(comparison, aided) if compared else None,
+        consistency=_consistency(comparison, aided) if compared else None,
         outages=tuple(_outage(source, span, comparison, start) for source, of in outages.items() for span in of.spans),
         outage_thresholds_s={source: of.longer_than_s for source, of in outages.items()},
         aids=_aid_summaries(evidence.aids),
@@ -274,14 +283,14 @@ def _degrees(s: Stats) -> Stats:
     return Stats(factor * s.rmse, factor * s.mean, factor * s.median, factor * s.max, s.n)
 
 
-def _honesty(c: Comparison, aided: Mask) -> Honesty:
+def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
     nees_p = metrics.nees(c.p_error, c.p_covariance)
     attitude, velocity = c.truth.has_attitude, np.asarray(np.isfinite(c.v_error).all(axis=1))
     pose_error, pose_covariance = np.hstack([c.p_error, c.theta_error]), c.estimate.covariance.copy()
     pose_covariance[:, :3, :3] = c.p_covariance
     radius = horizontal_radius(c.p_covariance[:, :2, :2])
     horizontal = np.linalg.norm(c.p_error[:, :2], axis=1)
-    return Honesty(
+    return ConsistencySummary(
         position=metrics.consistency(nees_p, 3),
         position_aided=metrics.consistency(nees_p[aided], 3),
         position_outages=metrics.consistency(nees_p[~aided], 3),
@@ -354,12 +363,12 @@ def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
     """What a reader of the figures must know."""
     estimate = evidence.estimate
     broken = np.count_nonzero(~np.isfinite(estimate.p).all(axis=1) | ~estimate.has_attitude)
-    no_promise = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
+    not_definite = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
     notes = {
         "the log is torn: read to its last whole record": evidence.torn,
         f"{evidence.unreadable} messages could not be read": evidence.unreadable > 0,
         f"{broken} estimates are not finite": broken > 0,
-        f"{no_promise} position covariances are not positive definite: their NEES is infinite": no_promise > 0,
+        f"{not_definite} position covariances are not positive definite: their NEES is infinite": not_definite > 0,
         "no truth: nothing can be said about errors": not len(evidence.truth),
         f"the {evidence.yardstick} and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
         f"/truth is {evidence.reference}, of the same sensors: differences are no errors": bool(evidence.reference),

@@ -231,8 +231,8 @@ def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
             east, north, up = (float(x) for x in estimate.p[row])
             place = origin = np.array([fix.latitude, fix.longitude, fix.altitude])
             for _ in range(5):
-                told = Origin(*map(float, origin)).to_geodetic((north, east, -up))
-                origin = origin + (place - told)
+                reported = Origin(*map(float, origin)).to_geodetic((north, east, -up))
+                origin = origin + (place - reported)
             return Origin(*map(float, origin))
     return None
 

@@ -225,9 +225,9 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
 
         n_eff * mean(NEES) ~ chi2(n_eff * dof)                               (Bar-Shalom et al. 2001, eq. 5.4.2-8)
 
-    n_effective: None takes effective_samples(values); give len(values) for samples known to be independent. Of one honest flight
-    that estimate is a guide: 95 of 100 lie in the band where aiding is steady, 86 where long outages dominate (120 runs each of
-    a random walk with fixes), for few outages tell little of their own correlation. Judge many runs at fixed instants.
+    n_effective: None takes effective_samples(values); give len(values) for samples known to be independent. Of one consistent
+    flight that estimate is a guide: 95 of 100 lie in the band where aiding is steady, 86 where long outages dominate (120 runs
+    each of a random walk with fixes), for few outages tell little of their own correlation. Judge many runs at fixed instants.
     """
     n = len(values)
     if not n:

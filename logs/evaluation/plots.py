@@ -107,9 +107,9 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
 def draw_horizontal_error(axes: Axes, evidence: Evidence, outages: Spans) -> None:
     """The picture of horizontal_error on given axes; without a truth the radius alone."""
     c, start = compare(evidence.estimate, evidence.truth), int(evidence.estimate.t_ns[0])
-    told = evidence.estimate if not len(c) else c.estimate
-    t, few = _seconds(told.t_ns, start), _thinned(len(told))
-    radius = horizontal_radius(c.p_covariance[:, :2, :2] if len(c) else told.covariance[:, :2, :2])
+    reported = evidence.estimate if not len(c) else c.estimate
+    t, few = _seconds(reported.t_ns, start), _thinned(len(reported))
+    radius = horizontal_radius(c.p_covariance[:, :2, :2] if len(c) else reported.covariance[:, :2, :2])
     t_whole, radius_whole = _broken_at_holes(t[few], radius[few])
     axes.fill_between(t_whole, radius_whole, 1e-9, color=_BAND, linewidth=0, zorder=1)
     _line(axes, t_whole, radius_whole, BLUE, "95 % radius", linewidth=1.2)

@@ -36,7 +36,7 @@ class Accuracy(msgspec.Struct, frozen=True):
     relative: tuple[RelativeError, ...]
 
 
-class Honesty(msgspec.Struct, frozen=True):
+class ConsistencySummary(msgspec.Struct, frozen=True):
     """Are the covariances consistent? NEES of each part; share of time inside the 95 % horizontal radius, and that radius."""
 
     position: Consistency
@@ -120,7 +120,7 @@ class Evaluation(msgspec.Struct, frozen=True):
     modes: dict[str, float]
     without_absolute_s: float
     accuracy: Accuracy | None
-    honesty: Honesty | None
+    consistency: ConsistencySummary | None
     outages: tuple[Outage, ...]
     outage_thresholds_s: dict[str, float]  # source -> a longer wait is an outage
     aids: tuple[AidSummary, ...]

@@ -25,7 +25,7 @@ from models.messages import Reason
 class Run(msgspec.Struct, frozen=True):
     """One run in a row; None where its log has none.
 
-    outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if honest;
+    outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if consistent;
     inside95: share of time inside the reported 95 % radius.
     """
 
@@ -81,7 +81,7 @@ _CORE: Final = (
     "inside95",
 )
 _SIDE_BY_SIDE: Final = 3  # runs that fit beside each other on a terminal; more stand below each other, the core of them
-_BADNESS: Final[dict[str, Callable[[float], float]]] = {  # by which the best of a column is told
+_BADNESS: Final[dict[str, Callable[[float], float]]] = {  # by which the best of a column is chosen
     **dict.fromkeys(("position_m", "aided_m", "max_m", "outage_end_m", "attitude_deg", "velocity_m_s"), lambda x: x),
     **dict.fromkeys(("nees_position", "nees_attitude"), lambda x: abs(float(np.log(max(x, 1e-9))))),
     "inside95": lambda x: abs(x - 0.95),
@@ -91,12 +91,12 @@ _MEDIAN_FROM: Final = 3  # runs
 
 
 def compare_runs(evaluations: Sequence[Evaluation]) -> list[Run]:
-    """A row for each, in order, named by what tells their logs apart."""
+    """A row for each, in order, named by what distinguishes their logs."""
     return [_run(name, e) for name, e in zip(_names([e.log for e in evaluations]), evaluations, strict=True)]
 
 
 def _run(name: str, e: Evaluation) -> Run:
-    a, h = e.accuracy, e.honesty
+    a, h = e.accuracy, e.consistency
     outages = [o for o in e.outages if o.source == "all"]
     ends = [o.drift.end_m for o in outages if o.drift]
     fused = sum(aid.reasons.get(Reason.FUSED, 0) for aid in e.aids)
@@ -106,14 +106,14 @@ def _run(name: str, e: Evaluation) -> Run:
         distance_m=e.distance_m,
         without_absolute_s=e.without_absolute_s,
         longest_outage_s=max((o.duration_s for o in outages), default=0.0),
-        position_m=_told(a.position_m.rmse) if a else None,
-        aided_m=_told(a.aided_position_m.rmse) if a else None,
-        max_m=_told(a.position_m.max) if a else None,
+        position_m=_finite(a.position_m.rmse) if a else None,
+        aided_m=_finite(a.aided_position_m.rmse) if a else None,
+        max_m=_finite(a.position_m.max) if a else None,
         outage_end_m=float(np.sqrt(np.mean(np.square(ends)))) if ends else None,
-        attitude_deg=_told(a.attitude_deg.rmse) if a else None,
-        velocity_m_s=_told(a.velocity_m_s.rmse) if a else None,
-        nees_position=_told(h.position.mean) if h else None,
-        nees_attitude=_told(h.attitude.mean) if h else None,
+        attitude_deg=_finite(a.attitude_deg.rmse) if a else None,
+        velocity_m_s=_finite(a.velocity_m_s.rmse) if a else None,
+        nees_position=_finite(h.position.mean) if h else None,
+        nees_attitude=_finite(h.attitude.mean) if h else None,
         inside95=h.radius95_covered if h else None,
         radius95_max_m=h.radius95_max_m if h else None,
         fused=fused,
@@ -178,8 +178,8 @@ def _cell(field: str, value: float | str | None) -> str:
 
 
 def _median(runs: Sequence[Run], field: str) -> float | None:
-    told = [getattr(run, field) for run in runs if getattr(run, field) is not None]
-    return float(np.median(told)) if told else None
+    values = [getattr(run, field) for run in runs if getattr(run, field) is not None]
+    return float(np.median(values)) if values else None
 
 
 def _best(runs: Sequence[Run], field: str) -> int | None:
@@ -188,7 +188,7 @@ def _best(runs: Sequence[Run], field: str) -> int | None:
     return min(badness, key=lambda row: badness[row]) if len(set(badness.values())) > 1 else None
 
 
-def _told(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.evaluation.metrics import Consistency, Stats
-from logs.evaluation.records import Accuracy, Evaluation, Honesty
+from logs.evaluation.records import Accuracy, ConsistencySummary, Evaluation
 
 Rows = tuple[str, tuple[str, ...], Sequence[Sequence[str]]]  # title, header, rows
 
@@ -19,8 +19,8 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
     console.print(_summary(evaluation))
     if evaluation.accuracy:
         console.print(_table(*accuracy(evaluation.accuracy)))
-    if evaluation.honesty:
-        console.print(_table(*honesty(evaluation.honesty)))
+    if evaluation.consistency:
+        console.print(_table(*consistency(evaluation.consistency)))
     for title, header, rows in (outages(evaluation), aids(evaluation), resets(evaluation)):
         if rows:
             console.print(_table(title, header, rows))
@@ -83,8 +83,8 @@ def accuracy(a: Accuracy) -> Rows:
     return "Accuracy", ("error", "RMSE", "mean", "median", "max", "unit"), rows
 
 
-def honesty(h: Honesty) -> Rows:
-    """Whether the covariance tells the errors."""
+def consistency(h: ConsistencySummary) -> Rows:
+    """Whether the covariance agrees with the errors."""
     parts: list[tuple[str, Consistency]] = [
         ("position", h.position),
         ("  aided", h.position_aided),

@@ -155,8 +155,8 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
     exact = trajectory.t_ns[b] == wanted_ns
     a = np.where(exact, b, np.maximum(b - 1, 0))
     ta, tb = trajectory.t_ns[a], trajectory.t_ns[b]
-    told = exact | ((ta < wanted_ns) & (wanted_ns < tb) & (tb - ta <= longest_ns))
-    a, b, ta, tb, t = a[told], b[told], ta[told], tb[told], wanted_ns[told]
+    inside = exact | ((ta < wanted_ns) & (wanted_ns < tb) & (tb - ta <= longest_ns))
+    a, b, ta, tb, t = a[inside], b[inside], ta[inside], tb[inside], wanted_ns[inside]
     w = np.where(tb > ta, (t - ta) / np.maximum(tb - ta, 1), 0.0)
 
     def blend(x: Array) -> Array:
@@ -168,7 +168,7 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
     p, v_body, covariance, v_covariance = (blend(x) for x in others)
     arrived = np.maximum(trajectory.arrived_ns[a], trajectory.arrived_ns[b])
     q_wxyz = _slerp(trajectory.q_wxyz[a], trajectory.q_wxyz[b], w)
-    return Trajectory(t, arrived, p, q_wxyz, v_body, covariance, v_covariance), told
+    return Trajectory(t, arrived, p, q_wxyz, v_body, covariance, v_covariance), inside
 
 
 def _slerp(q_a: Array, q_b: Array, w: Array) -> Array:

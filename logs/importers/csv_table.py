@@ -1,7 +1,7 @@
 """One CSV file (plain or gzipped) as numbers, its columns found by name: the header says what a column is and in which unit.
 
 A cell that is no number becomes nan. A line with too few or too many cells is left out and counted, a torn file is read as
-far as it goes; both are told in `notes`.
+far as it goes; both are reported in `notes`.
 """
 
 import re
@@ -23,7 +23,7 @@ DEG = np.pi / 180.0
 _UNIX_S = 100_000_000  # stamps above it (1973) count from 1970, smaller ones from the log's own start
 _VALIDITY = ("t", "time", "timestamp", "stamp")
 _ARRIVAL = ("arrived", "arrival", "t_arrived")
-_TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: told by the size
+_TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: by its size
 
 
 _SEPARATORS = {"\t": "tabs", ";": "semicolons"}
@@ -240,7 +240,7 @@ def _decimal(cell: str) -> Decimal | None:
 
 
 def _unit_by_size(stamp: float) -> int:
-    """ns per unit of a stamp whose header names none: counted from 1970 its size tells the unit, otherwise it is seconds."""
+    """ns per unit of a stamp whose header names none: counted from 1970 its size determines the unit, otherwise it is seconds."""
     for smallest, unit_ns in ((1e17, 1), (1e14, 10**3), (1e11, 10**6)):
         if stamp > smallest:
             return unit_ns

@@ -5,7 +5,7 @@
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
 ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
-A GPS row is written when the fix arrives. Its week time tells how much later than others it did: t_ns is the receiver's time
+A GPS row is written when the fix arrives. Its week time gives its delay: t_ns is the receiver's time
 on the log's clock, set so that the fastest fix took no time, and what all fixes have in common is `delay_s` of the settings.
 """
 
@@ -228,7 +228,7 @@ def _attitude(truth: Stream) -> Stream:
 
 
 def _known_origin(tables: Tables) -> Vec3 | None:
-    """The last origin of the EKF (ORGN, type 0) that the log tells."""
+    """The last origin of the EKF (ORGN, type 0) in the log."""
     table = tables.get("ORGN")
     rows = np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
     if table is None or len(rows) == 0:

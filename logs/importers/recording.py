@@ -31,12 +31,12 @@ from models.messages import (
 )
 
 Times: TypeAlias = NDArray[np.int64]
-Progress: TypeAlias = Callable[[float], None]  # told the fraction done
+Progress: TypeAlias = Callable[[float], None]  # called with the fraction done
 
 EPOCH_NS = 1_700_000_000 * 10**9  # 2023-11-14T22:13:20Z: when t = 0 was, in logs that do not know the date
 _LAST_NS = (2**31 - 1) * 10**9  # 2038: the wire's seconds have 31 bits
 _ATTITUDE_NS = 500_000_000  # between attitudes to begin with: one is enough, at most 2 s old
-_ATTITUDE_VARIANCE = np.deg2rad([2.0, 2.0, 4.0]) ** 2  # rad^2, of tilt and heading: no autopilot's log tells its own
+_ATTITUDE_VARIANCE = np.deg2rad([2.0, 2.0, 4.0]) ** 2  # rad^2, of tilt and heading: no autopilot's log has its own
 AUTOPILOT = "the autopilot's own estimate"
 _BLOCK = 4096  # rows that are plain Python objects at one time
 
@@ -200,7 +200,7 @@ def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, varia
 
 
 def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTITUDE_TOPIC) -> Stream:
-    """AttitudePriors, two a second, of what an autopilot believes; q_nb_wxyz (n, 4), rows with nan are left out."""
+    """AttitudePriors, two a second, of an autopilot's attitude estimate; q_nb_wxyz (n, 4), rows with nan are left out."""
     known = np.flatnonzero(np.isfinite(q_nb_wxyz).all(axis=1))
     _, first = np.unique(t_ns[known] // _ATTITUDE_NS, return_index=True)
     rows = known[first]

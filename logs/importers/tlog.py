@@ -1,6 +1,6 @@
 """MAVLink telemetry logs (.tlog: each message behind the time at which the ground station received it), by pymavlink.
 
-    HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: told in a note)  ->  /imu
+    HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only; ATTITUDE  ->  /attitude
 
@@ -47,7 +47,7 @@ _CLOCK_SET_US = 30e6
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
 _GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
-_SPEED_SIGMA = 0.5  # m/s, where the receiver tells none
+_SPEED_SIGMA = 0.5  # m/s, where the receiver reports none
 _NO_VERTICAL_SIGMA = 100.0  # m/s: GPS_RAW_INT has no vertical speed; 0 with this says nothing
 
 

@@ -24,9 +24,9 @@ class Buckets:
 
     def add(self, t_ns: Times, values: Array) -> None:
         """values: (n, k) at (n,) stamps in any order. What is not finite, or before start_ns, is left out."""
-        told = t_ns >= self.start_ns
-        order = np.argsort(t_ns[told], kind="stable")
-        t_ns, values = t_ns[told][order], values[told][order]
+        known = t_ns >= self.start_ns
+        order = np.argsort(t_ns[known], kind="stable")
+        t_ns, values = t_ns[known][order], values[known][order]
         if not len(t_ns):
             return
         while (int(t_ns[-1]) - self.start_ns) // self.step_ns >= len(self._low):
@@ -50,14 +50,14 @@ class Buckets:
     @property
     def low(self) -> Array:
         """The least of each span, up to the last span that has any."""
-        return self._told(self._low)
+        return self._of_buckets(self._low)
 
     @property
     def high(self) -> Array:
         """The greatest of each span, up to the last span that has any."""
-        return self._told(self._high)
+        return self._of_buckets(self._high)
 
-    def _told(self, extremes: Array) -> Array:
+    def _of_buckets(self, extremes: Array) -> Array:
         some = np.flatnonzero(np.isfinite(self._low).any(axis=1))
         shown = extremes[: some[-1] + 1] if len(some) else extremes[:0]
         return np.where(np.isfinite(shown), shown, np.nan)

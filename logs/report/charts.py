@@ -37,7 +37,7 @@ class Band(msgspec.Struct, frozen=True, tag="band"):
 
 
 class Points(msgspec.Struct, frozen=True, tag="points"):
-    """Single events; text: what is told of each where the pointer is near."""
+    """Single events; text: shown where the pointer is near."""
 
     name: str
     colour: Colour

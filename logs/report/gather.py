@@ -171,9 +171,9 @@ class Gathered:
 
     def _unwrapped(self, attitude: Array) -> Array:
         """The same with a heading that does not leap from 360 to 0."""
-        told = np.isfinite(attitude[:, 2])
-        heading = np.unwrap(np.concatenate([[self._heading_deg], attitude[told, 2]]), period=360.0)[1:]
-        attitude[told, 2] = heading
+        known = np.isfinite(attitude[:, 2])
+        heading = np.unwrap(np.concatenate([[self._heading_deg], attitude[known, 2]]), period=360.0)[1:]
+        attitude[known, 2] = heading
         if len(heading):
             self._heading_deg = float(heading[-1])
         return attitude
@@ -192,8 +192,8 @@ class Gathered:
                 self.counts[name] = int(value)
         if self.numbers is None:
             self.numbers = Buckets(len(NUMBERS), t_ns)
-        told = [float(values.get(name, values.get(f"biases {name}", "nan"))) for name in NUMBERS]
-        self.numbers.add(np.array([t_ns]), np.array([told]))
+        known = [float(values.get(name, values.get(f"biases {name}", "nan"))) for name in NUMBERS]
+        self.numbers.add(np.array([t_ns]), np.array([known]))
 
     def _daemon(self, record: Record) -> None:
         _, self.daemon = _diagnostics(record)

@@ -114,11 +114,11 @@ def _marks(evidence: Evidence, estimate: Trajectory, start_ns: int) -> list[Mark
             (~fixes.used, f"{topic} not used", "vermillion", not_used),
         )
         for rows, name, colour, shape in kinds:
-            told = np.flatnonzero(rows & np.isfinite(fixes.p[:, :2]).all(axis=1))
-            told = told[_few(len(told))]
-            if len(told):
-                text = [f"{t:.1f} s" for t in seconds(fixes.t_ns[told], start_ns).tolist()]
-                marks.append(Marks(name, colour, shape, _m(fixes.p[told, 0]), _m(fixes.p[told, 1]), text))
+            known = np.flatnonzero(rows & np.isfinite(fixes.p[:, :2]).all(axis=1))
+            known = known[_few(len(known))]
+            if len(known):
+                text = [f"{t:.1f} s" for t in seconds(fixes.t_ns[known], start_ns).tolist()]
+                marks.append(Marks(name, colour, shape, _m(fixes.p[known, 0]), _m(fixes.p[known, 1]), text))
     ends: tuple[tuple[int, str, Shape], ...] = ((0, "start", "triangle"), (-1, "end", "square"))
     for row, name, shape in ends:
         x, y = estimate.p[row, :2]

@@ -184,8 +184,8 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
             ("RMS position error", f"{number(e.accuracy.position_m.rmse)} m"),
             ("largest", f"{number(e.accuracy.position_m.max)} m"),
         ]
-    if e.honesty:
-        tiles.append(("of the time inside the 95 % radius", f"{e.honesty.radius95_covered:.0%}"))
+    if e.consistency:
+        tiles.append(("of the time inside the 95 % radius", f"{e.consistency.radius95_covered:.0%}"))
     fused = sum(a.reasons.get("fused", 0) for a in e.aids)
     refused = sum(n for a in e.aids for n in refusals(a).values())
     if fused + refused:
@@ -194,11 +194,11 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
 
 
 def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
-    """Errors and promises, and whether they agree."""
-    body = sheet.add(report_plots.promises(m.evidence, m.gathered, c), "one")
+    """Errors and reported covariances, and whether they agree."""
+    body = sheet.add(report_plots.reported_and_true(m.evidence, m.gathered, c), "one")
     body += sheet.add(report_plots.errors(m.evidence, c), "three") + sheet.add(report_plots.consistency(m.evidence, c), "one")
     tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []
-    tables += [evaluation_table.honesty(m.evaluation.honesty)] if m.evaluation.honesty else []
+    tables += [evaluation_table.consistency(m.evaluation.consistency)] if m.evaluation.consistency else []
     return body + _beside(*tables)
 
 
@@ -243,7 +243,7 @@ def _figure(m: Material, s: Shot) -> str:
 
 
 def _health(m: Material, sheet: _Sheet) -> str:
-    strip, numbers = report_plots.states_told(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
+    strip, numbers = report_plots.mode_and_sources(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
     return sheet.add(strip, "one") + sheet.add(numbers, "three") + web_page.table(_remarks(m))
 
 

@@ -1,4 +1,4 @@
-"""The plots of a report: what is promised and what is true, states, biases, innovations, health, times."""
+"""The plots of a report: reported and true errors, states, biases, innovations, health, times."""
 
 from collections.abc import Iterable
 from statistics import mode
@@ -33,8 +33,8 @@ _COLOURS: Final[tuple[Colour, ...]] = ("vermillion", "green", "blue", "purple", 
 Charts = dict[str, Chart]
 
 
-def promises(evidence: Evidence, gathered: Gathered, c: Comparison) -> Charts:
-    """The 95 % radius over time, beside the horizontal error where the truth tells it, and when fixes came."""
+def reported_and_true(evidence: Evidence, gathered: Gathered, c: Comparison) -> Charts:
+    """The 95 % radius over time, with the horizontal error where there is a truth, and the times of fixes."""
     start_ns, parts = _start(evidence), list[Line | Band | Points]()
     if gathered.signals is not None:
         parts.append(line("95 % radius", "blue", gathered.signals, 18, start_ns))
@@ -108,7 +108,7 @@ def states(evidence: Evidence, gathered: Gathered) -> Charts:
 
 
 def biases(evidence: Evidence, gathered: Gathered) -> Charts:
-    """Biases of gyroscope and accelerometer as the health tells them."""
+    """Biases of gyroscope and accelerometer from Health."""
     numbers = gathered.numbers
     columns = [NUMBERS.index(name) for name in BIASES]
     if numbers is None or not np.isfinite(numbers.low[:, columns]).any():
@@ -161,10 +161,10 @@ def _innovation(title: str, group: list[AidStatus], start_ns: int) -> Chart:
     names = names or tuple(f"{k + 1}." for k in range(max(sizes)))
     parts = list[Line | Band | Points]()
     for k, name in enumerate(names):
-        told = [a for a in group if len(a.innovation) > k and a.reason is Reason.FUSED]
-        y = np.array([a.innovation[k] / (a.innovation_sigma[k] or np.nan) for a in told])
-        text = [f"{a.innovation[k]:.3g} of {a.innovation_sigma[k]:.3g}" for a in told]
-        parts.append(Points(name, _COLOURS[k % 6], "dot", _times(told, start_ns), short(y, 4), text))
+        given = [a for a in group if len(a.innovation) > k and a.reason is Reason.FUSED]
+        y = np.array([a.innovation[k] / (a.innovation_sigma[k] or np.nan) for a in given])
+        text = [f"{a.innovation[k]:.3g} of {a.innovation_sigma[k]:.3g}" for a in given]
+        parts.append(Points(name, _COLOURS[k % 6], "dot", _times(given, start_ns), short(y, 4), text))
     others = [a for a in group if a.reason is not Reason.FUSED]
     if others:
         parts.append(Points("not fused", "vermillion", "top", _times(others, start_ns), [0.0] * len(others), _whys(others)))
@@ -190,7 +190,7 @@ def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
 
 
 def consistency(evidence: Evidence, c: Comparison) -> Charts:
-    """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of honest ones."""
+    """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of consistent ones."""
     if not len(c):
         return {}
     attitude, velocity = c.truth.has_attitude, np.isfinite(c.v_error).all(axis=1)
@@ -213,7 +213,7 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     }
 
 
-def states_told(evidence: Evidence, gathered: Gathered) -> Charts:
+def mode_and_sources(evidence: Evidence, gathered: Gathered) -> Charts:
     """Mode and sources as stripes."""
     start_ns, end_ns = _start(evidence), int(evidence.estimate.t_ns[-1])
     rows = {
@@ -232,8 +232,8 @@ def health(evidence: Evidence, gathered: Gathered) -> Charts:
             ("attitude_sigma_deg", "Attitude, 1 sigma of the worst axis", "deg"),
             ("hypotheses", "Hypotheses: what may be true at the same time", ""),
         ):
-            told = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(evidence))
-            charts[name] = TimeChart(title, unit, [told], height=165)
+            given = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(evidence))
+            charts[name] = TimeChart(title, unit, [given], height=165)
     return charts
 
 
@@ -288,7 +288,7 @@ def _bars(title: str, edges_s: Array, counts: Iterable[int], colour: Colour = "b
 
 
 def _joined(stays: list[Stay], span: float) -> list[Stay]:
-    """Those that begin within a span of each other as one, told by the first: nobody sees them apart."""
+    """Those that begin within a span of each other as one, labelled by the first: on the plot they coincide."""
     joined: list[Stay] = []
     for stay in stays:
         if joined and stay.start - joined[-1].start < span:
@@ -353,11 +353,11 @@ def _buckets(c: Comparison, values: Array) -> Buckets:
 def _nearest_turn(heading_deg: Array, evidence: Evidence) -> Array:
     """The truth's heading, by whole turns nearest to that of the estimate as it is drawn."""
     c = evidence.estimate
-    told = c.has_attitude
-    drawn = np.unwrap(attitude_deg(c.q_wxyz[told])[:, 2], period=360.0)
+    given = c.has_attitude
+    drawn = np.unwrap(attitude_deg(c.q_wxyz[given])[:, 2], period=360.0)
     if not len(drawn):
         return heading_deg
-    beside = np.interp(evidence.truth.t_ns.astype(float), c.t_ns[told].astype(float), drawn)
+    beside = np.interp(evidence.truth.t_ns.astype(float), c.t_ns[given].astype(float), drawn)
     turned: Array = heading_deg + 360.0 * np.round((beside - heading_deg) / 360.0)
     return turned
 

@@ -81,7 +81,7 @@ def duration(s: float) -> str:
 def findings(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
     """What speaks for the estimate and against it, the worst first."""
     found = [
-        *_honesty(e),
+        *_consistency(e),
         *_behaviour(e, gathered),
         *_jumps(evidence),
         *(f for aid in e.aids for f in _source(aid)),
@@ -91,21 +91,22 @@ def findings(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Find
     return sorted(found, key=lambda f: -f.level)
 
 
-def _honesty(e: Evaluation) -> list[Finding]:
-    if e.honesty is None:
+def _consistency(e: Evaluation) -> list[Finding]:
+    if e.consistency is None:
         return []
-    covered = e.honesty.radius95_covered
+    covered = e.consistency.radius95_covered
     level = Level.FINE if covered >= 0.9 else Level.LOOK if covered >= 0.75 else Level.WRONG
     what = "error" if e.compared_with == "truth" else "difference from the reference"
     found = [Finding(level, f"the {what} was inside the reported 95 % radius {covered:.0%} of the time")]
-    for name, c in (("position", e.honesty.position), ("attitude", e.honesty.attitude), ("velocity", e.honesty.velocity)):
+    of = e.consistency
+    for name, c in (("position", of.position), ("attitude", of.attitude), ("velocity", of.velocity)):
         found += _too_sure(name, c)
     # The reference may be what is wrong: no verdict rests on it alone
     return found if e.compared_with == "truth" else [Finding(min(f.level, Level.LOOK), f.text) for f in found]
 
 
 def _too_sure(name: str, c: Consistency) -> list[Finding]:
-    """Where the mean squared error is beyond what the covariance promises."""
+    """Where the mean squared error is beyond the covariance."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
@@ -135,7 +136,7 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
 
 
 def _jumps(evidence: Evidence) -> list[Finding]:
-    """Jumps that matter; one within the radius promised before it is what was promised."""
+    """Jumps that matter; one within the 95 % radius before it is consistent."""
     estimate, start_ns = evidence.estimate, int(evidence.estimate.t_ns[0])
     jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in evidence.resets]
     jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]
@@ -193,6 +194,6 @@ def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]
             Finding(Level.LOOK, f"unreadable messages: {', '.join(f'{n} on {t}' for t, n in gathered.unreadable.items())}")
         )
     for key, value in gathered.daemon.items():
-        if key.endswith(("lost_inputs", "internal_errors", "unbelieved_stamps")) and value not in {"0", ""}:
+        if key.endswith(("lost_inputs", "internal_errors", "implausible_stamps")) and value not in {"0", ""}:
             found.append(Finding(Level.LOOK, f"the daemon reports {key.replace('_', ' ')}: {value}"))
     return found

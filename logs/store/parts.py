@@ -66,7 +66,7 @@ class PartsReader:
 
     @property
     def attachments(self) -> list[Attachment]:
-        """The files kept in the log, in order; every part has them, and what is the same is told once."""
+        """The files kept in the log, in order; every part has them, equal ones are listed once."""
         return list(dict.fromkeys(a for part in self._parts for a in part.attachments))
 
     @property

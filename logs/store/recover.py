@@ -42,7 +42,7 @@ class RecoverSummary(msgspec.Struct, frozen=True):
 def recover(
     src: str | os.PathLike[str], dst: str | os.PathLike[str], progress: Callable[[float], None] | None = None
 ) -> RecoverSummary:
-    """Write what is whole in `src` to `dst`, which appears only when it is complete; progress is told the fraction read.
+    """Write what is whole in `src` to `dst`, which appears only when it is complete; progress is called with the fraction read.
 
     Raises LogError when src is no MCAP file, dst is src, or dst cannot be written.
     """

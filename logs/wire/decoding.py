@@ -37,7 +37,7 @@ from models.state import E
 
 LANDMARK_FIX_TOPIC: Final = "/landfix/fix"
 CHECKPOINT_TOPIC: Final = "/landfix/checkpoint"
-TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the time it tells
+TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the time
 
 _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
 _SECOND_NS: Final = 1_000_000_000

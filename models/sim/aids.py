@@ -1,4 +1,5 @@
-"""What aids the inertial navigation: a GNSS receiver and 6-DoF pose fixes, with their noise, delays, outages and falsehoods.
+"""What aids the inertial navigation: a GNSS receiver and 6-DoF pose fixes, with their noise, delays, outages and false
+measurements.
 
     GNSS:      z = p_n + R_nb l_b + s + n,   v_z = v_n + R_nb (omega_b x l_b) + n_v,   s' = -s/tau + w   (slow error)
     pose fix:  z = p_n + c_p + n_p,          R_z = exp(-c_theta - n_theta) R_nb        (errors about the axes of n)
@@ -45,7 +46,7 @@ class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         ascending("outages_s", *self.outages_s)
 
 
-class Lie(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FalseSpan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """All pose fixes of an interval share one error: they agree with each other, and are wrong."""
 
     start_s: NotNegative
@@ -61,7 +62,7 @@ class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """A source of 6-DoF fixes. Three numbers are the axes of n.
 
     delay_s, outages_s: as Gnss; outlier_share: of the fixes, with an extra error of random direction and of a size within
-    outlier_m and outlier_deg; common_sigma_*: of the error drawn once for the run, told in covariance_common or not.
+    outlier_m and outlier_deg; common_sigma_*: of the error drawn once for the run, reported in covariance_common or not.
     """
 
     rate_hz: Rate = 2.0
@@ -75,7 +76,7 @@ class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     common_sigma_m: NotNegative = 0.0
     common_sigma_deg: NotNegative = 0.0
     common_reported: bool = True
-    lies: tuple[Lie, ...] = ()
+    false_spans: tuple[FalseSpan, ...] = ()
 
     def __post_init__(self) -> None:
         ascending("delay_s", self.delay_s)
@@ -110,7 +111,7 @@ def receive_gnss(
 def make_pose_fixes(
     source: PoseFixes, trajectory: Trajectory, epoch_ns: int, rng: np.random.Generator
 ) -> tuple[list[PoseFix], frozenset[int]]:
-    """The fixes in order of validity, and the t_ns of those that are false (outliers and lies)."""
+    """The fixes in order of validity, and the t_ns of those that are false (outliers and false spans)."""
     t_s, t_ns = _instants(source.rate_hz, trajectory.duration_s, epoch_ns, rng)
     motion, n = trajectory.at(t_s), len(t_s)
     common_p = source.common_sigma_m * rng.standard_normal(3)
@@ -132,17 +133,17 @@ def make_pose_fixes(
 
 
 def _falsify(source: PoseFixes, t_s: Seconds, p_n: Array, theta_n: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Adds outliers and lies to the errors in place; which of the fixes are false, (n,)."""
+    """Adds outliers and false spans to the errors in place; which of the fixes are false, (n,)."""
     n = len(t_s)
     false = rng.random(n) < source.outlier_share
     for error, (least, most) in ((p_n, source.outlier_m), (theta_n, np.radians(source.outlier_deg))):
         direction = rng.standard_normal((n, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         error[false] += (direction * rng.uniform(least, most, (n, 1)))[false]
-    for lie in source.lies:
-        within = (t_s >= lie.start_s) & (t_s < lie.end_s)
-        p_n[within] += lie.offset_n_m
-        theta_n[within] += np.radians(lie.rotation_n_deg)
+    for span in source.false_spans:
+        within = (t_s >= span.start_s) & (t_s < span.end_s)
+        p_n[within] += span.offset_n_m
+        theta_n[within] += np.radians(span.rotation_n_deg)
         false |= within
     return false
 

@@ -1,6 +1,6 @@
-"""Cameras in a scenario: which rig looks at which world, how pictures are taken, and when there are none that help.
+"""Cameras in a scenario: which rig looks at which world, how images are taken, and when there are none that help.
 
-Numbers only; the pictures are drawn by vision.synthetic.
+Numbers only; the images are drawn by vision.synthetic.
 """
 
 from typing import Annotated, Literal
@@ -37,8 +37,8 @@ class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down).
 
     sees: colour, grey (8 bit), or thermal: by night, 16 bit, which no JPEG holds;
-    exposure_s: blurs moving pictures; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
-    jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no pictures; dark_s: pictures
+    exposure_s: blurs moving images; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
+    jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no images; dark_s: images
     of a covered lens.
     """
 

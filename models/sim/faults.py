@@ -75,7 +75,7 @@ class Drop(Fault, frozen=True, tag="drop"):
 
 
 class ImuDropout(Drop, frozen=True, tag="imu_dropout"):
-    """The IMU is silent; give the scenario ticks, or nobody tells the estimator that time goes on."""
+    """The IMU is silent; give the scenario ticks, so that the estimator's time goes on."""
 
     topics: tuple[str, ...] = (IMU,)
 
@@ -189,7 +189,7 @@ class NotFinite(Fault, frozen=True, tag="not_finite"):
 
 
 class ZeroCovariance(Fault, frozen=True, tag="zero_covariance"):
-    """The covariance that is told is zero: what a driver sends that never filled it in."""
+    """The reported covariance is zero: what a driver sends that never filled it in."""
 
     topics: tuple[str, ...] = (GNSS, VELOCITY, POSE_FIX)
 
@@ -214,7 +214,7 @@ class ClockStep(Fault, frozen=True, tag="clock_step"):
 
 
 class WrongUnits(Fault, frozen=True, tag="wrong_units"):
-    """deg/s: gyro; g: accelerometer; no_gravity: it tells acceleration (level flight assumed); feet: positions of fixes."""
+    """deg/s: gyro; g: accelerometer; no_gravity: it measures acceleration (level flight assumed); feet: positions of fixes."""
 
     topics: tuple[str, ...] = (IMU, GNSS, POSE_FIX)
     unit: Literal["deg/s", "g", "no_gravity", "feet"] = "deg/s"

@@ -161,5 +161,5 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
 
 
 def _topic(kind: type[msgspec.Struct]) -> str:
-    """The topic that messages of this kind have unless told otherwise."""
+    """The topic that messages of this kind have by default."""
     return next(str(f.default) for f in msgspec.structs.fields(kind) if f.name == "topic")

@@ -1,4 +1,4 @@
-"""Is the covariance honest from the first estimate on, where little was known at first?
+"""Is the covariance consistent from the first estimate on, where little was known at first?
 
 GNSS alone: the heading has to show in motion. Pose fixes 20 s apart: between two of them the error outgrows a linear model.
 """
@@ -62,8 +62,8 @@ def chosen(estimates: list[Estimate]) -> list[Estimate]:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_covariance_is_honest_from_the_first_estimate_on(name: str) -> None:
-    # GIVEN sensors as the filter believes them to be, and no estimate before it is aligned
+def test_the_covariance_is_consistent_from_the_first_estimate_on(name: str) -> None:
+    # GIVEN sensors as the filter models them, and no estimate before it is aligned
     runs, nees = flown(name)
     # THEN all but a few align, and once they do the errors of all runs are what the covariance says
     assert len(nees) >= SEEDS - 1

@@ -1,6 +1,6 @@
-"""Is the covariance honest? A small campaign: NEES over independent seeds, two-sided, before, during and after outages.
+"""Is the covariance consistent? A small campaign: NEES over independent seeds, two-sided, before, during and after outages.
 
-Seeds are fixed, so the outcome is too. The IMU shakes (white noise 15 x the data sheet, as the filter is told) and its biases are
+Seeds are fixed, so the outcome is too. The IMU shakes (white noise 15 x the data sheet, as configured) and its biases are
 small: the covariance is made of process noise, and an error of a factor of two in it shows.
 """
 
@@ -33,7 +33,7 @@ FLIGHTS: dict[str, Flight] = {
         lengths_s=(5.0, 10.0),
         aided_s=15.0,
         between_s=10.0,
-        told_noise=SHAKEN,
+        configured_noise=SHAKEN,
     )
     for name, vehicle in VEHICLES.items()
 }
@@ -45,7 +45,7 @@ def flown(name: str, process_scale: float = 1.0) -> Result:
 
 
 def beyond(cell: Consistency) -> int:
-    """-1: below its band (errors smaller than promised), 1: above, 0: inside."""
+    """-1: below its band (errors smaller than reported), 1: above, 0: inside."""
     low, high = chi2_band(cell.n * len(PARTS[cell.part]), PROBABILITY)
     scaled = cell.mean * cell.n * len(PARTS[cell.part])
     return int(scaled > high) - int(scaled < low)
@@ -53,13 +53,13 @@ def beyond(cell: Consistency) -> int:
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_nees_of_pose_velocity_and_state_stays_in_its_band(name: str) -> None:
-    # GIVEN sensors as the filter believes them to be, and outages of 5 and 10 s
+    # GIVEN sensors as the filter models them, and outages of 5 and 10 s
     result = flown(name)
     # THEN at every instant there is an estimate, and its covariance is what the errors of all seeds are
     assert result.missing == 0
     assert [cell for cell in result.consistency if beyond(cell)] == []
     assert sum(cell.inside for cell in result.consistency) >= 0.85 * len(result.consistency)
-    assert all(whole.honest for whole in result.wholes)
+    assert all(whole.consistent for whole in result.wholes)
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -87,8 +87,8 @@ def test_a_filter_with_wrong_process_noise_is_found_out(process_scale: float, si
     # GIVEN a filter whose process noise is half, or twice, the true one, and which does not measure the rest on its samples
     monkeypatch.setattr(sampling, "put", put_and_not_learn)
     result = flown("multirotor", process_scale)
-    # THEN cells leave their band, on the side that tells which it is
+    # THEN cells leave their band, on the side that shows the error
     found = [cell for cell in result.consistency if beyond(cell)]
     assert {beyond(cell) for cell in found} == {side}
     assert {"pose", "full"} <= {cell.part for cell in found}
-    assert all((whole.mean - 1.0) * side > 0.0 and not whole.honest for whole in result.wholes if whole.part != "velocity")
+    assert all((whole.mean - 1.0) * side > 0.0 and not whole.consistent for whole in result.wholes if whole.part != "velocity")

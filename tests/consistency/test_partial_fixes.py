@@ -1,7 +1,8 @@
-"""Is a filter honest that fuses fixes in part? One landmark point, seen from afar, leaves the attitude open; and the truth bends.
+"""Is a filter consistent that fuses fixes in part? One landmark point, seen from afar, leaves the attitude open; and the truth
+bends.
 
-Vision is played by its own equations: the joint optimum of prior and picture, linearised and told there. The picture is where the
-point is in body axes, which is exactly the same from every place on a sphere about it.
+Vision is played by its own equations: the joint optimum of prior and picture, linearised and reported there. The picture is where
+the point is in body axes, which is exactly the same from every place on a sphere about it.
 """
 
 from typing import NamedTuple
@@ -45,7 +46,7 @@ def _seen(x: Array) -> Array:
 
 
 def _look(z_b: Array, prior: Prior) -> LandmarkFix:
-    """What vision tells of a point seen at z_b: Gauss-Newton on prior and picture, then the picture alone."""
+    """What vision reports of a point seen at z_b: Gauss-Newton on prior and picture, then the picture alone."""
     x, information = prior.x.copy(), np.linalg.inv(prior.cov)
     for _ in range(20):
         R = so3.matrix(x[X.Q])
@@ -105,7 +106,7 @@ def _runs(sigma_m: float, sigma_rad: float, later: bool = False, bends: bool = T
 
 
 @pytest.mark.parametrize("later", [False, True])
-def test_a_point_is_fused_honestly_where_the_attitude_is_known(later: bool) -> None:
+def test_a_point_is_fused_consistently_where_the_attitude_is_known(later: bool) -> None:
     """Attitude 1 degree, position 3 m: the bend is below a centimetre. 99.9 % bands of 2400 and 1200 degrees of freedom."""
     pose, measured = _runs(3.0, np.radians(1.0), later).mean(axis=0)
     assert 0.90 < pose < 1.10
@@ -113,7 +114,7 @@ def test_a_point_is_fused_honestly_where_the_attitude_is_known(later: bool) -> N
 
 
 @pytest.mark.parametrize("later", [False, True])
-def test_a_point_is_fused_honestly_where_the_attitude_is_not(later: bool) -> None:
+def test_a_point_is_fused_consistently_where_the_attitude_is_not(later: bool) -> None:
     """Attitude 10 degrees: the sphere about the point bends by 0.6 m where 0.1 m is measured."""
     bent, flat = _runs(3.0, np.radians(10.0), later), _runs(3.0, np.radians(10.0), later, bends=False)
     assert flat[:, 1].mean() > 3.0

@@ -37,13 +37,13 @@ def _ardupilot(lat: float, lon: float, alt_m: float) -> Any:
     return mavlink.MAVLink_sim_state_message(*Q_NB.tolist(), *rest, round(lat * 1e7), round(lon * 1e7))
 
 
-@pytest.mark.parametrize(("name", "told"), [("px4", _px4), ("ardupilot", _ardupilot)])
-def test_a_simulators_truth_becomes_a_fix_about_the_origin(name: str, told: Any) -> None:
+@pytest.mark.parametrize(("name", "encode"), [("px4", _px4), ("ardupilot", _ardupilot)])
+def test_a_simulators_truth_becomes_a_fix_about_the_origin(name: str, encode: Any) -> None:
     config, script = load(EXAMPLES / f"{name}_sitl.toml"), runpy.run_path(str(SCRIPT))
     assert config.map.origin is not None
     lat, lon, height_m = Origin(*config.map.origin).to_geodetic(AT_N)
     rng = np.random.default_rng(0)
-    fixes = [script["fix"](told(lat, lon, height_m - config.map.geoid_m), config, 5, rng) for _ in range(400)]
+    fixes = [script["fix"](encode(lat, lon, height_m - config.map.geoid_m), config, 5, rng) for _ in range(400)]
     off = np.array([fix.p_n for fix in fixes]) - AT_N
     turn = np.array([so3.quat_log(so3.multiply(np.array(fix.q_nb_wxyz), so3.conjugate(Q_NB))) for fix in fixes])
     spread = np.hstack((off, turn)) / script["SIGMA"]

@@ -112,7 +112,7 @@ def test_everything_laid_out_is_a_panel_and_the_other_way_round() -> None:
     assert sorted(leaves(FOXGLOVE["layout"])) == sorted(PANELS)
 
 
-def test_the_3d_panel_draws_landmarks_and_pose_in_a_frame_that_tf_tells(types: dict[str, str], messages: Messages) -> None:
+def test_the_3d_panel_draws_landmarks_and_pose_in_a_frame_that_tf_reports(types: dict[str, str], messages: Messages) -> None:
     (panel,) = _panels("3D")
     assert {"/landfix/landmarks", "/landfix/odometry"} <= {topic for topic, s in panel["topics"].items() if s["visible"]}
     for topic in panel["topics"]:

@@ -1,4 +1,4 @@
-"""Fixes in part for the estimator's tests: what a landmark tells that is seen from afar."""
+"""Fixes in part for the estimator's tests: a landmark seen from afar."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ def not_measured(directions: Array) -> Array:
 
 
 def in_part(fix: PoseFix, directions: Array, off: Array, names: Sequence[str] = ("roof",)) -> LandmarkFix:
-    """A fix told along directions only; off (6 - r,): where it stands in the others, m."""
+    """A fix reported along directions only; off (6 - r,): where it stands in the others, m."""
     away = not_measured(directions).T @ off
     turned = so3.multiply(so3.quat_exp(away[3:]), np.array(fix.q_nb_wxyz))
     w, x, y, z = so3.normalise(turned).tolist()

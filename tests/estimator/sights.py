@@ -24,7 +24,7 @@ ALIGNED_S = 5.0
 
 
 class Village(NamedTuple):
-    """What vision believes, and pairs of pictures taken at PLACE, level, heading north."""
+    """The map and rig of vision, and pairs of pictures taken at PLACE, level, heading north."""
 
     rig: StereoRig
     map: LandmarkMap
@@ -40,7 +40,7 @@ def village() -> Village:
         t_ns = EPOCH_NS + round(seen_s * SECOND)
         left, right = render_pair(scene.world, scene.rig, np.array(PLACE), np.eye(3), Conditions(), rng)
         pairs.append((encode_picture(t_ns, left, "/left/image"), encode_picture(t_ns, right, "/right/image", jpeg_quality=95)))
-    return Village(scene.rig_believed, scene.map, tuple(pairs))
+    return Village(scene.rig_calibrated, scene.map, tuple(pairs))
 
 
 def write_flight(folder: Path) -> tuple[Path, Path]:

@@ -91,7 +91,7 @@ def test_a_torn_log_is_replayed_and_said_to_be_torn(flight: Path, tmp_path: Path
     assert "is torn; replayed up to its last whole record" in result.stderr
 
 
-def test_evaluate_tells_the_error_and_json_is_whole(estimate: Path) -> None:
+def test_evaluate_reports_the_error_and_json_is_whole(estimate: Path) -> None:
     assert "position" in run("evaluate", estimate).stdout
     evaluation = json.loads(run("evaluate", estimate, "--json").stdout)
     assert 0.0 < evaluation["accuracy"]["position_m"]["rmse"] < 3.0

@@ -47,8 +47,8 @@ def test_there_is_one_estimate_for_each_imu_sample_at_its_stamp(hovering: Run) -
 
 
 def test_each_measurement_is_reported_once_and_punctually(hovering: Run) -> None:
-    told = [s.t_ns for s in hovering.statuses]
-    assert len(told) == len(set(told)) == 15
+    reported = [s.t_ns for s in hovering.statuses]
+    assert len(reported) == len(set(reported)) == 15
     assert [s.revision for s in hovering.statuses] == [0] * 15
     last = hovering.statuses[-1]
     assert (last.topic, last.kind, last.reason, last.replayed) == ("/pose_fix", "pose", Reason.FUSED, 0)
@@ -127,9 +127,9 @@ def test_without_fixes_the_mode_is_dead_reckoning_and_sigma_grows_with_the_age()
     assert all(b.radius95_m > a.radius95_m for a, b in pairwise(after))
     assert after[-1].absolute_age_s == pytest.approx((after[-1].t_ns - lost_ns) * 1e-9)
     assert after[-1].radius95_m > 5.0 * after[0].radius95_m
-    told = [(h.t_ns - lost_ns, h.sources["/pose_fix"]) for h in after]
-    assert [phase for _, phase in told] == ["active" if silent_ns <= 5 * SECOND else "stopped" for silent_ns, _ in told]
-    assert "stopped" in dict(told).values()
+    reported = [(h.t_ns - lost_ns, h.sources["/pose_fix"]) for h in after]
+    assert [phase for _, phase in reported] == ["active" if silent_ns <= 5 * SECOND else "stopped" for silent_ns, _ in reported]
+    assert "stopped" in dict(reported).values()
 
 
 # --- the IMU is silent -----------------------------------------------------------------------------------------------------
@@ -193,7 +193,7 @@ def test_coasting_does_not_commit_what_the_imu_may_still_tell(dropout: Run) -> N
     assert len(dropout.estimates) > 100
 
 
-def test_a_gap_shorter_than_told_is_not_coasted() -> None:
+def test_a_gap_shorter_than_configured_is_not_coasted() -> None:
     messages = [m for m in hover(6.0) if not (isinstance(m, ImuSample) and _between(m, 3.0, 3.09))]
     ticks = [Tick(t, t) for t in range(EPOCH_NS, EPOCH_NS + 6 * SECOND, SECOND // 50)]
     run = Run(Fusion(FusionConfig(coast=Coast(gap_s=0.1)))).feed(by_arrival([*messages, *ticks]))
@@ -204,8 +204,8 @@ def test_a_gap_shorter_than_told_is_not_coasted() -> None:
 def test_a_topic_may_tell_its_common_error_with_some_fixes_only(first: bool) -> None:
     messages: list[Input] = []
     for k, m in enumerate(hover(8.0)):
-        tells = isinstance(m, PoseFix) and (k > 400) is first
-        messages.append(msgspec.structs.replace(m, covariance_common=np.eye(6) * 0.01) if tells else m)
+        shared = isinstance(m, PoseFix) and (k > 400) is first
+        messages.append(msgspec.structs.replace(m, covariance_common=np.eye(6) * 0.01) if shared else m)
     run = Run(Fusion(FusionConfig())).feed(messages)
     assert {s.reason for s in run.statuses} == {Reason.ALIGNING, Reason.FUSED}
 
@@ -213,7 +213,7 @@ def test_a_topic_may_tell_its_common_error_with_some_fixes_only(first: bool) -> 
 # --- resets ----------------------------------------------------------------------------------------------------------------
 
 
-def test_a_jump_is_told_with_its_size_and_counted() -> None:
+def test_a_jump_is_reported_with_its_size_and_counted() -> None:
     """Fixes say 8 m east for longer than the filter itself can be right."""
     messages = [
         displaced(m, (0.0, 8.0, 0.0)) if isinstance(m, PoseFix) and m.t_ns > EPOCH_NS + 10 * SECOND else m
@@ -234,7 +234,7 @@ def test_a_jump_is_told_with_its_size_and_counted() -> None:
     assert big.delta_p_n[1] == pytest.approx(8.0, abs=1.5)
 
 
-def test_a_jump_in_attitude_is_told_about_the_axes_of_n() -> None:
+def test_a_jump_in_attitude_is_reported_about_the_axes_of_n() -> None:
     """R_new = exp(delta_theta_n) R_old: fixes on a vehicle that lies on its side, nose up, turn about the vertical."""
     rest, turn_n = so3.from_euler(1.3, 0.6, 0.4), np.array([0.0, 0.0, 0.8])
     felt = vec3(so3.matrix(rest).T @ np.array([0.0, 0.0, -9.80665]))
@@ -278,12 +278,12 @@ def _beside(gnss: str = "", rest: str = "") -> Simulation:
     return simulated(BESIDE.format(gnss=gnss, rest=rest), seed=2)
 
 
-def test_the_last_known_gnss_is_told_with_its_age_and_a_radius_that_grows() -> None:
+def test_the_last_known_gnss_is_reported_with_its_age_and_a_radius_that_grows() -> None:
     simulation = _beside(gnss="outages_s = [[20.0, 45.0]]", rest="outages_s = [[20.0, 45.0]]")
     run = fly(simulation)
     last_fix = max((m for m in simulation.messages if isinstance(m, GnssFix)), key=lambda m: m.t_ns)
-    told = [h for h in run.health if h.t_ns > EPOCH_NS + 21 * SECOND]
-    for h in told:
+    reported = [h for h in run.health if h.t_ns > EPOCH_NS + 21 * SECOND]
+    for h in reported:
         assert h.last_gnss is not None
         assert (h.last_gnss.lat_deg, h.last_gnss.lon_deg, h.last_gnss.alt_m) == (
             last_fix.lat_deg,
@@ -292,20 +292,20 @@ def test_the_last_known_gnss_is_told_with_its_age_and_a_radius_that_grows() -> N
         )
         assert h.last_gnss.age_s == pytest.approx((h.t_ns - last_fix.t_ns) * 1e-9)
         assert h.mode is (Mode.AIDED if h.absolute_age_s <= 3.0 else Mode.DEAD_RECKONING)
-    radii = [h.last_gnss.sigma_m for h in told if h.last_gnss]
+    radii = [h.last_gnss.sigma_m for h in reported if h.last_gnss]
     assert all(b > a for a, b in pairwise(radii))
     speed = float(np.linalg.norm(simulation.truth.v_n[int(np.searchsorted(simulation.truth.t_ns, last_fix.t_ns))]))
-    assert (radii[-1] - radii[0]) / (told[-1].t_ns - told[0].t_ns) * 1e9 > 0.9 * speed
+    assert (radii[-1] - radii[0]) / (reported[-1].t_ns - reported[0].t_ns) * 1e9 > 0.9 * speed
     age_before = [h.last_gnss.age_s for h in run.health if h.last_gnss and h.t_ns < EPOCH_NS + 20 * SECOND]
     assert max(age_before) < 0.5
 
 
-def test_health_tells_the_biases_of_the_imu_as_the_estimate_has_them() -> None:
+def test_health_reports_the_biases_of_the_imu_as_the_estimate_has_them() -> None:
     run = fly(_beside())
     by_stamp = {e.t_ns: e for e in run.estimates}
-    told = [(h, by_stamp[h.t_ns]) for h in run.health if h.biases and h.t_ns in by_stamp]
-    assert len(told) > 10
-    for health, estimate in told[-3:]:
+    reported = [(h, by_stamp[h.t_ns]) for h in run.health if h.biases and h.t_ns in by_stamp]
+    assert len(reported) > 10
+    for health, estimate in reported[-3:]:
         sigma = np.sqrt(np.diag(estimate.covariance))
         for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
             assert [health.biases[f"{name}_{a}"] for a in "xyz"] == pytest.approx(estimate.nav[value].tolist(), abs=1e-4)

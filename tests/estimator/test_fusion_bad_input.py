@@ -261,14 +261,14 @@ anything: st.SearchStrategy[Input] = st.one_of(
 )
 
 
-def test_a_fix_that_tells_its_common_error_may_follow_those_that_do_not() -> None:
-    told = msgspec.structs.replace(pose_fix(EPOCH_NS + 4 * SECOND - 1, sigma_m=0.2), covariance_common=np.eye(6) * 1e-3)
-    run = Run(Fusion(CONFIG)).feed(by_arrival([*hover(4.0, rate_hz=50.0), told]))
+def test_a_fix_that_reports_its_common_error_may_follow_those_that_do_not() -> None:
+    with_common = msgspec.structs.replace(pose_fix(EPOCH_NS + 4 * SECOND - 1, sigma_m=0.2), covariance_common=np.eye(6) * 1e-3)
+    run = Run(Fusion(CONFIG)).feed(by_arrival([*hover(4.0, rate_hz=50.0), with_common]))
     assert not run.internal_errors()
     assert run.reasons("/pose_fix")[Reason.FUSED] > 3
 
 
-def test_a_landmark_may_be_told_with_other_errors_than_before() -> None:
+def test_a_landmark_may_be_reported_with_other_errors_than_before() -> None:
     def fix(t_ns: int, count: int) -> LandmarkFix:
         errors = 0.05 * np.eye(6)[None, :, :count]
         common = errors[0] @ errors[0].T

@@ -32,7 +32,7 @@ def test_a_step_of_the_stamping_clock_is_survived(by_ns: int) -> None:
     assert run.health[-1].t_ns > EPOCH_NS + 11 * SECOND + by_ns
     before = [e.reset_counter for e in run.estimates if e.arrived_ns < EPOCH_NS + 3 * SECOND]
     assert set(before) == {0}
-    assert {e.reset_counter for e in run.estimates[len(before) :]} == {1}  # who goes on from the last one is told
+    assert {e.reset_counter for e in run.estimates[len(before) :]} == {1}  # a reader that goes on from the last one sees it
     assert Reason.INTERNAL not in run.reasons("/imu")
 
 

@@ -20,8 +20,8 @@ with open("/proc/self/status") as status:
 def _threads(**given: str) -> int:
     unset = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     environment = unset | {"PYTHONPATH": str(Path(__file__).parents[2])} | given
-    told = subprocess.run([sys.executable, "-c", _CODE], env=environment, capture_output=True, text=True, check=True)
-    return int(told.stdout)
+    process = subprocess.run([sys.executable, "-c", _CODE], env=environment, capture_output=True, text=True, check=True)
+    return int(process.stdout)
 
 
 def test_one_thread_unless_somebody_wants_more() -> None:

@@ -32,7 +32,7 @@ outages_s = [[8.0, 25.0]]
 rate_hz = 1.0
 delay_s = 0.3
 outages_s = [[16.0, 22.0]]
-lies = [{ start_s = 13.5, end_s = 14.5, offset_n_m = [3.0, -2.0, 0.5] }]
+false_spans = [{ start_s = 13.5, end_s = 14.5, offset_n_m = [3.0, -2.0, 0.5] }]
 """
 _HEAD = f"# {REFRESH}\n# t_s  p_n[3] m  v_n[3] m/s  roll pitch yaw rad  sigma_p[3] m  sigma_theta[3] rad\n"
 

@@ -25,7 +25,7 @@ FIX_SIGMA, WALK = np.repeat([0.15, 0.1, 0.02], 3), np.repeat([0.3, 0.05, 0.004],
 
 @dataclass(frozen=True)
 class Flight:
-    """What goes into the log. error_scale: 1 is honest; outages in s."""
+    """What goes into the log. error_scale: 1 is consistent; outages in s."""
 
     duration_s: float = 120.0
     outages: tuple[tuple[float, float], ...] = ((20.0, 30.0), (60.0, 90.0))

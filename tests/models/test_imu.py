@@ -318,7 +318,7 @@ def test_coasting_in_parts_ends_where_coasting_in_one_go_does() -> None:
     np.testing.assert_allclose(np.linalg.norm(whole[X.V]), np.linalg.norm(parts[X.V]), rtol=1e-12)
 
 
-def test_a_gap_longer_than_told_is_coasted_and_a_shorter_one_is_not() -> None:
+def test_a_gap_longer_than_configured_is_coasted_and_a_shorter_one_is_not() -> None:
     def noise_of_gap(samples: int) -> float:
         t_ns, u = np.delete(AGILE.t_ns, np.s_[1:samples]), np.delete(AGILE.u, np.s_[1:samples], axis=0)
         _, cov = _propagate(Record(t_ns, u, AGILE.motion), AGILE.state(), np.eye(E.SIZE) * 1e-9, t_ns[:2].tolist())
@@ -338,7 +338,7 @@ def test_before_the_first_sample_the_state_coasts_straight_on() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_state_that_is_not_finite_is_told(bad: float) -> None:
+def test_a_state_that_is_not_finite_is_reported(bad: float) -> None:
     x, cov, c = AGILE.state(), _covariance(), imu.constants(NOISE, COAST, ORIGIN)
     x[X.V][0] = bad
     begin, end = AGILE.t_ns[:2].tolist()

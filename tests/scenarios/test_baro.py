@@ -42,7 +42,7 @@ def _barometer(simulation: Simulation) -> list[Input]:
 
 
 def _unaided(simulation: Simulation) -> list[Input]:
-    """The messages of the flight without what would have told the position during the outage."""
+    """The messages of the flight without what would have fixed the position during the outage."""
     begin, end = (EPOCH_NS + round(s * 1e9) for s in OUTAGE_S)
     return [m for m in simulation.messages if not (_is_aid(m) and begin <= m.t_ns < end)]
 

@@ -1,4 +1,4 @@
-"""The scenarios of examples/, flown by the estimator as an engineer would configure it: what each promises in its first lines.
+"""The scenarios of examples/, flown by the estimator as an engineer would configure it: what each documents in its first lines.
 
 Shortened where nothing more happens, and with half the IMU rate.
 """
@@ -56,7 +56,7 @@ def test_nothing_is_lost_and_nothing_is_nonsense(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["rare_fixes", "late_and_shuffled", "imu_dropout"])
 def test_the_covariance_holds_the_true_position(name: str) -> None:
-    # GIVEN an example in which nobody lies
+    # GIVEN an example without false measurements
     simulation, run = _flown(name, ALL[name])
     # THEN the 95 % ellipsoid of the position holds the truth about that often, from alignment to the end
     estimates = within(run.estimates, 5.0, ALL[name], every=50)
@@ -81,7 +81,7 @@ def test_rare_fixes_carry_the_flight_through_the_loss_of_gps_and_the_blackout() 
     # WHEN the fixes are back THEN so is the accuracy, at the second of them
     assert _errors(flown, 124.5, 130.0).max() < 1.2
     assert run.health[-1].mode is Mode.AIDED
-    # AND the last known GNSS is still told, with its age
+    # AND the last known GNSS is still reported, with its age
     assert run.health[-1].last_gnss is not None
     assert run.health[-1].last_gnss.age_s == pytest.approx((run.health[-1].t_ns - EPOCH_NS) * 1e-9 - 50.0, abs=0.3)
 

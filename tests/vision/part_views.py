@@ -54,8 +54,8 @@ def part_view(kind: str, seed: int, sigma: Array = SIGMA) -> Flight:
     outline, middle = _outline(kind, rng)
     height_m = rng.uniform(0.03, 0.08) * HEIGHT_M
     true = Landmark.of("0", (outline + middle) @ turn, 0.0, height_m, COLOURS[0])
-    told = polygon(12, np.pi * _ROUND**2) if kind == "round" else outline
-    mark = Landmark.of("0", (told + middle) @ turn, 0.0, height_m, COLOURS[0])
+    drawn = polygon(12, np.pi * _ROUND**2) if kind == "round" else outline
+    mark = Landmark.of("0", (drawn + middle) @ turn, 0.0, height_m, COLOURS[0])
     world = World((true,), (Look(COLOURS[0]),), (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
     roll, pitch = rng.normal(0.0, 0.05, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, yaw))

@@ -1,4 +1,4 @@
-"""Which recogniser looks, and what it takes to be believed."""
+"""Which recogniser runs, and when its result is accepted."""
 
 import msgspec
 import numpy as np
@@ -132,8 +132,8 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapPicture, 
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
 
 
-def test_a_prior_that_excludes_the_place_is_believed(known: MapPicture) -> None:
-    """Heading known to 2 degrees and 40 off: features still match, and the pose is not believed."""
+def test_a_prior_that_excludes_the_place_is_accepted(known: MapPicture) -> None:
+    """Heading known to 2 degrees and 40 off: features still match, and the pose is rejected."""
     _, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.03]))
     turned = so3.multiply(so3.from_euler(0.0, 0.0, 0.7), prior.q_nb_wxyz)
     result = Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, Prior(prior.p_n, turned, prior.covariance))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from vision.describe.segment import Labels
 
 Table = NDArray[np.int64]  # one row per component: label, u0, v0, width, height, pixels
-Runs = NDArray[np.int32]  # one row per run of equal labels in a picture row: row, first column, one past the last column
+Runs = NDArray[np.int32]  # one row per run of equal labels in an image row: row, first column, one past the last column
 
 
 def components(labels: Labels, least_px: int = 1, largest_px: int = 2**31 - 1) -> tuple[Table, Runs, NDArray[np.int32]]:

@@ -70,7 +70,7 @@ def template(mask: NDArray[np.bool_], u0: int, v0: int, level: int, rim: int) ->
 def scan(left: Image, right: Image, pixels: Pixels, low: int, high: int, dv: int) -> Array:
     """R(d) for d = low..high: correlation coefficient of left(u, v) and right(u - d, v + dv) over the pixels (eq. 4.80).
 
-    -1 where more than a quarter of the pixels fall outside a picture, or nothing varies.
+    -1 where more than a quarter of the pixels fall outside an image, or nothing varies.
     """
     scores = np.full(high - low + 1, -1.0)
     for k in range(high - low + 1):
@@ -119,9 +119,9 @@ def cells(
         sum j (I_r(u - d_i - p (u - u_i) - q (v - v_i), v + dv) - g I_l(u, v) - o) = 0,   j = dI_l / du
 
     plane = (c, p, q, u_c, v_c): the disparity c + p (u - u_c) + q (v - v_c) to begin with. corner (u, v): of the mask's first
-    pixel; size: of a cell, px; g: gain between the pictures; floor: least noise, levels. The gradient is the left picture's
+    pixel; size: of a cell, px; g: gain between the images; floor: least noise, levels. The gradient is the left image's
     (Sobel): the right one's is made of the same interpolated noise as the values are, and would pull every disparity towards
-    half pixels. A cell's disparity belongs to the place where its information lies; its sigma allows for noise that is
+    half pixels. A cell's disparity belongs to the centroid of its information; its sigma allows for noise that is
     correlated from pixel to pixel, as the rectification's interpolation leaves it.
     """
     height, width = left.shape
@@ -191,7 +191,7 @@ def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found:
             remainder[i] = y - cell[i, 2]
             slope -= j[i] * derivative
             error += j[i] * remainder[i]
-        if slope < 0.3 * squares:  # the gradients of the two pictures do not even resemble each other
+        if slope < 0.3 * squares:  # the gradients of the two images do not even resemble each other
             return False
         step = -error / slope
         shift += step

@@ -1,11 +1,11 @@
-"""Correspondence: where each region of the left picture stands in the right one (thesis sections 4.3.2, 4.5 and 5.4).
+"""Correspondence: where each region of the left image stands in the right one (thesis sections 4.3.2, 4.5 and 5.4).
 
-    coarse   Sobel edges of a reduced picture, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
+    coarse   Sobel edges of a reduced image, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
              only the region's own pixels and a rim, then back from right to left: the two must agree
     fine     the region in cells; each cell's disparity maximises the same coefficient to a fraction of a pixel, by
              Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says how sure it is
 
-Both pictures are rectified and grey, uint8 or uint16.
+Both images are rectified and grey, uint8 or uint16.
 """
 
 from collections.abc import Sequence
@@ -37,14 +37,14 @@ class Search:
     vertical_px: int = 6  # how far from its row a match is sought, to notice that rows do not fit
     template_px: int = 350  # pixels of a template at the coarse level
     cells: int = 24  # of a region, about
-    slope_tangent: float = 0.3  # sigma of the surfaces' tilt against the picture plane, tan
+    slope_tangent: float = 0.3  # sigma of the surfaces' tilt against the image plane, tan
     noise_floor: float = 0.7  # levels: 8-bit quantisation and a little more
     rim_sigma_px: float = 0.08  # what the ground beside a region does to the disparity of a cell at its edge
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A region found in the right picture. disparity = u_l - u_r.
+    """A region found in the right image. disparity = u_l - u_r.
 
     points (M, 2), disparities (M,), sigmas (M,)   the cells [px]
     plane          the disparity plane through them
@@ -64,7 +64,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Unmatched:
-    """A region not found in the right picture, and why; behind: found, but on the side where only swapped pictures have it."""
+    """A region not found in the right image, and why; behind: found, but on the side where only swapped images have it."""
 
     region: Region
     reason: str
@@ -74,7 +74,7 @@ class Unmatched:
 def correspond(
     left: Image, right: Image, regions: Sequence[Region], rig: StereoRig, search: Search | None = None
 ) -> list[Match | Unmatched]:
-    """One Match or Unmatched per region, in order. left, right: rectified grey pictures; rig: the rectified rig."""
+    """One Match or Unmatched per region, in order. left, right: rectified grey images; rig: the rectified rig."""
     search = search or Search()
     pair = _Pyramid(left, right)
     return [_match(pair, region, rig, search) for region in regions]
@@ -86,7 +86,7 @@ def disparity_offset(rig: StereoRig) -> float:
 
 
 class _Pyramid:
-    """Both pictures, halved again and again, and their edges, each made when first asked for."""
+    """Both images, halved again and again, and their edges, each made when first asked for."""
 
     def __init__(self, left: Image, right: Image) -> None:
         self._grey = [(np.ascontiguousarray(left), np.ascontiguousarray(right))]
@@ -201,13 +201,13 @@ def _cells(
     left, right = pair.grey(0)
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)
     size = max(int(np.sqrt(mask.sum() / search.cells)), 8)
-    believed = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
+    slope_sigma = search.slope_tangent * max(disparity - disparity_offset(rig), 1.0) / rig.left.fx
     plane = DisparityPlane(np.zeros(2), np.array([disparity, 0.0, 0.0]), np.eye(3), 1.0, 0)
     for _ in range(2):
         guess = np.concatenate((plane.coefficients, plane.origin))
         cells, step, information = correlation.cells(left, right, mask, corner, size, guess, vertical, gain, search.noise_floor)
         sigmas = np.hypot(cells[:, 3], blur)
-        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), believed)
+        fitted = fit_plane(cells[:, :2], cells[:, 2], sigmas, np.zeros(2), slope_sigma)
         if fitted is None:
             return Unmatched(region, "no texture that could be matched")
         plane = fitted

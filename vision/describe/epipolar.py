@@ -1,7 +1,7 @@
-"""Do the two pictures fit each other? The vertical residual of matched regions, and of matched edges where there are no regions.
+"""Do the two images fit each other? The vertical residual of matched regions, and of matched edges where there are no regions.
 
 In a rectified pair v_l = v_r. What is left says that the calibration is wrong, or that the two shutters did not open together.
-A wrong calibration along the rows makes wrong distances and cannot be seen; where the rows are wrong too, they are not believed.
+A wrong calibration along the rows makes wrong distances and cannot be seen; where the rows are wrong too, they are not used.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ def region_residual(matches: Sequence[Match | Unmatched]) -> Residual | None:
 def edge_residual(
     left: Image, right: Image, rig: StereoRig, nearest_m: float = 4.0, vertical_px: int = 8, corners: int = _CORNERS
 ) -> Residual | None:
-    """From the strongest corners of rectified grey pictures, sought up to vertical_px above and below their row.
+    """From the strongest corners of rectified grey images, sought up to vertical_px above and below their row.
 
     None where fewer than eight are found again. Slower than the regions (some 0.2 s), for tools and for a pair in doubt.
     """
@@ -66,7 +66,7 @@ def edge_residual(
 
 
 def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None) -> str | None:
-    """Why what the pair says of distances is not to be believed: swapped, or rows that do not fit; None if it is."""
+    """Why distances from the pair are invalid: swapped, or rows that do not fit; None if it is."""
     behind = sum(isinstance(m, Unmatched) and m.behind for m in matches)
     found = sum(isinstance(m, Match) for m in matches)
     misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)
@@ -75,7 +75,7 @@ def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None)
     if residual is not None and misfit:
         return (
             f"rows do not fit by {residual.vertical_px:+.1f} +- {residual.sigma_px:.1f} px: "
-            "wrong calibration, or pictures not taken together"
+            "wrong calibration, or images not taken together"
         )
     return None
 

@@ -5,7 +5,7 @@
     fill ratio = size / (width length)                                                         (thesis section 5.4)
 
 What is uncertain: the plane (from the scatter of the cells, and a part that no scatter shows), each side of the outline, all
-sides together (a picture too sharp or too blurred), the rig. Each is moved a little, and what moves with it is the covariance.
+sides together (an image too sharp or too blurred), the rig. Each is moved a little, and what moves with it is the covariance.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _CORRELATED_PX = 4.0  # along an edge: its points err together over so far
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """What the pictures' scatter does not show, and how far it is worth measuring."""
+    """What the images' scatter does not show, and how far it is worth measuring."""
 
     disparity_px: float = 0.03  # of a region as a whole: interpolation, edges that hide what is behind them
     edge_px: float = 0.05  # of a side of an outline

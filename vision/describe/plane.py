@@ -13,7 +13,7 @@ import numpy as np
 from models.messages import Array
 
 _TUKEY = 4.685  # sigmas beyond which a point counts nothing (95 % efficiency)
-_PRIOR_DOF = 4.0  # how many points' worth of belief the stated sigmas get against the scatter found
+_PRIOR_DOF = 4.0  # degrees of freedom of the stated sigmas against the scatter found
 _ROUNDS = 8
 
 
@@ -35,7 +35,7 @@ class DisparityPlane:
 def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, slope_sigma: float) -> DisparityPlane | None:
     """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2); Tukey's biweight, scale from the residuals.
 
-    slope (2,), slope_sigma: what is believed of (p, q) beforehand [px/px]; at a distance a region's own pixels say nothing about
+    slope (2,), slope_sigma: prior of (p, q) [px/px]; at a distance a region's own pixels say nothing about
     its tilt. The sigmas are multiplied by the scatter found, as far as the points are many enough to know it better:
     s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3). None without points.
     """
@@ -54,15 +54,15 @@ def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) ->
     order = np.argsort(d, kind="stable")
     cumulated = np.cumsum((1.0 / sigma**2)[order])
     x = np.array([d[order[min(np.searchsorted(cumulated, 0.5 * cumulated[-1]), len(d) - 1)]], *slope])
-    belief = np.array([1e-12, slope_sigma**-2, slope_sigma**-2])
+    weight_of_prior = np.array([1e-12, slope_sigma**-2, slope_sigma**-2])
     scale, rows = 1.0, np.column_stack((np.ones(len(d)), uv))
     for _ in range(_ROUNDS):
         residual = (d - rows @ x) / sigma
         ratio = residual / (_TUKEY * max(1.4826 * float(np.median(np.abs(residual))), 1.0))
         robust = np.where(np.abs(ratio) < 1.0, (1.0 - ratio * ratio) ** 2, 0.0)
         weighted = rows.T * (robust / (sigma * sigma * scale))
-        normal = np.diag(belief) + weighted @ rows
-        x = np.linalg.solve(normal, belief * (x[0], *slope) + weighted @ d)
+        normal = np.diag(weight_of_prior) + weighted @ rows
+        x = np.linalg.solve(normal, weight_of_prior * (x[0], *slope) + weighted @ d)
         residual = (d - rows @ x) / sigma
         scale = float((_PRIOR_DOF + (robust * residual**2).sum()) / (_PRIOR_DOF + max(robust.sum() - 3.0, 0.0)))
     return (

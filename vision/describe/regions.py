@@ -1,6 +1,6 @@
 """From labels to regions: connected components, small ones removed, their outlines to a fraction of a pixel.
 
-The outline of a component stands where its pixels end; the true edge lies within a pixel or two of it, where the picture changes
+The outline of a component stands where its pixels end; the true edge lies within a pixel or two of it, where the image changes
 fastest across it. There each outline point is put (thesis section 5.3; the edge as in section 4.3, to a fraction of a pixel).
 """
 
@@ -27,15 +27,15 @@ _POINTS = 400  # of a contour at most; a longer one is thinned out
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One connected region of the left picture (rectified, if the pictures are); pixel centres at integer (u, v).
+    """One connected region of the left image (rectified, if the images are); pixel centres at integer (u, v).
 
-    contour         (N, 2) closed outline, sub-pixel, anticlockwise as seen in the picture, first point not repeated
+    contour         (N, 2) closed outline, sub-pixel, anticlockwise as seen in the image, first point not repeated
     corners         (K, 2) corners of the polygon whose sides were fitted to the contour, same sense; None: not a polygon
     area_px         area inside the contour, px^2
     bbox            (u0, v0, width, height) of the mask, px
     mask            (height, width) bool, the region's pixels inside bbox
-    touches_border  whether the picture cuts it off: its sizes are lower bounds
-    colour_bgr      mean colour of the inside, 0..255 (three equal numbers for a grey picture)
+    touches_border  whether the image cuts it off: its sizes are lower bounds
+    colour_bgr      mean colour of the inside, 0..255 (three equal numbers for a grey image)
     edge_sigma_px   standard deviation of the contour's points across the edge, px
     label           which colour class of the segmentation it belongs to
     """
@@ -58,7 +58,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Which components become regions: of the largest `most` those neither too small nor too large a part of the picture."""
+    """Which components become regions: of the largest `most` those neither too small nor too large a part of the image."""
 
     least_px: int = 60
     least_side_px: int = 6  # of the bounding box
@@ -68,10 +68,10 @@ class Limits:
 
 
 def find_regions(image: Image, labels: Labels, limits: Limits | None = None, valid: Mask | None = None) -> list[Region]:
-    """The regions of a labelled picture, largest first.
+    """The regions of a labelled image, largest first.
 
     image (H, W) or (H, W, 3) uint8, the one that was segmented or a sharper one; labels (H, W), 0 = nothing; valid: 0 where a
-    rectified picture shows nothing, so that a region beside it counts as cut off.
+    rectified image shows nothing, so that a region beside it counts as cut off.
     """
     limits = limits or Limits()
     if limits.clean_window:
@@ -93,7 +93,7 @@ def find_regions(image: Image, labels: Labels, limits: Limits | None = None, val
 
 
 def _cut_off(bbox: tuple[int, int, int, int], shape: tuple[int, ...], valid: Mask | None) -> bool:
-    """Whether the picture, or what of it shows anything, ends beside the box."""
+    """Whether the image, or what of it shows anything, ends beside the box."""
     u0, v0, width, height = bbox
     if u0 <= 1 or v0 <= 1 or u0 + width >= shape[1] - 1 or v0 + height >= shape[0] - 1:
         return True
@@ -121,7 +121,7 @@ def _region(image: Image, mask: NDArray[np.uint8], bbox: tuple[int, int, int, in
 def sharpen(image: Image, outline: Array) -> tuple[Array, float]:
     """Each point of an outline (N, 2), moved along the outline's normal to the steepest change of colour; its sigma [px].
 
-    outline: the pixels' centres just inside the edge, anticlockwise as seen in the picture. The change is taken along the
+    outline: the pixels' centres just inside the edge, anticlockwise as seen in the image. The change is taken along the
     difference between the colours inside and outside, so a region as bright as its surroundings but of another colour has an
     edge too. The sigma is what the points scatter about their neighbours' line.
     """
@@ -131,7 +131,7 @@ def sharpen(image: Image, outline: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _normals(outline: Array) -> Array:
-    """Unit normals (N, 2) to the outside of a closed outline that runs anticlockwise as seen in the picture (v down)."""
+    """Unit normals (N, 2) to the outside of a closed outline that runs anticlockwise as seen in the image (v down)."""
     n = outline.shape[0]
     normals = np.empty_like(outline)
     for i in range(n):
@@ -160,7 +160,7 @@ def _scatter(outline: Array) -> float:
 
 @njit(cache=True)
 def _area(outline: Array) -> float:
-    """Area inside a closed outline, positive if it runs anticlockwise as seen in the picture (v down)."""
+    """Area inside a closed outline, positive if it runs anticlockwise as seen in the image (v down)."""
     twice, n = 0.0, outline.shape[0]
     for i in range(n):
         a, b = outline[i - 1], outline[i]

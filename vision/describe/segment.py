@@ -70,7 +70,7 @@ class Seeds:
 class Intensity:
     """What segmentation by intensity asks of a pixel."""
 
-    sigmas: float = 1.5  # from the level around, in robust standard deviations of the picture about it
+    sigmas: float = 1.5  # from the level around, in robust standard deviations of the image about it
     least: float = 6.0  # levels of 256: less is noise
     window: float = 1.0 / 3.0  # of the shorter side: what is larger is not a thing but ground
 
@@ -118,14 +118,14 @@ def colour_table(
 
 
 def segment_colours(image: Image, table: Labels) -> Labels:
-    """The class of every pixel of a BGR or grey picture (uint8)."""
+    """The class of every pixel of a BGR or grey image (uint8)."""
     return _look_up(image, table) if image.ndim == 3 else np.asarray(cv2.LUT(image, _grey_diagonal(table)), dtype=np.uint8)
 
 
 def segment_seeds(image: Image, space: Space = "hsv", seeds: Seeds | None = None) -> Labels:
-    """Seed segmentation (thesis section 4.5.3): classes are what lies between the valleys of the picture's own histograms.
+    """Seed segmentation (thesis section 4.5.3): classes are what lies between the valleys of the image's own histograms.
 
-    Pixels with a hue are divided by hue, the others by lightness; a grey picture by lightness alone. uint8.
+    Pixels with a hue are divided by hue, the others by lightness; a grey image by lightness alone. uint8.
     """
     seeds = seeds or Seeds()
     codes = _look_up(image, _codes(space, seeds)) if image.ndim == 3 else _LIGHT + (image >> 2)
@@ -143,7 +143,7 @@ def segment_intensity(image: NDArray[np.uint8], intensity: Intensity | None = No
         |f - b| > t,    b = median over a window,    t = max(sigmas 1.4826 median |f - b|, least)
 
     For pictures (H, W) whose polarity nobody knows: at night a roof is colder than the ground it stands on or, heated, warmer;
-    and the ground itself is warm here and cold there, so no threshold serves the whole picture.
+    and the ground itself is warm here and cold there, so no threshold serves the whole image.
     """
     i = intensity or Intensity()
     small = cv2.resize(image, None, fx=1.0 / _REDUCED, fy=1.0 / _REDUCED, interpolation=cv2.INTER_AREA)

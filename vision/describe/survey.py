@@ -43,7 +43,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """left: the rectified left picture, 8 bit. problem: why the distances are not to be believed, None if they are."""
+    """left: the rectified left image, 8 bit. problem: why the distances are invalid, None if they are valid."""
 
     left: Image
     measured: tuple[Measured, ...]
@@ -57,12 +57,12 @@ def survey(left: Image, right: Image, rectification: Rectification, settings: Se
     settings = settings or Settings()
     for name, image in (("left", left), ("right", right)):
         if flaw := check.picture_flaw(image):
-            return f"{name} picture: {flaw}"
+            return f"{name} image: {flaw}"
     if flaw := check.pair_flaw(left, right):
         return flaw
     size = (rectification.rig.left.width, rectification.rig.left.height)
     if left.shape[1::-1] != size:
-        return f"pictures are {left.shape[1]} x {left.shape[0]}, the rig's cameras {size[0]} x {size[1]}"
+        return f"images are {left.shape[1]} x {left.shape[0]}, the rig's cameras {size[0]} x {size[1]}"
     seen, other = rectify(to_8_bit(left), rectification.left), rectify(grey(to_8_bit(right)), rectification.right)
     regions = segment_regions(seen, rectification.left.valid if rectification.left else None, settings)
     matches = correspond(grey(seen), other, regions, rectification.rig, settings.search)
@@ -80,7 +80,7 @@ def _measured(match: Match | Unmatched, rectification: Rectification, settings: 
 
 
 def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> list[Region]:
-    """Regions of one rectified 8-bit picture. One of one channel has no colours to look for: what is darker or brighter."""
+    """Regions of one rectified 8-bit image. One of one channel has no colours to look for: what is darker or brighter."""
     image = grey(image) if settings.space == "grey" else image
     smooth = enhance.median(image, settings.median_window) if settings.median_window else image
     if image.ndim == 2:
@@ -93,7 +93,7 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
 
 
 def to_8_bit(image: Image) -> Image:
-    """16-bit pictures stretched over what they use of their range (thesis eq. 4.60); 8-bit ones as they are.
+    """16-bit images stretched over what they use of their range (thesis eq. 4.60); 8-bit ones as they are.
 
     One part in a hundred at either end does not count: a fire or the sky would leave all else a few levels.
     """

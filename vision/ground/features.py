@@ -1,6 +1,6 @@
 """Position by features of a georeferenced picture: SIFT and FLANN, and a pose that explains the matches.
 
-    keypoints of both pictures (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
+    keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
 It needs no good prior, only one that says which part of the map to look at. It fails where light or season have changed what the
 ground looks like: then vision/ground/registration.py.
@@ -29,8 +29,8 @@ _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4
 _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
 _REACH_SIGMA: Final = 4.0
-_FEATURE_PX = 0.5  # of a keypoint's place in its picture
-_DOUBLED_PX = 0.25  # OpenCV seeks in the doubled picture and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
+_FEATURE_PX = 0.5  # of a keypoint's place in its image
+_DOUBLED_PX = 0.25  # OpenCV seeks in the doubled image and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
 _FEWEST = 8  # inliers that are worth fitting a pose to
 _POINTS = PointConfig(least=_FEWEST, freedom=8.0, expected=1.0)
 _GATE = 13.8  # chi-square of 2, 99.9 %
@@ -39,14 +39,14 @@ _GATE = 13.8  # chi-square of 2, 99.9 %
 class FeatureConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Lowe's ratio and RANSAC's distance are the usual ones; a fix takes more inliers than the usual 10."""
 
-    most: Annotated[int, Meta(ge=50, description="keypoints of a camera's picture")] = 1500
-    most_in_map: Annotated[int, Meta(ge=50, description="keypoints of the map's picture")] = 60_000
-    longest_map: Annotated[int, Meta(ge=256, description="px: a larger map picture is halved before keypoints are sought")] = 5000
+    most: Annotated[int, Meta(ge=50, description="keypoints of a camera's image")] = 1500
+    most_in_map: Annotated[int, Meta(ge=50, description="keypoints of the map's image")] = 60_000
+    longest_map: Annotated[int, Meta(ge=256, description="px: a larger map image is halved before keypoints are sought")] = 5000
     ratio: Annotated[float, Meta(gt=0, lt=1, description="of nearest to second descriptor distance")] = 0.75
     inlier_px: Annotated[float, Meta(gt=0, description="reprojection error of an inlier")] = 3.0
     least: Annotated[int, Meta(ge=6, description="inliers that make a fix")] = 16
     least_share: Annotated[float, Meta(ge=0, le=1, description="of the matches that are inliers")] = 0.15
-    least_spread: Annotated[float, Meta(ge=0, le=1, description="of the picture's area within the inliers' hull")] = 0.05
+    least_spread: Annotated[float, Meta(ge=0, le=1, description="of the image's area within the inliers' hull")] = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class FeatureMap:
 
     @classmethod
     def of(cls, picture: GroundPicture, config: FeatureConfig | None = None) -> "FeatureMap":
-        """The keypoints of a picture; takes about a second for each million pixels."""
+        """The keypoints of an image; takes about a second for each million pixels."""
         config = config or FeatureConfig()
         level = 0
         while level < len(picture.pyramid) - 1 and max(picture.pyramid[level].shape) > config.longest_map:
@@ -93,7 +93,7 @@ class Recognised:
 def recognise(
     rig: StereoRig, image: Image, prior: Prior, known: FeatureMap, config: FeatureConfig | None = None
 ) -> Recognised | NotRecognised:
-    """Where the left camera of the rig took the image. The same pictures give the same answer, to the bit."""
+    """Where the left camera of the rig took the image. The same images give the same answer, to the bit."""
     config = config or FeatureConfig()
     picture = known.picture
     camera = rig.left, *rig.camera_pose(prior.p_n, prior.R_nb)
@@ -108,7 +108,7 @@ def recognise(
         return NotRecognised("no_features", f"{len(rows)} in the map about there")
     px, descriptors = _keypoints(levels[level], config.most)
     if len(px) < config.least:
-        return NotRecognised("no_features", f"{len(px)} in the picture")
+        return NotRecognised("no_features", f"{len(px)} in the image")
     mine, theirs = _matches(descriptors, known.descriptors[rows], config.ratio)
     if len(mine) < config.least:
         return NotRecognised("few_matches", f"{len(mine)} of {len(px)} features")
@@ -130,12 +130,12 @@ def recognise(
 
 
 def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config: FeatureConfig) -> Recognised | NotRecognised:
-    """Enough of the matches, over enough of the picture?"""
+    """Enough of the matches, over enough of the image?"""
     inliers = int(fit.used.sum())
     hull = cv2.convexHull(points.px[fit.used].astype(np.float32))
     spread = float(cv2.contourArea(hull)) / (rig.left.width * rig.left.height)
     if inliers < max(config.least, config.least_share * matched) or spread < config.least_spread:
-        return NotRecognised("few_inliers", f"{inliers} of {matched} matches, on {spread:.0%} of the picture")
+        return NotRecognised("few_inliers", f"{inliers} of {matched} matches, on {spread:.0%} of the image")
     return Recognised(fit.estimate, matched, inliers)
 
 

@@ -1,4 +1,4 @@
-"""A georeferenced picture of the ground, an orthophoto or a satellite picture: the map where it holds a picture.
+"""A georeferenced image of the ground, an orthophoto or a satellite picture: the map where it holds an image.
 
 (north, east) = A (u, v, 1): place [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
 """
@@ -15,7 +15,7 @@ from vision.describe.survey import grey, to_8_bit
 from vision.image.rectify import Image
 
 Float = NDArray[np.float32]
-_LEAST_LEVEL_PX = 32  # of a pyramid's coarsest picture
+_LEAST_LEVEL_PX = 32  # of a pyramid's coarsest image
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
-    """image (H, W[, 3]), affine (2, 3), heights; and what its georeference may be wrong by, one error for the whole picture.
+    """image (H, W[, 3]), affine (2, 3), heights; and what its georeference may be wrong by, one error for the whole image.
 
     sigma_m: horizontally, per axis; height_sigma_m: of the ground's height. Raises ValueError where the affine has no inverse.
     """
@@ -77,7 +77,7 @@ class GroundPicture:
 
     @cached_property
     def pyramid(self) -> tuple[Image, ...]:
-        """The picture in grey, and halved again and again."""
+        """The image in grey, and halved again and again."""
         return pyramid(self.image)
 
     def to_pixels(self, place_n: Array) -> Array:
@@ -89,7 +89,7 @@ class GroundPicture:
         return np.column_stack((place_n, self.heights.at(place_n)))
 
     def contains(self, place_n: Array) -> NDArray[np.bool_]:
-        """Which places (N, 2) the picture shows."""
+        """Which places (N, 2) the image shows."""
         px, (height, width) = self.to_pixels(place_n), self.image.shape[:2]
         inside: NDArray[np.bool_] = np.all((px >= 0.0) & (px <= (width - 1.0, height - 1.0)), axis=1)
         return inside
@@ -102,7 +102,7 @@ def to_pixels(affine: Array, place_n: Array) -> Array:
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
-    """A picture in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    """A image in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
     levels = [grey(to_8_bit(image))]
     while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
         levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))

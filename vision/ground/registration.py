@@ -1,9 +1,9 @@
-"""Position by laying the camera's picture onto a satellite picture or an orthophoto, with the filter's prior.
+"""Position by laying the camera's image onto a satellite image or an orthophoto, with the filter's prior.
 
 The thesis' own matcher, Sobel's magnitude (eq. 4.62-4.64) and the normalised correlation coefficient (eq. 4.80), turned on the
 map. Edges stay where brightness and colours change with season and light.
 
-    coarse   the camera's picture as seen from straight above, by the prior's attitude and height, is shifted over the map within
+    coarse   the camera's image as seen from straight above, by the prior's attitude and height, is shifted over the map within
              reach_sigma of the prior's covariance, turned and stretched as far as that leaves heading and height open
     blocks   from the best place its blocks are shifted one by one, to a fraction of a pixel, twice, then finer: each is a point
              of the map whose pixel is known, with the covariance that the peak's curvature and height give
@@ -12,7 +12,7 @@ map. Edges stay where brightness and colours change with season and light.
 
     pose     of these points and the prior (point_pose.py)
     no       unless one place stands out of all (peak to second peak), and so many blocks agree on one pose that chance does not
-             explain it. A place that is only likely waits for the next picture to say the same (recognisers.py)
+             explain it. A place that is only likely waits for the next image to say the same (recognisers.py)
 """
 
 import math
@@ -50,19 +50,19 @@ _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 
 class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far and how finely the map is searched, and what is believed."""
+    """How far and how finely the map is searched, and what is accepted."""
 
     reach_sigma: Annotated[float, Meta(gt=0, le=5, description="standard deviations of the prior that are searched")] = 3.0
-    coarse: Annotated[int, Meta(ge=64, description="points along the picture in the search; it reaches so many each way")] = 128
+    coarse: Annotated[int, Meta(ge=64, description="points along the image in the search; it reaches so many each way")] = 128
     most_turns: Annotated[int, Meta(ge=1, description="headings times heights that are tried")] = 81
-    fine: tuple[int, ...] = (256, 448)  # points along the picture when blocks are shifted
+    fine: tuple[int, ...] = (256, 448)  # points along the image when blocks are shifted
     search: tuple[int, ...] = (8, 5)  # points that a block is shifted, each way
     block: Annotated[int, Meta(ge=16, description="points to a block's side")] = 40
     least_blocks: Annotated[int, Meta(ge=6, description="that agree")] = 8
     sure: Annotated[float, Meta(gt=0, lt=1, description="probability of as many agreeing blocks by chance: a fix")] = 1e-6
-    likely: Annotated[float, Meta(gt=0, lt=1, description="a fix if the next picture says the same")] = 1e-4
+    likely: Annotated[float, Meta(gt=0, lt=1, description="a fix if the next image says the same")] = 1e-4
     sure_ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second: a fix")] = 1.25
-    likely_ratio: Annotated[float, Meta(ge=1, description="a fix if the next picture says the same")] = 1.08
+    likely_ratio: Annotated[float, Meta(ge=1, description="a fix if the next image says the same")] = 1.08
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +118,11 @@ class Registered:
         return self.peak.correlation
 
     def is_sure(self, config: RegistrationConfig) -> bool:
-        """Whether one picture is enough."""
+        """Whether one image is enough."""
         return self.chance < config.sure and self.ratio >= config.sure_ratio
 
     def is_likely(self, config: RegistrationConfig) -> bool:
-        """Whether two pictures that say the same are."""
+        """Whether two images that say the same are."""
         return self.chance < config.likely and self.ratio >= config.likely_ratio
 
 
@@ -188,7 +188,7 @@ def shift_of_ground(arm_n: Array) -> Array:
 def _search(
     rig: StereoRig, levels: tuple[Image, ...], prior: Prior, picture: GroundPicture, config: RegistrationConfig
 ) -> Peak | NotRegistered:
-    """The place, heading and height where the picture's structure is most like the map's."""
+    """The place, heading and height where the image's structure is most like the map's."""
     camera: Camera = (rig.left, *rig.camera_pose(prior.p_n, prior.R_nb))
     grid = make_grid(camera, picture, config.coarse)
     if grid is None:
@@ -208,10 +208,10 @@ def _search(
     mask = cv2.erode(seen.astype(np.float32), np.ones((5, 5)), borderValue=1.0).astype(np.float32)
     known = map_view(picture, grid, reach)[1]
     if mask.mean() < 0.2 or known.mean() < 0.5:
-        return NotRegistered("outside", f"the map's picture shows {known.mean():.0%} of where the camera may look")
+        return NotRegistered("outside", f"the map's image shows {known.mean():.0%} of where the camera may look")
     template = structure(view)
     if not template[mask > 0.0].std() > _PLAIN:
-        return NotRegistered("no_structure", "the picture shows nothing that could be compared")
+        return NotRegistered("no_structure", "the image shows nothing that could be compared")
     inside = _ellipse(covariance, reach, config.reach_sigma)
     scores = np.stack([_correlation(structure(map_view(picture, grid.turned(*t), reach)[0]), template, mask) for t in turns])
     return _stands_out(np.where(inside, scores, -1.0), inside, turns, grid, ground, prior)
@@ -250,7 +250,7 @@ def _stands_out(
     k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
     best, reach = float(scores[k, i, j]), len(inside) // 2
     if not best > 0.0:
-        return NotRegistered("no_structure", "nothing in the map looks like the picture")
+        return NotRegistered("no_structure", "nothing in the map looks like the image")
     highest = scores.max(axis=0)
     rows, columns = np.indices(inside.shape)
     elsewhere = inside & (np.hypot(rows - i, columns - j) > _LOBE_PX)
@@ -297,7 +297,7 @@ def _curvature(rho: Float, i: int, j: int) -> tuple[Array, Array] | None:
 def _blocks(
     rig: StereoRig, levels: tuple[Image, ...], pose: tuple[Array, Array], picture: GroundPicture, sizes: tuple[int, int, int]
 ) -> _Matched:
-    """Blocks of the picture, each shifted over the map; sizes: points along the picture, of the search, to a block's side."""
+    """Blocks of the image, each shifted over the map; sizes: points along the image, of the search, to a block's side."""
     most, reach, side = sizes
     camera: Camera = (rig.left, *rig.camera_pose(*pose))
     grid = make_grid(camera, picture, most)

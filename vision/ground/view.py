@@ -1,4 +1,4 @@
-"""The ground from straight above, on a grid of places: as the camera sees it from a pose, and as the map's picture shows it.
+"""The ground from straight above, on a grid of places: as the camera sees it from a pose, and as the map's image shows it.
 
 place(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
 """
@@ -18,7 +18,7 @@ Camera = tuple[CameraModel, Array, Array]  # p_nc, R_nc
 _FARTHEST = 3.0  # times the nearest point's distance: what lies beyond is too flat to be compared
 _STEEPEST = 0.05  # least sine of a ray below the horizon
 _RASTER = (13, 9)  # rays that find the footprint
-_BORDER_PX = 1.0  # of the camera's picture that stays out
+_BORDER_PX = 1.0  # of the camera's image that stays out
 _LEAST = 8  # points of a grid, each way
 
 
@@ -53,7 +53,7 @@ class Grid:
 def make_grid(camera: Camera, picture: GroundPicture, most: int, finest_m: float = 0.0) -> Grid | None:
     """A grid over what the camera sees of the ground, at most `most` points long; None where it looks at the sky.
 
-    Its points are no closer than the pixels of picture and camera are.
+    Its points are no closer than the pixels of image and camera are.
     """
     model, _, R_nc = camera
     places = _footprint(camera, picture)
@@ -90,7 +90,7 @@ def _footprint(camera: Camera, picture: GroundPicture) -> Array | None:
 
 
 def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, picture: GroundPicture) -> tuple[Float, Mask]:
-    """Grey values (h, w) of the camera's picture (pyramid `levels`), and where it shows the ground."""
+    """Grey values (h, w) of the camera's image (pyramid `levels`), and where it shows the ground."""
     model, p_nc, R_nc = camera
     px = model.project((picture.points(grid.places().reshape(-1, 2)) - p_nc) @ R_nc)
     values = sample(levels, px.reshape(*grid.shape, 2), grid.q / grid.camera_m)
@@ -98,7 +98,7 @@ def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, picture: 
 
 
 def map_view(picture: GroundPicture, grid: Grid, margin: int) -> tuple[Float, Mask]:
-    """Grey values of the georeferenced picture, margin points larger on each side, and where there are any."""
+    """Grey values of the georeferenced image, margin points larger on each side, and where there are any."""
     places = grid.places(margin)
     flat = places.reshape(-1, 2)
     values = sample(picture.pyramid, picture.to_pixels(flat).reshape(places.shape), grid.q / picture.pixel_m)

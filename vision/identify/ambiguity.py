@@ -9,7 +9,7 @@ tell any turn: its edges fit wherever the polygon is turned to.
 
     step:       p' = p + l' - l,  R' = R                   l' a landmark that looks like l
 
-And where houses look alike, the next one shows the same picture from one step further; only the prior, or the others in view, can
+And where houses look alike, the next one shows the same image from one step further; only the prior, or the others in view, can
 tell.
 """
 
@@ -62,7 +62,8 @@ def steps_off(
     p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float,
     share: float,
 ) -> Array:  # fmt: skip
-    """Steps (S, 3) from p_n to places that the prior allows, at less than `odds` against them, and where the map repeats itself.
+    """Steps (S, 3) from p_n to positions that the prior allows, at less than `odds` against them, and where the map repeats
+    itself.
 
     There more than a share of the landmarks `used` have one that looks like them: the others may stand there without being in the
     map.
@@ -73,7 +74,7 @@ def steps_off(
     alike = np.array([[_as_turned(one, mark) for one in near] for mark in used])
     alike &= similarity(_described(used)[:, None], several[None], weights[None]) >= _ALIKE
     steps = places[None] - own[:, None]
-    alike &= np.linalg.norm(steps[..., :2], axis=2) > 0.5 * np.array([mark.width_m for mark in used])[:, None]  # not in one place
+    alike &= np.linalg.norm(steps[..., :2], axis=2) > 0.5 * np.array([mark.width_m for mark in used])[:, None]  # not the same one
     step = steps[alike]
     inverse, apart = np.linalg.inv(prior_covariance[:3, :3]), p_n - prior_p_n
     limit = float(apart @ inverse @ apart) + 2.0 * math.log(odds)

@@ -23,11 +23,11 @@ from vision.identify.clutter_density import Crowd
 
 SCALE, STATES = 6, 7
 GROWTH, COLUMNS = 7, 8  # the last column of A is of exp(s) - 1: distances grow so, logarithms of sizes by s
-ROWS = 7  # log width, log length, fill ratio, orientation, place (3)
+ROWS = 7  # log width, log length, fill ratio, orientation, position (3)
 PLACE = 4  # first of the three rows that say where; sizes stand before them, so that s is known when they come
 
 _NOTHING: Final = -1e300
-_EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its place is, and this many sigmas around it
+_EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its position is, and this many sigmas around it
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +51,10 @@ class Options:
 class Expected:
     """Landmarks that should be seen: (J,) each.
 
-    x_c (J, 3) and A (J, 3, 7): place in the camera's frame at the prior, and its change with x;  radius_m of the landmark
+    x_c (J, 3) and A (J, 3, 7): position in the camera's frame at the prior, and its change with x;  radius_m of the landmark
     log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
     view: (4,) x/z and y/z limits of the picture: left, right, top, bottom
-    place_c (M, 3): of the regions (NaN: remembered from an earlier picture)
+    place_c (M, 3): of the regions (NaN: remembered from an earlier image)
     """
 
     x_c: Array
@@ -240,7 +240,7 @@ def _missed(
 ) -> Array:  # fmt: skip
     """Log probability, for each hypothesis, of seeing no region where landmarks should be (H,).
 
-    Where an object that is not in the map stands on a landmark's own place, the landmark must be gone.
+    Where an object that is not in the map stands on a landmark's own position, the landmark must be gone.
     """
     result = np.zeros(landmark.shape[0])
     assigned, place = np.empty(x_c.shape[0], np.bool_), np.empty(3)
@@ -280,7 +280,7 @@ def _variance(a: Array, cov: Array) -> float:
 
 @njit(cache=True)
 def _occupied(clutter: NDArray[np.bool_], place_c: Array, growth: float, place: Array, radius: float) -> bool:
-    """Whether a region that is said not to be in the map stands within a radius of a place."""
+    """Whether a region that is said not to be in the map stands within a radius of a position."""
     for i in range(place_c.shape[0]):
         if clutter[i]:
             square = 0.0

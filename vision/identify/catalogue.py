@@ -1,4 +1,4 @@
-"""What identification compares: regions as sightings, landmarks as a catalogue, and what is believed before a picture is seen."""
+"""What identification compares: regions as sightings, landmarks as a catalogue, and the assumptions before an image is seen."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,8 +16,8 @@ OBLONG = 1.3  # below this ratio of length to width the axes may be exchanged
 _AROUND_M = 40.0  # radius over which the density of objects around an object is taken
 
 
-class Beliefs(msgspec.Struct, frozen=True):
-    """What is taken for granted about world and segmentation, before a picture is seen."""
+class Assumptions(msgspec.Struct, frozen=True):
+    """What is taken for granted about world and segmentation, before an image is seen."""
 
     unmapped_fraction: float = 0.3  # of the objects that look like landmarks
     gone_fraction: float = 0.1  # of the map
@@ -40,9 +40,9 @@ class Sighting:
     """A region as identification sees it; n at the prior's attitude.
 
     arm_n (3,) from body to region, moved_n (3,) from the body now to the body then; depth_sigma: relative error of its depth,
-    its own (place and sizes share it; what all regions share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2)
+    its own (position and sizes share it; what all regions share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2)
     of (log width, log length): the other errors; orientation_rad of the length, from north to east; now: in the present
-    picture, not remembered. partial: of a region that the border cuts off; then the arm ends where the centre would be, were it
+    image, not remembered. partial: of a region that the border cuts off; then the arm ends where the centre would be, were it
     like the landmarks that it may be, the covariance of log sizes is of two sides, and the sizes are lower bounds.
     """
 

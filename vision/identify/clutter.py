@@ -12,7 +12,7 @@ from numba import njit
 
 from models.messages import Array
 from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE
-from vision.identify.catalogue import OBLONG, Beliefs, Catalogue
+from vision.identify.catalogue import OBLONG, Assumptions, Catalogue
 from vision.identify.clutter_density import Crowd
 from vision.identify.partial import Partial
 
@@ -21,7 +21,7 @@ _NEIGHBOURS, _HEADING_LIKENESS = 5, (math.radians(1.0), 0.1)  # the same of its 
 _CONSIDERED = 30  # landmarks, the nearest, from which displacements are counted
 
 
-def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Beliefs) -> tuple[Array, Array, Array]:
+def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions) -> tuple[Array, Array, Array]:
     """Something not in the map stands as high as what is: one row, whitened."""
     count = len(arm)
     y, A = np.zeros((count, ROWS)), np.zeros((count, ROWS, COLUMNS))
@@ -36,8 +36,12 @@ def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Beliefs) ->
     return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
 
 
-def crowd(arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Crowd:
-    """Density of objects that are not in the map: of each region's place (arm, own: its covariance) and attributes (M, T, S)."""
+def crowd(
+    arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions
+) -> Crowd:
+    """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
+    S).
+    """
     density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
     return Crowd(np.log(density), turns, log_scales)
 
@@ -47,7 +51,7 @@ def grid(covariance: Array) -> tuple[Array, Array]:
     return _offsets(math.sqrt(covariance[5, 5]), math.radians(1.0)), _offsets(math.sqrt(covariance[SCALE, SCALE]), 0.02)
 
 
-def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Array:
+def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
     """Density of (log width, log length, fill ratio, orientation) of an object that is not in the map (M, T, S).
 
     A kernel estimate over the map around, mixed with: width and length anything from 1 to 100 m, any fill, any orientation.
@@ -69,7 +73,7 @@ def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array
     return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
 
 
-def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Array, b: Beliefs) -> Array:
+def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Array, b: Assumptions) -> Array:
     """As attributes (T, S), of the sides that the border leaves: a kernel estimate over the `count` landmarks' runs."""
     known = np.flatnonzero(part.known)
     anything = 4.0 / (2.0 * math.pi) / math.log(100.0) ** int(part.known[:2].sum())  # a corner of four
@@ -94,8 +98,8 @@ def _offsets(sigma: float, step: float) -> Array:
     return np.asarray(sigma * np.linspace(-2.0, 2.0, min(max(3, 2 * math.ceil(2.0 * sigma / step) + 1), 9)))
 
 
-def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Beliefs) -> Array:
-    """Objects per m^2 that are not in the map, at the place of each region as seen from the others (M, T, S).
+def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
+    """Objects per m^2 that are not in the map, at the position of each region as seen from the others (M, T, S).
 
     In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
     the landmarks at the same displacement from a landmark, not the mean density.

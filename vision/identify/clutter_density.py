@@ -1,10 +1,10 @@
-"""How dense objects that are not in the map are where a region is seen, by how the picture is turned and grown.
+"""How dense objects that are not in the map are where a region is seen, by how the image is turned and grown.
 
     f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
 
 (t, s): turn about the vertical and log scale, two of the errors x that all regions share; x, P: what a hypothesis has found of
-them. In streets and among look-alikes f_i has summits: at one of many turns and scales there is nearly always a house beside
-which something unmapped might stand just so. The search goes by the highest of them, which no hypothesis exceeds; but a
+them. In streets and among ambiguous landmarks f_i has summits: at one of many turns and scales there is nearly always a house
+beside which something unmapped might stand just so. The search goes by the highest of them, which no hypothesis exceeds; but a
 hypothesis has one turn and scale, and it is judged by what f_i is there.
 """
 

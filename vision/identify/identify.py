@@ -16,7 +16,7 @@ from models import cholesky, so3
 from models.camera import StereoRig
 from models.messages import Array
 from vision.identify.assignment import SCALE, STATES, Expected, Hypotheses, search
-from vision.identify.catalogue import Beliefs, Catalogue, Sighting
+from vision.identify.catalogue import Assumptions, Catalogue, Sighting
 from vision.identify.likelihood import options, similarities
 
 NONE = -1  # not a landmark of the map
@@ -24,7 +24,7 @@ NONE = -1  # not a landmark of the map
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where the body is believed to be: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
+    """Pose estimate before the images: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
 
     p_n: Array
     q_nb_wxyz: Array
@@ -48,7 +48,7 @@ class Prior:
 class IdentifyConfig(msgspec.Struct, frozen=True):
     """When a region is identified.
 
-    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the place that the identities
+    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the position that the identities
     say together; breadth: joint hypotheses followed.
     """
 
@@ -56,7 +56,7 @@ class IdentifyConfig(msgspec.Struct, frozen=True):
     accept_posterior: float = 0.999
     fix_posterior: float = 0.9999
     breadth: int = 300
-    beliefs: Beliefs = Beliefs()
+    assumptions: Assumptions = Assumptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Identification:
     best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate);  own_similarity: of `landmark`
     candidates: how many landmarks it may be
     joint_posterior: that all accepted identities are right;  place_posterior: that one of them is and none is another landmark
-    instead, so that the place is right (0 where nothing is identified)
+    instead, so that the position is right (0 where nothing is identified)
     x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
     """
 
@@ -104,8 +104,8 @@ def identify(
         scale = _roof_scale(several, landmarks, prior)
     like = _likeness(several, landmarks, scale, float(np.sqrt(covariance[SCALE, SCALE])))
     candidate = like >= config.min_similarity
-    choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.beliefs)
-    found = search(choice, _expected(several, landmarks, prior, rig, config.beliefs), covariance, config.breadth)
+    choice = options(several, landmarks, prior.p_n, covariance, candidate, scale, config.assumptions)
+    found = search(choice, _expected(several, landmarks, prior, rig, config.assumptions), covariance, config.breadth)
     landmark, posterior = _marginals(choice.landmark[found.option], found.probability, len(landmarks.ids))
     accepted, joint, agree = _accept(choice.landmark[found.option], found, landmark, posterior, config.accept_posterior)
     place = _place_posterior(choice.landmark[found.option][:, accepted], found.probability, landmark[accepted])
@@ -152,7 +152,7 @@ def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))
 
 
-def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig: StereoRig, b: Beliefs) -> Expected:
+def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig: StereoRig, b: Assumptions) -> Expected:
     """x_c = R_cb (R_bn exp(-dtheta) (l - p - dp) - p_bc)."""
     R_cn = (prior.R_nb @ rig.R_bc).T
     v = landmarks.place_n - prior.p_n
@@ -174,7 +174,7 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
 
 
 def view_of(rig: StereoRig) -> Array:
-    """Limits left, right, top, bottom of x/z and y/z in the left camera's picture (its inscribed rectangle)."""
+    """Limits left, right, top, bottom of x/z and y/z in the left camera's image (its inscribed rectangle)."""
     c = rig.left
     u, v = np.linspace(0.0, c.width - 1.0, 9), np.linspace(0.0, c.height - 1.0, 9)
     edge = np.concatenate([

@@ -1,6 +1,6 @@
 """What each region may be, and how likely what was measured is then: the options of vision/identify/assignment.py.
 
-A landmark j shown by region i, both described by (place, log width, log length, fill ratio, orientation):
+A landmark j shown by region i, both described by (position, log width, log length, fill ratio, orientation):
 
     l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision.identify import clutter
 from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE, STATES, Options
-from vision.identify.catalogue import OBLONG, Beliefs, Catalogue, Sighting, chroma
+from vision.identify.catalogue import OBLONG, Assumptions, Catalogue, Sighting, chroma
 from vision.identify.similarity import similarity
 
-_GATE = 30.0  # chi-square of 3: a place further off than this is not followed (2e-6)
+_GATE = 30.0  # chi-square of 3: a position further off than this is not followed (2e-6)
 
 
 def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
@@ -36,13 +36,14 @@ def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) 
 
 def options(
     sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
-    beliefs: Beliefs,
+    assumptions: Assumptions,
 ) -> Options:  # fmt: skip
-    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose place is possible.
+    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose position is
+    possible.
 
     covariance (7, 7) of x at the prior; scale (M, J): by which lengths of the region are to be multiplied.
     """
-    b = beliefs
+    b = assumptions
     arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
     moved = np.array([r.moved_n for r in sightings]).reshape(-1, 3)
     own = np.array([r.covariance_n for r in sightings]).reshape(-1, 3, 3)
@@ -124,7 +125,7 @@ def _features(r: Sighting) -> tuple[float, float, float, float]:
     return math.log(r.width_m), math.log(r.length_m), r.fill_ratio, r.orientation_rad
 
 
-def _feature_noise(r: Sighting, b: Beliefs) -> Array:
+def _feature_noise(r: Sighting, b: Assumptions) -> Array:
     fill, turn = r.fill_ratio_sigma**2 + b.fill_ratio_sigma**2, r.orientation_sigma_rad**2
     if r.length_m < OBLONG * r.width_m and abs(r.fill_ratio - 0.25 * math.pi) < 0.07:
         turn += 1.0  # round: it has no orientation
@@ -133,13 +134,13 @@ def _feature_noise(r: Sighting, b: Beliefs) -> Array:
     return noise
 
 
-def _bad_noise(r: Sighting, b: Beliefs) -> list[float]:
+def _bad_noise(r: Sighting, b: Assumptions) -> list[float]:
     centre = (b.bad_centre * r.length_m) ** 2
     size, turn = b.bad_log_size**2, math.radians(b.bad_orientation_deg) ** 2
     return [size, size, b.bad_fill_ratio**2, turn, centre, centre, 1.0]
 
 
-def _colour(region: Array, landmark: Array, b: Beliefs, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
+def _colour(region: Array, landmark: Array, b: Assumptions, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
     """Log density of a region's chroma as each landmark (M, J), and as none of them (M,).
 
     A normal about the map's colour, or (any_colour of the time: paint fades, light is coloured) uniform over the triangle of
@@ -204,7 +205,7 @@ def _outer(a: Array) -> Array:
 
 
 def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
-    """Which places (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the place as measured.
+    """Which positions (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the position as measured.
 
     1/2 s^2 r is what the linear equation leaves out.
     """

@@ -1,4 +1,4 @@
-"""Regions that the border of the picture cuts off: which corners of which landmark they show.
+"""Regions that the border of the image cuts off: which corners of which landmark they show.
 
     c_0 ... c_m     corners of the region that are seen, one after the other, on the plane of its roof, m >= 1
     l_a ... l_a+m   a run: corners of a landmark whose sides agree with those in direction and, roughly, in length, and whose
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision.image.rectify import Mask
 
-_BORDER_PX: Final = 4  # a corner nearer to where the picture ends is one that the border made
+_BORDER_PX: Final = 4  # a corner nearer to where the image ends is one that the border made
 _TURN_RAD: Final = 0.35  # between a side seen and a landmark's: the prior's heading, and a street's houses, differ by less
 _LOG_LENGTH: Final = 0.6  # of whole sides: what a short baseline leaves open, and then some
 _SHORT: Final = 10.0  # times a pixel: shorter ends of sides have no direction

@@ -22,10 +22,10 @@ from vision.identify.partial import chain, partial_of
 
 ROOF_SLOPE_RAD = math.radians(1.0)  # of a roof that the map calls flat
 ONE_CAMERA_SCALE_SIGMA = 0.02  # relative: roofs stand at different heights, beside the prior's own height
-_UNEVEN = 0.3  # part of the rig's error of disparity that differs over the picture
+_UNEVEN = 0.3  # part of the rig's error of disparity that differs over the image
 _EDGE_PX = 0.3  # of the side of an outline, one camera: nothing checks it
 _FLOOR_PX = 0.3  # of the centre of an outline
-_SHALLOW = 0.25  # sine below which a ray does not meet the ground where it can be told
+_SHALLOW = 0.25  # sine below which a ray meets the ground too far away
 
 
 def level(prior: Prior, rig: StereoRig) -> Level:

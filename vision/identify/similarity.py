@@ -4,8 +4,8 @@
     similarity = w1 S' + w2 W' + w3 L' + w4 F'                                                             (thesis, eq. 5.5)
 
 Two repairs: a ratio r above one counts as 1/r (else a region twice too large is 200 % similar), and the weights, which sum to
-1.0257 in the thesis, are divided by their sum. Similarity makes a region a candidate; it does not decide: look-alikes have it
-too.
+1.0257 in the thesis, are divided by their sum. Similarity makes a region a candidate; it does not decide: ambiguous landmarks
+have it too.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Is this a picture at all? Said before any stage works on it: a reason, or None where nothing is wrong."""
+"""Is this an image at all? Said before any stage works on it: a reason, or None where nothing is wrong."""
 
 import math
 from typing import Any
@@ -17,32 +17,32 @@ _FEW_COUNTS = 8.0  # of 65535
 _SATURATED = 252.0
 _SATURATED_PART = 0.6  # of the pixels
 _LOST_PART = 0.04  # of the rows, one after the other without any change: a decoder's filling
-_STEP = 12  # every twelfth pixel tells
+_STEP = 12  # every twelfth pixel is used
 
 
 def picture_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
-    """Why a picture cannot be used: format, size, black, white, flat, saturated, torn; None if it can.
+    """Why an image cannot be used: format, size, black, white, flat, saturated, torn; None if it can.
 
     image (H, W) or (H, W, 3), uint8 or uint16; a camera says what H and W must be.
     """
     if image.dtype not in (np.uint8, np.uint16):
-        return "not a picture of 8 or 16 bit"
+        return "not an image of 8 or 16 bit"
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or min(image.shape) < 1:
-        return f"not a grey or colour picture: shape {image.shape}"
+        return f"not a grey or colour image: shape {image.shape}"
     height, width = image.shape[:2]
     if camera is not None and (width, height) != (camera.width, camera.height):
-        return f"picture is {width} x {height}, the camera {camera.width} x {camera.height}"
+        return f"image is {width} x {height}, the camera {camera.width} x {camera.height}"
     return _brightness_flaw(image) or _torn_flaw(image)
 
 
 def pair_flaw(left: Image, right: Image) -> str | None:
-    """Why two good pictures are not a pair: different sizes or depths, or twice the same picture."""
+    """Why two good images are not a pair: different sizes or depths, or twice the same image."""
     if left.shape[:2] != right.shape[:2]:
         return f"left is {left.shape[1]} x {left.shape[0]}, right is {right.shape[1]} x {right.shape[0]}"
     if left.dtype != right.dtype:
-        return "one picture has 8 bit, the other 16"
+        return "one image has 8 bit, the other 16"
     if left.ndim == right.ndim and np.array_equal(left[::_STEP, ::_STEP], right[::_STEP, ::_STEP]):
-        return "left and right are the same picture"
+        return "left and right are the same image"
     return None
 
 

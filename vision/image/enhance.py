@@ -1,4 +1,4 @@
-"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole picture and by blocks, fog, gamma, log.
+"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole image and by blocks, fog, gamma, log.
 
 All take uint8 or uint16, grey or BGR. The stretches give uint8: a thermal camera's 16 bits become 8 here.
 """
@@ -30,7 +30,7 @@ def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
 
 
 def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
-    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat picture becomes middle grey.
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat image becomes middle grey.
 
     margin: room left beyond c and d, as a share of d - c, so that what is a little hotter than nearly all is not cut off.
     """
@@ -46,7 +46,7 @@ def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range:
     """The same in blocks x blocks pieces, each with its own c and d (thesis section 4.2.1.4, the last resort).
 
     Between the middles of the blocks c and d are interpolated, or their borders would be seen as edges. A block without
-    contrast gets at least `min_range` of the picture's range, or its noise would be stretched to objects.
+    contrast gets at least `min_range` of the image's range, or its noise would be stretched to objects.
     """
     height, width = image.shape[:2]
     least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)

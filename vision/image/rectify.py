@@ -25,7 +25,7 @@ _ALREADY = 1e-7  # rad, or a part of the focal length: below it nothing would mo
 
 @dataclass(frozen=True, slots=True)
 class Maps:
-    """Where the pixels of one rectified picture come from (fixed point, 1/32 px), and which of them the camera has seen."""
+    """Where the pixels of one rectified image come from (fixed point, 1/32 px), and which of them the camera has seen."""
 
     pixels: NDArray[np.int16]
     fractions: NDArray[np.uint16]
@@ -34,7 +34,7 @@ class Maps:
 
 @dataclass(frozen=True, slots=True)
 class Rectification:
-    """The rectified rig (R_rc = I, no distortion) and the maps to it; maps are None where the raw pictures are rectified."""
+    """The rectified rig (R_rc = I, no distortion) and the maps to it; maps are None where the raw images are rectified."""
 
     rig: StereoRig
     left: Maps | None
@@ -42,7 +42,7 @@ class Rectification:
 
 
 def rectification(rig: StereoRig) -> Rectification:
-    """What a rig's pictures have to go through. Raises ValueError where the cameras do not stand side by side, left first."""
+    """What a rig's images have to go through. Raises ValueError where the cameras do not stand side by side, left first."""
     if _is_rectified(rig):
         return Rectification(rig, None, None)
     R_from_c = _rows(rig)
@@ -66,7 +66,7 @@ def rectification(rig: StereoRig) -> Rectification:
 
 
 def rectify(image: Image, maps: Maps | None) -> Image:
-    """The picture as the rectified camera would have taken it; black where it would have seen more than the raw one."""
+    """The image as the rectified camera would have taken it; black where it would have seen more than the raw one."""
     if maps is None:
         return image
     return cv2.remap(image, maps.pixels, maps.fractions, cv2.INTER_LINEAR)
@@ -97,7 +97,7 @@ def _rows(rig: StereoRig) -> Array:
 
 
 def _common_camera(rig: StereoRig, R_from_c: Array, R_from_r: Array) -> CameraModel:
-    """A pinhole without distortion: mean focal length, both pictures' middles as near to the middle as can be."""
+    """A pinhole without distortion: mean focal length, both images' middles as near to the middle as can be."""
     f = float(np.mean([rig.left.fx, rig.left.fy, rig.right.fx, rig.right.fy]))
     width, height = rig.left.width, rig.left.height
     middles = []

@@ -1,6 +1,6 @@
 """Pictures for the coarse search: reduced, without lens distortion, and how they change from pixel to pixel.
 
-    u_s = (u + 1/2) / s - 1/2                         (pixel of the picture reduced s times, pixel centres at integers)
+    u_s = (u + 1/2) / s - 1/2                         (pixel of the image reduced s times, pixel centres at integers)
 
 A field (H, W, 8) holds dI/du of three channels, dI/dv of three channels, and the length of all six together; the last one is
 empty, so that a pixel is half a line of the cache. It is made tile by tile, where outlines are looked for: elsewhere it is noise.
@@ -30,7 +30,7 @@ _SAMPLE = 5000  # pixels, about, that tell the typical gradient
 
 
 class Level:
-    """A picture reduced `size` times as a camera without distortion would have taken it, and its field."""
+    """A image reduced `size` times as a camera without distortion would have taken it, and its field."""
 
     def __init__(self, size: int, camera: CameraModel, picture: Image, unseen: Mask) -> None:
         self.size, self.camera, self._unseen = size, camera, unseen
@@ -127,7 +127,7 @@ def _fill(field: Field, picture: Image, unseen: Mask, top: int, left: int) -> No
 
 @njit(cache=True)
 def _beside(at: int, size: int) -> tuple[int, int]:
-    """The pixels before and after one; the picture is mirrored at its border."""
+    """The pixels before and after one; the image is mirrored at its border."""
     return max(at - 1, 1 - at) if size > 1 else 0, at + 1 if at < size - 1 else max(size - 2, 0)
 
 
@@ -161,7 +161,7 @@ def _lengths(picture: Image, unseen: Mask, step: int) -> Plane:
 
 @lru_cache(maxsize=16)
 def _straight(camera: CameraModel, size: int) -> tuple[CameraModel, tuple[Plane, Plane] | None, Mask]:
-    """The reduced camera without distortion, where in the reduced picture its pixels come from, and which nobody saw."""
+    """The reduced camera without distortion, where in the reduced image its pixels come from, and which nobody saw."""
     width, height = camera.width // size, camera.height // size
     small = CameraModel(
         width, height, camera.fx / size, camera.fy / size, (camera.cx + 0.5) / size - 0.5, (camera.cy + 0.5) / size - 0.5

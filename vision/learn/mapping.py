@@ -1,9 +1,9 @@
 """Landmarks learned from a flight: one roof, seen from many places, becomes one place with its covariance.
 
-    z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each picture,   s ~ N(0, I) the same in all of them
+    z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
 
 F_i: pose (a slow error of GNSS is the same along the whole flight), mounting, lens, depth as the rig's calibration gives it.
-A pair of pictures says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
+A pair of images says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
 flight does, for the rays of one roof meet in one point:
 
     l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
@@ -28,7 +28,7 @@ from vision.describe.measure import Measured
 from vision.describe.regions import Region
 from vision.identify.identify import Prior
 
-_BLIND_M = 1e3  # along a ray whose length nothing tells
+_BLIND_M = 1e3  # along a ray whose length is not measured
 _SHALLOW = 0.25  # sine of a ray against the ground, below which a region is seen too flat
 _VAGUE = 0.3  # relative error of a distance that is none any more
 _NOT = 1e6  # cost of what is excluded
@@ -37,8 +37,8 @@ _NOT = 1e6  # cost of what is excluded
 class MappingConfig(msgspec.Struct, frozen=True):
     """How looks become landmarks. roof_m: of a roof above ground, before anything is measured; centre_px, side_px: of a region;
 
-    fresh_share: of the pose's variance that is new in each picture, the rest is the same in all; drift_m: by which it changes
-    along a flight; uneven: part of the rig's error of disparity that differs over the picture; gate: probability inside it.
+    fresh_share: of the pose's variance that is new in each image, the rest is the same in all; drift_m: by which it changes
+    along a flight; uneven: part of the rig's error of disparity that differs over the image; gate: probability inside it.
     """
 
     roof_m: float = 4.0
@@ -54,10 +54,10 @@ class MappingConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A region in one picture. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
+    """A region in one image. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
 
     p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
-    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): what the ray alone tells, without its length, 1 / m^2.
+    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): information of the ray alone, without its length, 1 / m^2.
     """
 
     frame: int
@@ -82,7 +82,7 @@ class Look:
 def look(
     frame: int, region: Region, measured: Measured | None, prior: Prior, rig: StereoRig, ground_d: float, config: MappingConfig
 ) -> Look | None:
-    """A region, and its distance where that was measured, from the pose of its picture; None where it is seen too flat.
+    """A region, and its distance where that was measured, from the pose of its image; None where it is seen too flat.
 
     rig: the rectified one.
     """
@@ -118,7 +118,9 @@ def look(
 def _arm(
     region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
 ) -> tuple[Array, float, float]:
-    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where nothing tells it."""
+    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where it is not
+    measured.
+    """
     outline = np.ascontiguousarray(region.outline)
     middle = polygon.describe(outline, np.array([0, len(outline)]))[:, [polygon.NORTH, polygon.EAST]]
     ray = rig.left.ray(middle)[0]
@@ -197,7 +199,7 @@ class Place:
 
 
 class Mapper:
-    """Puts the looks of picture after picture together. ground_d: down of the ground."""
+    """Puts the looks of image after image together. ground_d: down of the ground."""
 
     def __init__(self, ground_d: float, config: MappingConfig | None = None) -> None:
         self.config = config or MappingConfig()
@@ -261,7 +263,7 @@ class Mapper:
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
     def _keep_joint(self, looks: Sequence[Look], chosen: dict[int, int]) -> None:
-        """Drop pairs until the rest agrees jointly: the pose's error is one for all regions of a picture."""
+        """Drop pairs until the rest agrees jointly: the pose's error is one for all regions of an image."""
         while len(chosen) > 1:
             pairs = list(chosen.items())
             off = np.concatenate([looks[i].z - self.tracks[j].place for i, j in pairs])

@@ -34,7 +34,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """landmarks, in how many pictures each was seen, and the tracks left out by reason.
+    """landmarks, in how many images each was seen, and the tracks left out by reason.
 
     common (3, 3): covariance of the error that moves the whole map; it is no part of each landmark's own.
     """
@@ -68,7 +68,7 @@ def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -
 
 
 def _united(mapper: Mapper) -> list[Track]:
-    """Tracks of which one continues another become one: at the same place, as large, and never in the same picture."""
+    """Tracks of which one continues another become one: at the same place, as large, and never in the same image."""
     united = list[Track]()
     for track in sorted(mapper.tracks, key=lambda t: -len(t.looks)):
         frames = {one.frame for one in track.looks}
@@ -85,7 +85,7 @@ def _flaw(track: Track, place: Place, config: KeepConfig) -> str:
     """Why a track is no landmark, "" where it is one."""
     sigma = np.sqrt(np.diag(place.covariance))
     if len(track.looks) < config.least_frames:
-        return f"seen in fewer than {config.least_frames} pictures"
+        return f"seen in fewer than {config.least_frames} images"
     if place.chi2 > config.most_chi2:
         return "not at one place: it moves, or is several"
     if max(sigma[:2]) > config.most_sigma_m or sigma[2] > config.most_height_sigma_m:

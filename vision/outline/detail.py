@@ -1,6 +1,6 @@
-"""An outline as fine as a picture can show it.
+"""An outline as fine as an image can show it.
 
-A curve is mapped as a polygon of many short sides. A side needs some length in the picture before its place and direction can be
+A curve is mapped as a polygon of many short sides. A side needs some length in the image before its position and direction can be
 measured, so neighbours are joined: half of the corners between short sides that hardly turn go, again and again, as long as the
 curve stays within a pixel of its chords. What the area loses by that is put back all around.
 """
@@ -22,7 +22,7 @@ _BEND = math.cos(math.radians(50.0))
 
 
 def as_seen(mark: Landmark, px_per_m: float) -> Landmark:
-    """The landmark with an outline for a picture of that scale; itself where its sides are long enough."""
+    """The landmark with an outline for an image of that scale; itself where its sides are long enough."""
     outline = mark.outline_n
     while len(outline) > 4:
         wanted = _drop(outline, px_per_m)

@@ -1,4 +1,4 @@
-"""Each edge in each picture, reduced to two numbers: how far the picture's line lies off the outline's, and how it is turned.
+"""Each edge in each image, reduced to two numbers: how far the image's line lies off the outline's, and how it is turned.
 
     r_i = a + b tau_i + noise,   tau = -1 ... 1 over what is in view of the edge    (offset a and tilt b of the residuals, px)
 
@@ -18,13 +18,13 @@ from models.messages import Array
 
 Indices = NDArray[np.int64]
 _TUKEY = 4.685  # 95 % efficiency on Gaussian noise
-_FLOOR_PX = 0.02  # scatter below this is not believed
+_FLOOR_PX = 0.02  # least scatter
 _ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeLines:
-    """Lines of E edges in one picture.
+    """Lines of E edges in one image.
 
     line: (E, 2) offset and tilt, or shift, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e;
     weight (N,) of the points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white

@@ -2,11 +2,11 @@
 
     V_ek = tau s_ek^2 (A^T W A)^-1 + S_ek,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s (S_el S_er)^(1/2)
 
-s_ek: scatter of the points of edge e in picture k, shrunk towards the picture's; tau = (1 + rho_1) / (1 - rho_1): what the
-correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two pictures
+s_ek: scatter of the points of edge e in image k, shrunk towards the image's; tau = (1 + rho_1) / (1 - rho_1): what the
+correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two images
 (they show the same texture); S: what all points of an edge have in common, floor + (c s)^2, since texture has wavelengths longer
-than an edge; most of it is the same in both pictures. rho_1, rho and s are measured in the pictures at hand and shrunk towards
-what such pictures have, so that one landmark's few edges give a sound value too.
+than an edge; most of it is the same in both images. rho_1, rho and s are measured in the images at hand and shrunk towards
+what such images have, so that one landmark's few edges give a sound value too.
 """
 
 from collections.abc import Sequence
@@ -25,11 +25,11 @@ from vision.outline.visibility import Kind
 Indices = NDArray[np.int64]
 _BASE, _UPRIGHT, _SPOT = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SPOT)
 _BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
-_TRUSTED = 0.3  # weight from which a point tells of correlations
+_TRUSTED = 0.3  # weight from which a point counts for correlations
 
 
 class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is believed of edge noise before a picture is seen, and for how many points that belief counts."""
+    """The prior of edge noise, and for how many points it counts."""
 
     offset_px: Annotated[float, Meta(gt=0, description="common offset of an edge without scatter, 1 sigma")] = 0.03
     tilt_px: Annotated[float, Meta(gt=0, description="the same of its tilt, at the edge's ends")] = 0.02
@@ -42,18 +42,18 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     spot_px: Annotated[
         float, Meta(ge=0, description="further common shift of a small landmark, each way (its shade, its shape)")
     ] = 0.3
-    both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both pictures")] = 0.9
-    correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two pictures, beforehand")] = 0.5
+    both: Annotated[float, Meta(ge=0, lt=1, description="share of these variances that is the same in both images")] = 0.9
+    correlation: Annotated[float, Meta(ge=0, lt=1, description="of a point's error in the two images, beforehand")] = 0.5
     neighbours: Annotated[float, Meta(ge=0, lt=1, description="correlation of neighbouring points, beforehand")] = 0.25
     points: Annotated[float, Meta(gt=0, description="weight of these two, in points")] = 30.0
-    edge_points: Annotated[float, Meta(gt=0, description="weight of the picture's scatter in an edge's, in points")] = 8.0
-    least_px: Annotated[float, Meta(gt=0, description="scatter is never believed to be less")] = 0.03
+    edge_points: Annotated[float, Meta(gt=0, description="weight of the image's scatter in an edge's, in points")] = 8.0
+    least_px: Annotated[float, Meta(gt=0, description="least scatter")] = 0.03
 
 
 def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
-    """Covariance (E, K, 2, K, 2) px^2 of the lines of E edges in K pictures; edges do not disturb each other.
+    """Covariance (E, K, 2, K, 2) px^2 of the lines of E edges in K images; edges do not disturb each other.
 
-    lines: of the same points in each picture; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
+    lines: of the same points in each image; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
     opened: (K, E) px^2, further variance of the offsets.
     """
     c, pictures, edges = config, len(lines), len(kind)
@@ -104,7 +104,7 @@ def _common(
 
 
 def _scatter(square: Array, points: Array, edge_points: float, least_px: float) -> Array:
-    """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the picture's mean."""
+    """s_ek (E,): (nu s_k^2 + SS) / (nu + n - 2), s_k^2 the image's mean."""
     freedom = np.maximum(points - 2.0, 0.0)
     total = square.sum() / max(freedom.sum(), 1.0)
     scatter: Array = np.sqrt(np.maximum((edge_points * total + square) / (edge_points + freedom), least_px**2))
@@ -136,7 +136,7 @@ def _neighbours(residual: Array, weight: Array, points: Array, edge: Indices, sc
 
 @njit(cache=True)
 def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
-    """G_l^T G_r (E, 2, 2) of the gains (N, 2) of the same points in two pictures."""
+    """G_l^T G_r (E, 2, 2) of the gains (N, 2) of the same points in two images."""
     total = np.zeros((edges, 2, 2))
     for i in range(len(edge)):
         for a in range(2):
@@ -146,7 +146,7 @@ def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
 
 
 def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
-    """rho, pooled over the points seen in both pictures."""
+    """rho, pooled over the points seen in both images."""
     product, square = _together(left.residual, left.weight, right.residual, right.weight, edge, scatter)
     rho = (product + config.points * config.correlation) / (square + config.points)
     return min(max(rho, 0.0), 0.95)
@@ -156,7 +156,7 @@ def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Arra
 def _together(
     left: Array, left_weight: Array, right: Array, right_weight: Array, edge: Indices, scatter: Array
 ) -> tuple[float, float]:
-    """Sums of z_l z_r and of (z_l^2 + z_r^2) / 2, z = residual / scatter, over the points seen in both pictures."""
+    """Sums of z_l z_r and of (z_l^2 + z_r^2) / 2, z = residual / scatter, over the points seen in both images."""
     product = square = 0.0
     for i in range(len(edge)):
         if left_weight[i] > _TRUSTED and right_weight[i] > _TRUSTED:

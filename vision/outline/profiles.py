@@ -1,8 +1,8 @@
-"""Profiles across a projected outline in one picture, what colours they run through, and where, to a pixel, they leave the roof.
+"""Profiles across a projected outline in one image, what colours they run through, and where, to a pixel, they leave the roof.
 
 A profile is read along the normal n of a projected edge; its offset s [px] is the residual of the outline, + in the direction of
-n (outwards for roof and base edges). Profiles are read in the picture as it is: lens distortion bends the outline, not the
-picture.
+n (outwards for roof and base edges). Profiles are read in the image as it is: lens distortion bends the outline, not the
+image.
 """
 
 import math
@@ -40,7 +40,7 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
     """Values (N, 2 half + 1, C) of picture (H, W, C) at px + s normal, s = -half step ... half step; bilinear.
 
     px, normal: (N, 2); width: neighbours along the edge, 1 px apart, that are averaged. usable (N,) is cleared where a profile
-    leaves the picture.
+    leaves the image.
     """
     rows, columns, channels = picture.shape
     n, size = px.shape[0], 2 * half + 1
@@ -377,7 +377,7 @@ def covered(values: Array, beside: Array, edge: Indices, landmark: Indices, roof
 
 @njit(cache=True)
 def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask) -> Array:
-    """Offsets (N,) px at which all points of a roof edge leave the roof; NaN where there is no such place.
+    """Offsets (N,) px at which all points of a roof edge leave the roof; NaN where there is no such position.
 
     distance (N, S): from the roof's colour. Its box differences are added over the points of an edge; the offset of the largest
     sum wins, if inside it is the roof, unless a second one, farther off than a slope could explain, is nearly as large.
@@ -421,7 +421,7 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
 
 @njit(cache=True)
 def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
-    """Best place (E,), -1 where none or ambiguous, of the edges' votes (E, S) and the sums of their squares (E, S).
+    """Best position (E,), -1 where none or ambiguous, of the edges' votes (E, S) and the sums of their squares (E, S).
 
     mean (E, S): summed distances from the roof. A step stands out of the scatter of its points; what texture makes does not.
     """

@@ -3,7 +3,7 @@
     g(s) = a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma)
 
 One step where roof meets ground; two a known gap apart where a narrow wall lies between, or a strip of shadow whose width is
-found. Levels, place and blur come from the mean profile of an edge (Levenberg-Marquardt), then each point takes one linear
+found. Levels, position and blur come from the mean profile of an edge (Levenberg-Marquardt), then each point takes one linear
 least-squares estimate on that shape: its gain, and how far it is shifted.
 """
 
@@ -25,7 +25,7 @@ _FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how fa
 _PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _WIDTHS = 0.5 * np.arange(4, 15)  # px, of strips that are tried,
-_STRIP_PLACES, _STRIP_BLUR = 7, 0.7  # at so many places of the first step, and how blurred [px]
+_STRIP_PLACES, _STRIP_BLUR = 7, 0.7  # at so many positions of the first step, and how blurred [px]
 _START_BLUR = 0.8  # px, with which a step is sought first
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 
@@ -35,7 +35,7 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
     """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
 
     gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
-    belongs to which step is estimated, and what that leaves open of the place is the variance. No edge is farther off than
+    belongs to which step is estimated, and what that leaves open of the position is the variance. No edge is farther off than
     `farthest` px on the mean.
     """
     n, size = grey.shape
@@ -173,8 +173,8 @@ def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: 
 @njit(cache=True)
 def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
-    the mean squared misfit. Levenberg-Marquardt from the best of several places; the levels are always the best ones.
-    g: a mean profile without its own mean; starts: _steps() of a single step at these places.
+    the mean squared misfit. Levenberg-Marquardt from the best of several positions; the levels are always the best ones.
+    g: a mean profile without its own mean; starts: _steps() of a single step at these positions.
     """
     size = place.shape[0]
     reach = place[size - 1]
@@ -266,7 +266,7 @@ def _starts(farthest: float) -> Array:
 
 @njit(cache=True)
 def _steps(place: Array, s0: Array, sigma: float) -> Array:
-    """Steps Phi((s - s0) / sigma) (P, S) at places s0 (P,), without their means."""
+    """Steps Phi((s - s0) / sigma) (P, S) at positions s0 (P,), without their means."""
     steps = np.empty((len(s0), len(place)))
     for p in range(len(s0)):
         total = 0.0
@@ -294,7 +294,7 @@ def _best_start(starts: Array, g: Array) -> int:
 
 @njit(cache=True)
 def _strip_columns(place: Array, farthest: float) -> Array:
-    """_steps (1 + W, P, S): the first one at P places, then the second one for each of W widths."""
+    """_steps (1 + W, P, S): the first one at P positions, then the second one for each of W widths."""
     columns = np.empty((1 + len(_WIDTHS), _STRIP_PLACES, place.shape[0]))
     s0 = np.empty(_STRIP_PLACES)
     for w in range(columns.shape[0]):

@@ -84,7 +84,7 @@ class Prisms:
 
 @dataclass(frozen=True, slots=True)
 class ModelEdges:
-    """E edges of L landmarks as seen from one place.
+    """E edges of L landmarks as seen from one position.
 
     start_n, end_n: (E, 3) m, roof and base edges run anticlockwise; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base
     edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, M) derivatives of

@@ -1,10 +1,10 @@
-"""What pictures say of the pose, and in which directions they say anything.
+"""What images say of the pose, and in which directions they say anything.
 
     Lambda_I = Omega_pp - Omega_pn Omega_nn^-1 Omega_np = L U diag(lambda) U^T L^T,   Lambda_0 = L L^T
 
-Lambda_I: information of the pictures about the pose, errors of map and rig (n) being unknown too; Lambda_0: of the prior. A
+Lambda_I: information of the images about the pose, errors of map and rig (n) being unknown too; Lambda_0: of the prior. A
 direction is measured where lambda is not less than a share of the prior's information. From a lower one nothing is learnt, and
-its reading lies 1 / sqrt(lambda) of the prior's standard deviations away from where the pictures were linearised. One edge, one
+its reading lies 1 / sqrt(lambda) of the prior's standard deviations away from where the images were linearised. One edge, one
 corner, one round roof leave directions open; then the measurement is D xi, D = U_k^T L^T (its rows made orthonormal).
 """
 
@@ -21,7 +21,7 @@ from vision.pose.least_squares import POSE, System, nonzero
 
 _WIDEST_M, _WIDEST_RAD = 200.0, 2.0  # standard deviations of a whole fix are limited to these: still "given", and worth nothing
 _LEAST_SHARE = 1e-3  # of the prior's information: below it a direction is not measured
-_STRAIGHT_SHARE = 0.5  # below it in any, a fix is told along its directions
+_STRAIGHT_SHARE = 0.5  # below it in any, a fix is reported along its directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +36,17 @@ class Measured:
 
     @classmethod
     def of(cls, omega: Array, prior: Array) -> "Measured":
-        """omega (6 + P, 6 + P): information of the pictures, with the priors of map and rig; prior (6, 6): of the pose."""
+        """omega (6 + P, 6 + P): information of the images, with the priors of map and rig; prior (6, 6): of the pose."""
         low = np.asarray(np.linalg.cholesky(prior), dtype=np.float64)
         values, vectors = np.linalg.eigh(_white(omega, low))
         return cls(prior, low, vectors[:, ::-1], values[::-1], int((values >= _LEAST_SHARE).sum()))
 
     @property
     def whole(self) -> bool:
-        """Whether the pictures alone tell a pose near where they were linearised."""
+        """Whether the images alone tell a pose near where they were linearised."""
         return bool(self.share[-1] >= _STRAIGHT_SHARE)
 
-    def told_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
+    def reported_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
         """D (r, 6), orthonormal where a radian counts as RADIAN_M metres, and y = D C Lambda_0 delta (r,), as in LandmarkFix.
 
         delta (6,): of the joint optimum; y is what the directions read from there, so that with the prior it stays the optimum.
@@ -57,7 +57,7 @@ class Measured:
         return directions, directions @ (covariance @ (self.prior @ delta))
 
     def covariances(self, system: System, omega: Array, factor: float) -> tuple[Array, Array]:
-        """What of the pose's error (6, 6) comes from the pictures, and how errors of map and rig, of variance 1, move it (6, P).
+        """What of the pose's error (6, 6) comes from the images, and how errors of map and rig, of variance 1, move it (6, P).
 
         G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
         Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
@@ -102,7 +102,7 @@ class Measured:
     def surprise(self, delta: Array, covariance: Array, limit: float) -> float:
         """Chi-square of the reading against the prior, over limit: nu^T (P_0 + C)^-1 nu, nu = (P_0 + C) Lambda_0 delta.
 
-        limit: of six degrees of freedom; of fewer it is the one that as many honest readings stay below.
+        limit: of six degrees of freedom; of fewer it is the one that as many consistent readings stay below.
         """
         if self.rank < POSE:
             delta, limit = self.through @ delta, _same_quantile(limit, self.rank)
@@ -112,7 +112,7 @@ class Measured:
 
 @njit(cache=True)
 def _white(omega: Array, low: Array) -> Array:
-    """L^-1 Lambda_I L^-T (6, 6): what pictures say of the pose alone, in units of the prior's information L L^T.
+    """L^-1 Lambda_I L^-T (6, 6): what images say of the pose alone, in units of the prior's information L L^T.
 
     Lambda_I = Omega_pp - B^T B,   B = F^-1 Omega_np,   Omega_nn = F F^T
     """

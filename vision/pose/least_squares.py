@@ -3,7 +3,7 @@
     Omega = sum_e A_e^T W_e A_e + diag(0, I),   eta = sum_e A_e^T W_e (z_e + N_e nu_0),   A = (H, N),  W_e = R_e^-1
 
 nu has unit variance by construction, nu_0 is what the drawn outlines contain of it already. The prior of the pose is added to
-solve, and left out of what is reported: information of the pictures alone.
+solve, and left out of what is reported: information of the images alone.
 """
 
 from dataclasses import dataclass
@@ -78,8 +78,8 @@ def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Arra
     for f in range(len(found)):
         for i in range(W.shape[1]):
             numbers[f] += W[found[f], i, i] != 0.0
-    told, right, column, count = _told(A, W, z, present, found)
-    solution, omega = _solved(told, right, column, count, present, information, delta, weight)
+    normal, right, column, count = _normal_equations(A, W, z, present, found)
+    solution, omega = _solved(normal, right, column, count, present, information, delta, weight)
     for k in range(_REWEIGHTED):
         residual = _residual(A, z, present, solution, found, column, count)
         for f in range(len(found)):
@@ -92,15 +92,15 @@ def _robust_step(A: Array, W: Array, z: Array, present: Array, information: Arra
                 weight[f] = 1.0 / max(r, 1.0)
             else:
                 weight[f] = (1.0 - (r / _TUKEY) ** 2) ** 2 if r < _TUKEY else 0.0
-        solution, omega = _solved(told, right, column, count, present, information, delta, weight)
+        solution, omega = _solved(normal, right, column, count, present, information, delta, weight)
     return solution, omega, _residual(A, z, present, solution, found, column, count)
 
 
 @njit(cache=True)
 def _step(A: Array, W: Array, z: Array, present: Array, information: Array, delta: Array) -> tuple[Array, Array, Array]:
     found = _found(W)
-    told, right, column, count = _told(A, W, z, present, found)
-    solution, omega = _solved(told, right, column, count, present, information, delta, np.ones(len(found)))
+    normal, right, column, count = _normal_equations(A, W, z, present, found)
+    solution, omega = _solved(normal, right, column, count, present, information, delta, np.ones(len(found)))
     return solution, omega, _residual(A, z, present, solution, found, column, count)
 
 
@@ -126,7 +126,7 @@ def nonzero(matrix: Array) -> bool:
 
 
 @njit(cache=True)
-def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple[Array, Array, Indices, Indices]:
+def _normal_equations(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple[Array, Array, Indices, Indices]:
     """A_e^T W_e A_e (F, S, S), the upper half, and A_e^T W_e (z_e + N_e nu_0) (F, S) of the edges found, in those columns (F, S)
     of A that are not 0, and how many these are (F,): an edge depends on the map errors of its own landmark only.
     """
@@ -140,7 +140,7 @@ def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple
                     count[f] += 1
                     break
         most = max(most, count[f])
-    told, right = np.zeros((len(found), most, most)), np.zeros((len(found), most))
+    normal, right = np.zeros((len(found), most, most)), np.zeros((len(found), most))
     own, WA, target = np.empty((rows, most)), np.empty((rows, most)), np.empty(rows)
     for f in range(len(found)):
         e = found[f]
@@ -159,19 +159,19 @@ def _told(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple
             for c in range(count[f]):
                 right[f, c] += WA[i, c] * target[i]
                 for d in range(c, count[f]):
-                    told[f, c, d] += WA[i, c] * own[i, d]
-    return told, right, column[:, :most].copy(), count
+                    normal[f, c, d] += WA[i, c] * own[i, d]
+    return normal, right, column[:, :most].copy(), count
 
 
 @njit(cache=True)
 def _solved(
-    told: Array, right: Array, column: Indices, count: Indices, present: Array, information: Array, delta: Array, weight: Array
+    normal: Array, right: Array, column: Indices, count: Indices, present: Array, information: Array, delta: Array, weight: Array
 ) -> tuple[Array, Array]:
     """Pose and nuisances (6 + P,), and information without the pose's prior; weight (F,) of the edges found."""
     columns = POSE + len(present)
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
-    for f in range(len(told)):
-        w, own, at = weight[f], told[f], column[f]
+    for f in range(len(normal)):
+        w, own, at = weight[f], normal[f], column[f]
         for c in range(count[f]):
             eta[at[c]] += w * right[f, c]
             row = omega[at[c]]

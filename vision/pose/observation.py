@@ -1,6 +1,6 @@
-"""One look at the pictures: from a pose and map errors as now believed to lines of edges and how they depend on what is unknown.
+"""One observation of the images: from the present pose and map errors to lines of edges and their Jacobians.
 
-line = H dx + N nu + e      (offset and tilt of every edge in every picture; nu of unit variance: errors of map and rig)
+line = H dx + N nu + e      (offset and tilt of every edge in every image; nu of unit variance: errors of map and rig)
 """
 
 import math
@@ -41,7 +41,7 @@ _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
 _DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is looked up, and half how far
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
-_WIDEST_OPEN_PX = 0.7  # an edge whose place is left this open by its gap says nothing
+_WIDEST_OPEN_PX = 0.7  # an edge whose position is left this open by its gap says nothing
 _NOTHING = np.zeros((0, 0))
 _COARSE = 1.5  # how much farther apart points are in a search
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
@@ -60,11 +60,11 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one look gave, of E edges in K pictures; a spot's sides are one edge, the first of them.
+    """What one look gave, of E edges in K images; a spot's sides are one edge, the first of them.
 
     block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
     how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
-    lines: of each picture; usable: points in view, of all pictures.
+    lines: of each image; usable: points in view, of all images.
     """
 
     edges: ModelEdges
@@ -80,12 +80,12 @@ class Look:
 
     @property
     def share(self) -> float:
-        """Of the points in view, of all pictures, that was found."""
+        """Of the points in view, of all images, that was found."""
         return sum(float(line.points.sum()) for line in self.lines) / max(self.usable, 1)
 
     @property
     def numbers(self) -> int:
-        """Directions that are measured, over all pictures: a spot tells two, an edge the one across it."""
+        """Directions that are measured, over all pictures: a small landmark has two, an edge the one across it."""
         return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
 
     def off(self, line: Array) -> Array:
@@ -106,7 +106,7 @@ class Look:
 
 
 class Scene:
-    """What does not change from look to look: pictures, cameras, landmarks, and how wrong map and rig may be."""
+    """What does not change from look to look: images, cameras, landmarks, and how wrong map and rig may be."""
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
@@ -140,7 +140,7 @@ class Scene:
     ) -> Look:
         """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
 
-        shift_m (L, M), rig: errors of map and rig as now believed.
+        shift_m (L, M), rig: present estimates of errors of map and rig.
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
@@ -185,7 +185,7 @@ def _looked(
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
     k: int, A: Array, opened: Array,
 ) -> tuple[Line, int]:  # fmt: skip
-    """The fields of EdgeLines of picture k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
+    """The fields of EdgeLines of image k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
 
     drawn: ModelEdges; on_edges: Samples, their blocks, and which are of spots; bodies: Prisms as they stand; stand: as Eye.stand;
     search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
@@ -258,7 +258,7 @@ def _dependence(
 
 @njit(cache=True)
 def _through(rows: Array, first: int, root: Array, A: Array, picture: int, at: int) -> None:
-    """A (E, picture, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
+    """A (E, image, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
     for e in range(len(A)):
         for i in range(2):
             for j in range(root.shape[1]):

@@ -27,7 +27,7 @@ _SURPRISE = 22.5  # chi-square (6) against the prior from which on the points ar
 
 
 class PointConfig(msgspec.Struct, frozen=True):
-    """gate: chi-square (2) above which a point is left out; least: points that make a pose; freedom, expected: what is believed
+    """gate: chi-square (2) above which a point is left out; least: points that make a pose; freedom, expected: the prior
     of the variance factor beforehand, as in PoseConfig.
     """
 
@@ -135,10 +135,10 @@ def _report(
     if measured.whole:
         p_n, R_nb = retract(prior.p_n, prior.q_nb_wxyz, measured.alone(delta, image + moved @ moved.T))
     else:
-        directions, readings = measured.told_along(delta, image + moved @ moved.T)
+        directions, readings = measured.reported_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     map_errors, slopes, rig = np.split(moved, (_MAP_ERRORS, _MAP_ERRORS + _SLOPES), axis=1)
-    image = image + slopes @ slopes.T  # another ground in the next picture
+    image = image + slopes @ slopes.T  # another ground in the next image
     image, by_rig = 0.5 * (image + image.T), rig @ rig.T
     common = map_errors @ map_errors.T + by_rig
     image = image * max(measured.surprise(delta, image + common, _SURPRISE), 1.0)

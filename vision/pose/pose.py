@@ -1,10 +1,10 @@
-"""Six-degree-of-freedom pose from identified landmarks: Gauss-Newton on the outlines' edges in one or two pictures.
+"""Six-degree-of-freedom pose from identified landmarks: Gauss-Newton on the outlines' edges in one or two images.
 
     r = H dx + N nu + e,     dx = (dp_n, dtheta_n),   R_true = exp(dtheta) R          (thesis eq. 3.84-3.92, Table 1; Lowe 1985)
 
-r: offset and tilt of every edge in every picture; nu: errors of map and rig with their own priors, estimated along, so that
+r: offset and tilt of every edge in every image; nu: errors of map and rig with their own priors, estimated along, so that
 landmarks whose map errors are independent are weighed rightly. The prior picks the mode and is where the equations are
-linearised, but what is reported is the information of the pictures alone: the measurement z which, fused with this prior, gives
+linearised, but what is reported is the information of the images alone: the measurement z which, fused with this prior, gives
 the joint optimum,
 
     z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H,
@@ -43,23 +43,21 @@ _STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or i
 
 
 class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a fit is believed, and its parts."""
+    """When a fit is accepted, and its parts."""
 
     least_found: Annotated[float, Meta(ge=0, le=1, description="share of the outline in view that must be found")] = 0.4
     least_fitted: Annotated[float, Meta(ge=0, le=1, description="the same at the end")] = 0.6
-    least_edges: Annotated[int, Meta(ge=3, description="lines in all pictures")] = 4
+    least_edges: Annotated[int, Meta(ge=3, description="lines in all images")] = 4
     freedom: Annotated[float, Meta(gt=0, description="weight of the expected residuals in the variance factor, in numbers")] = (
         16.0
     )
-    expected: Annotated[
-        float, Meta(gt=0, description="variance factor believed beforehand; above 1, since errors have tails")
-    ] = 1.25
-    worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is not believed")] = 8.0
+    expected: Annotated[float, Meta(gt=0, description="prior variance factor; above 1, since errors have tails")] = 1.25
+    worst_factor: Annotated[float, Meta(gt=1, description="variance factor above which the fit is rejected")] = 8.0
     edge_gate: Annotated[float, Meta(gt=0, description="chi-square (4) above which an edge is left out")] = 22.0
     most_left_out: Annotated[float, Meta(ge=0, lt=1, description="share of the edges that may be left out")] = 0.25
     decided: Annotated[float, Meta(gt=0, description="difference of costs, chi-square, that decides between two poses")] = 13.8
     surprise: Annotated[
-        float, Meta(gt=0, description="chi-square (6) against the prior from which on the pictures are doubted")
+        float, Meta(gt=0, description="chi-square (6) against the prior from which on the images are doubted")
     ] = 22.5
     look: LookConfig = LookConfig()
     noise: NoiseConfig = NoiseConfig()
@@ -75,15 +73,15 @@ class NoPose:
 
 @dataclass(frozen=True, slots=True)
 class PoseEstimate:
-    """A pose from the pictures alone, and what it comes to with the prior.
+    """A pose from the images alone, and what it comes to with the prior.
 
-    p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every picture; covariance_common (6, 6): the part
+    p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every image; covariance_common (6, 6): the part
     that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, M): how the errors of each landmark,
-    of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and pictures.
-    directions (r, 6), readings (r,): where the pictures leave a direction open, what they measured and from where p_n, R_nb, the
+    of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and images.
+    directions (r, 6), readings (r,): where the images leave a direction open, what they measured and from where p_n, R_nb, the
     joint optimum, it reads (LandmarkFix); None: p_n, R_nb.
     residual_px: RMS of the edges' offsets; factor: measured over expected variance of the residuals; found: share of
-    the outline in view that was found; edges: lines used, over all pictures; shift_m: (L, M) estimated map errors
+    the outline in view that was found; edges: lines used, over all images; shift_m: (L, M) estimated map errors
     (MapError); cost: chi-square of all residuals and of the prior's.
     """
 
@@ -195,7 +193,7 @@ def estimate_pose(
 def _decided(
     scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, config: PoseConfig, landmarks: Sequence[Landmark]
 ) -> PoseEstimate | NoPose:
-    """The pose from a start, or another one that shows the same pictures better; none where nothing decides between them."""
+    """The pose from a start, or another one that shows the same images better; none where nothing decides between them."""
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found
@@ -207,7 +205,7 @@ def _decided(
         if isinstance(rival, NoPose) or rival.found < 0.9 * found.found or not _apart(rival, found):
             continue
         if abs(rival.cost - found.cost) < config.decided:
-            return NoPose("ambiguous", "another pose shows the same picture, and the prior allows both")
+            return NoPose("ambiguous", "another pose shows the same image, and the prior allows both")
         found = min(found, rival, key=lambda one: one.cost)
     return found
 
@@ -282,7 +280,7 @@ def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
 
 
 def _system(seen: Look, R: Array, *more: Array) -> System:
-    """Edges of all pictures as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
+    """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
     edges, pictures = seen.found.shape
     rows = 2 * pictures
     A = (np.concatenate((seen.A, *more), axis=3) if more else seen.A).reshape(edges, rows, -1)
@@ -328,7 +326,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     if factor > config.worst_factor:
         return NoPose("residual", f"variance factor {factor:.1f}")
     if not measured.rank:
-        return NoPose("nothing_new", "the pictures say nothing of the pose that the prior does not")
+        return NoPose("nothing_new", "the images say nothing of the pose that the prior does not")
     fit.move(step)
     delta = fit.delta()
     image, moved = measured.covariances(system, step.omega, 1.0)  # as it was solved
@@ -336,10 +334,10 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     if measured.whole:
         p_n, R_nb = retract(fit.p0, fit.q0, measured.alone(delta, image + moved @ moved.T))
     else:
-        directions, readings = measured.told_along(delta, image + moved @ moved.T)
+        directions, readings = measured.reported_along(delta, image + moved @ moved.T)
     image, moved = measured.covariances(system, step.omega, factor)
     common = moved @ moved.T
-    by_landmark, by_rig = _told_apart(moved, fit)
+    by_landmark, by_rig = _separated(moved, fit)
     image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions, readings)
     return PoseEstimate(
@@ -350,7 +348,7 @@ def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseC
     )  # fmt: skip
 
 
-def _told_apart(moved: Array, fit: _Fit) -> tuple[Array, Array]:
+def _separated(moved: Array, fit: _Fit) -> tuple[Array, Array]:
     """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest).
 
     With round landmarks there is one column more, their turns.

@@ -1,4 +1,4 @@
-"""How the picture of a point moves with the pose, the map and the rig, seen along the outline's normal.
+"""How the image of a point moves with the pose, the map and the rig, seen along the outline's normal.
 
     x_c = R_nc^T (X - p_nc),   R_nc = R_nb R_bc,   p_nc = p + R_nb p_bc
     dx_c = R_nc^T (-dp + [X - p]x dtheta + dX)                  pose (R_true = exp(dtheta) R) and map point
@@ -32,8 +32,8 @@ _FEW, _CLOSEST_PX = 7, 3.0  # short edges get so many points, unless they came c
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Points on model edges: points_n (N, 3) m, place t (N,) in 0 ... 1 and edge (N,) index; tau (N,): their place in -1 ... 1 of
-    what is in view of the edge.
+    """Points on model edges: points_n (N, 3) m, position t (N,) in 0 ... 1 and edge (N,) index; tau (N,): their position in -1
+    ... 1 of what is in view of the edge.
     """
 
     points_n: Array
@@ -98,7 +98,7 @@ def eyes(rig: Mount) -> tuple[Eye, Eye]:
 def sample_edges(
     edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
 ) -> Samples:
-    """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the picture, at most `most` on one."""
+    """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the image, at most `most` on one."""
     chosen = np.ones(len(edges.kind), dtype=np.bool_) if wanted is None else wanted
     camera, borders = eye.camera.parameters, _borders(eye.camera)
     return Samples(*_sampled(edges.start_n, edges.end_n, *eye.stand(p_n, R_nb), camera, borders, spacing_px, most, chosen))
@@ -122,7 +122,7 @@ def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Arra
 
 
 def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
-    """Where the ends of the edges are in the picture (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
+    """Where the ends of the edges are in the image (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
     return np.asarray(ends_of(edges.start_n, edges.end_n, *eye.stand(*pose), eye.camera.parameters))
 
 
@@ -262,7 +262,7 @@ def _directions(start: Array, end: Array, R_nk: Array) -> Array:
 
 @njit(cache=True)
 def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) -> None:
-    """Unit normal (2,) of the picture of an edge with this direction in the camera (3,), and n . du/dx_camera (3,)."""
+    """Unit normal (2,) of the image of an edge with this direction in the camera (3,), and n . du/dx_camera (3,)."""
     tu = jacobian[0, 0] * direction[0] + jacobian[0, 1] * direction[1] + jacobian[0, 2] * direction[2]
     tv = jacobian[1, 0] * direction[0] + jacobian[1, 1] * direction[1] + jacobian[1, 2] * direction[2]
     length = np.sqrt(tu * tu + tv * tv)
@@ -284,7 +284,7 @@ def partners_off(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array,
     camera: Array, own_px: Array, own_normal: Array,
 ) -> Array:  # fmt: skip
-    """edge_gaps of the samples' edge (N,), place t (N,), pixels and normals (N, 2)."""
+    """edge_gaps of the samples' edge (N,), position t (N,), pixels and normals (N, 2)."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
     rows, x_c = _on_partners(start, end, partner, edge, t, p_nk, R_nk)
     px, jacobian = projected(x_c, camera)
@@ -295,7 +295,7 @@ def partners_off(
 def _on_partners(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_nk: Array, R_nk: Array
 ) -> tuple[Indices, Array]:
-    """The samples (R,) whose edge has a partner, and the same places on that one in the camera (R, 3)."""
+    """The samples (R,) whose edge has a partner, and the same positions on that one in the camera (R, 3)."""
     rows, count = np.empty(len(edge), np.int64), 0
     for i in range(len(edge)):
         if partner[edge[i]] >= 0:
@@ -362,7 +362,7 @@ def derivatives(
     edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: Mount, p_n: Array, R_nb: Array, *,
     with_own: bool = True,
 ) -> Derivatives:  # fmt: skip
-    """All that moves the samples along their normals in this picture; own is empty (N, 0) where it is not wanted."""
+    """All that moves the samples along their normals in this image; own is empty (N, 0) where it is not wanted."""
     own = 4 + len(eye.camera.distortion) if with_own else 0
     return Derivatives(*derived(
         seen.row_c, seen.x_c, seen.normal, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end,

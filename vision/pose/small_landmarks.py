@@ -30,14 +30,14 @@ _ROOF = int(Kind.ROOF)
 _LONGEST_PX = 12.0  # of a side that is no edge: of four points, three pixels apart, that make one
 _SPACING_PX = 1.5  # of its points
 _LEAST_POINTS = 6
-_LEAST_IN_VIEW = 0.7  # of its points, in the picture
+_LEAST_IN_VIEW = 0.7  # of its points, in the image
 _SPAN = 0.1  # of n_i n_i^T, the mean: what the border leaves of a rim must still tell both directions
 _FLOOR = 2.0  # g_0, grey values per pixel
 _LEAST = 0.5  # of all gradients along the rim lead to the same side, at least
 _ASIDE_PX = 2.0  # from the rim, where the colours inside and outside are looked at
 _RIVAL = 0.85  # of the best shift's score: another one that has so much makes a spot ambiguous,
 _APART_PX = 3  # if it is farther off than this
-_HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest place is found
+_HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest position is found
 
 
 def blocks(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> tuple[Indices, Mask]:
@@ -66,7 +66,7 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
 
 
 def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) -> Mask:
-    """Which landmarks (L,) are spots in the picture of a pose."""
+    """Which landmarks (L,) are spots in the image of a pose."""
     edges = visible_edges(Prisms.of(landmarks), eye.pose(*pose)[0])
     spots = np.zeros(len(landmarks), np.bool_)
     spots[edges.landmark[blocks(edges, eye, pose)[1]]] = True
@@ -220,7 +220,7 @@ def _in_shadow(image: Image, pixel: Indices, normal: Array, du: int, dv: int) ->
 
 @njit(cache=True)
 def _across(g: Array, pixel: Indices, normal: Array, du: int, dv: int) -> tuple[Array, float]:
-    """sum_i n_i . g_i (C,) and sum_i (|g_i| + g_0) of points at pixel (N, 2), moved by du, dv; 0 if one is not in the picture."""
+    """sum_i n_i . g_i (C,) and sum_i (|g_i| + g_0) of points at pixel (N, 2), moved by du, dv; 0 if one is not in the image."""
     channels = g.shape[2] // 2
     across, total = np.zeros(channels), 0.0
     for i in range(len(pixel)):
@@ -237,7 +237,7 @@ def _across(g: Array, pixel: Indices, normal: Array, du: int, dv: int) -> tuple[
 
 @njit(cache=True)
 def _gradients(image: Image, left: int, top: int, width: int, height: int) -> Array:
-    """d/du, then d/dv, of all channels (height, width, 2 C), by Sobel, grey values per pixel; NaN outside the picture."""
+    """d/du, then d/dv, of all channels (height, width, 2 C), by Sobel, grey values per pixel; NaN outside the image."""
     rows, columns, channels = image.shape
     g = np.full((height, width, 2 * channels), np.nan)
     for y in range(max(top, 1), min(top + height, rows - 1)):

@@ -1,12 +1,12 @@
-"""Where in the picture the predicted outlines truly lie: a search over what the prior leaves open.
+"""Where the predicted outlines are in the image: a search over the range that the prior leaves open.
 
     score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2
 
 q: shift, turn and scale of the outlines (motion.py); support: how well landmark l lies on edges (votes.py). The prior's
-ellipsoid is searched on a grid in a reduced picture. All landmarks vote together, each as far off as its map error s_l lets it
-be, so that a neighbour that looks alike does not catch one of them. In the reduced picture the true place is seldom the very best
-one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are looked at again in a picture twice
-as large, and the best of these once more. There every landmark finds its own place and, once it has one, its own size,
+ellipsoid is searched on a grid in a reduced image. All landmarks vote together, each as far off as its map error s_l lets it
+be, so that a neighbour that looks alike does not catch one of them. In the reduced image the true position is seldom the very
+best one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are refined in an image twice
+as large, and the best of these once more. There every landmark finds its own position and, once it has one, its own size,
 
     max_{|d| <= 2 s_l, |g| <= 2 t_l} (support_l - tau length_l)(q + d, outline grown by g),
 
@@ -41,35 +41,35 @@ from vision.predict.search_level import Stage
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-_LEAST_WIDTH = 80  # px of the reduced picture
+_LEAST_WIDTH = 80  # px of the reduced image
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
-_PLACE_PX = 1.0  # of the level: how well a landmark's place is found
-_STILL_PX = 1.5  # of the level: a place that a look moves by less is not looked at again
-_APART_PX = 1.5  # of the reduced picture, across the edges: nearer places are one
-_WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a place
-_FEW_VOTES = 300_000  # are quicker than to reduce the picture once more, and to look again in it
+_PLACE_PX = 1.0  # of the level: how well a landmark's position is found
+_STILL_PX = 1.5  # of the level: a position that a look moves by less is not refined
+_APART_PX = 1.5  # of the reduced image, across the edges: nearer positions are one
+_WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a position
+_FEW_VOTES = 300_000  # are quicker than to reduce the image once more, and to look again in it
 _CLOSE = 6  # summits ranked for each that is to be apart from the others
-_LOW = 0.4  # of the best summit's score: what is lower is not looked at again
+_LOW = 0.4  # of the best summit's score: what is lower is not refined
 
 
 class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How far is searched, and what a vote is compared with."""
 
-    limit_px: Annotated[float, Meta(gt=0, description="largest shift searched, in a picture 640 px wide")] = 160.0
+    limit_px: Annotated[float, Meta(gt=0, description="largest shift searched, in an image 640 px wide")] = 160.0
     turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 10.0
     sigmas: Annotated[float, Meta(gt=0, description="of the prior that are searched")] = 3.0
-    roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced picture, at least")] = 6.0
+    roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced image, at least")] = 6.0
     most_votes: Annotated[
-        int, Meta(ge=10_000, description="of points, in the whole search; else the picture is reduced further")
+        int, Meta(ge=10_000, description="of points, in the whole search; else the image is reduced further")
     ] = 128_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    summits: Annotated[int, Meta(ge=1, description="places of the whole search looked at again in a picture twice as large")] = 60
+    summits: Annotated[int, Meta(ge=1, description="places of the whole search refined in an image twice as large")] = 60
     peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 8
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
-    """Largest shift searched in this camera's picture."""
+    """Largest shift searched in this camera's image."""
     return config.limit_px * camera.width / 640.0
 
 
@@ -87,7 +87,7 @@ class Candidate:
 
     @classmethod
     def as_mapped(cls, eye: Eye, landmarks: Sequence[Landmark], pose: Pose, error: Array) -> "Candidate":
-        """A place that nothing voted for: landmarks are where the map has them, and count by what the picture shows of them."""
+        """A position that nothing voted for: landmarks are where the map has them, and count by what the image shows of them."""
         pinhole = straight(eye)
         ends, mark = roofs_in_view(pinhole, landmarks, pose, 0.0)
         p_nk, R_nk = pinhole.pose(*pose)
@@ -103,7 +103,7 @@ class Candidate:
 
 
 class Search:
-    """The search of one camera's picture for landmarks that the prior lets move as `motion` says."""
+    """The search of one camera's image for landmarks that the prior lets move as `motion` says."""
 
     def __init__(self, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, config: CoarseConfig) -> None:
         self.eye, self.landmarks, self.motion, self.config = eye, landmarks, motion, config
@@ -129,12 +129,12 @@ class Search:
         return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
     def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
-        """The best places, apart from each other, so that those near the best one do not crowd out its rivals."""
+        """The best positions, apart from each other, so that those near the best one do not crowd out its rivals."""
         ranked = sorted(places, key=_score, reverse=True)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
-        """By how much the picture is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
+        """By how much the image is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
 
         Where the prior leaves little open, a less reduced one is searched at once.
         """
@@ -149,7 +149,7 @@ class Search:
         return sizes
 
     def _votes(self, size: int) -> int:
-        """Of points, in the whole search of a picture reduced `size` times."""
+        """Of points, in the whole search of an image reduced `size` times."""
         return self._grid(size).places * self._points(_WIDE_POINTS)
 
     def _points(self, each: int) -> int:
@@ -169,27 +169,27 @@ class Search:
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
 
     def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The better of a place and the place near it: turn and scale follow only from the look before."""
+        """The better of a position and the position near it: turn and scale follow only from the look before."""
         return max(place, self._again(stage, place, steps), key=_score)
 
     def _nearest(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The place near a place; where that is another one, the better of it and the place near it."""
+        """The position near a position; where that is another one, the better of it and the position near it."""
         near = self._again(stage, place, steps)
         shift_u, shift_v, turn, scale = self.motion.J @ (near.error - place.error)
         moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
         return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
 
     def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
-        """The place near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
+        """The position near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
         return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
 
     def _again(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The place near a place: landmarks near where they were found, as large as the map leaves open."""
+        """The position near a place: landmarks near where they were found, as large as the map leaves open."""
         return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
 
     def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
-        """Every landmark's own place and size near an error of the prior, and the pose and map errors that follow.
+        """Every landmark's own position and size near an error of the prior, and the pose and map errors that follow.
 
         Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
         """
@@ -212,7 +212,7 @@ class Search:
 
 @njit(cache=True)
 def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Indices, Array, Array]:
-    """Each landmark's own place (L, 2), row and column to a fraction, its size (L,), and its votes and length (L,) there.
+    """Each landmark's own position (L, 2), row and column to a fraction, its size (L,), and its votes and length (L,) there.
 
     votes, length (K, L, U, U): in K sizes, shifted about the middle; landmarks lie at most free (L,) from what is common to all.
     """

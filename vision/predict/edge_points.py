@@ -1,4 +1,4 @@
-"""Points on predicted outlines that vote in the coarse search: which can be told apart there, and how each pose aims them.
+"""Points on predicted outlines that vote in the coarse search: which are distinct there, and how each pose aims them.
 
 Roof edges, and feet and corners of walls as far as they are not drowned by the roof's edge beside them at this size.
 """
@@ -61,7 +61,7 @@ class Voters:
         return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
     def aimed(self, eye: Eye, pose: Pose, gain: Array, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the picture; shift_m:
+        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the image; shift_m:
         as moved().
         """
         points_n = self.points_n if shift_m is None else self.moved(shift_m)
@@ -69,9 +69,9 @@ class Voters:
 
 
 def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> Voters | None:
-    """About `most` points of what is seen from a pose and comes into the picture within reach_px; None where there is nothing.
+    """About `most` points of what is seen from a pose and comes into the image within reach_px; None where there is nothing.
 
-    eye: with the camera of the reduced picture, without distortion; chroma (L, 3): chromas() of the landmarks.
+    eye: with the camera of the reduced image, without distortion; chroma (L, 3): chromas() of the landmarks.
     """
     p_nk, _ = eye.pose(*pose)
     eye = Eye(enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
@@ -149,7 +149,7 @@ def _chosen(
 @njit(cache=True)
 def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) -> Indices:
     """Which chain (E,) each edge belongs to: neighbours of one landmark and kind, joined until they are long enough to have a
-    direction, unless they turn by much. A curve is a polygon of edges that are too short to be told apart.
+    direction, unless they turn by much. A curve is a polygon of edges that are too short to be distinct.
     """
     chain = np.zeros(len(kind), np.int64)
     begin, total = 0, 0.0

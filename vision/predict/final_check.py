@@ -1,8 +1,8 @@
-"""A last look: do the outlines lie where the fit says, landmark by landmark, and do both pictures say the same?
+"""The final check: do the outlines lie where the fit says, landmark by landmark, and do both images say the same?
 
-    r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two pictures, px)
+    r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two images, px)
 
-A fit leaves out edges that disagree; a landmark of which most disagree is not there, and pictures that are swapped, or were not
+A fit leaves out edges that disagree; a landmark of which most disagree is not there, and images that are swapped, or were not
 taken together, or belong to another calibration, differ by one shift for all. What hides a part of a roof hides it in both.
 """
 
@@ -41,22 +41,22 @@ _NEAR_PX = 2.5  # an edge farther off than this is not the one that was fitted,
 _OF_MAP = 2.0  # and so many standard deviations of the map's outline, both squared,
 _FARTHEST_PX = 4.0  # but half the window at most: else anything in it would do
 _GAP_PX = 4.0  # feet of walls nearer to the roof's edge say nothing by themselves
-_LEAST = 12  # points in both pictures that tell a shift
+_LEAST = 12  # points in both images that tell a shift
 _ROUNDS = 4
 _TUKEY = 4.7
 _CORRELATED = 4.0  # neighbouring points on an edge are not independent
 _FLOOR_PX = 0.2
-_REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is told worst
+_REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is measured worst
 
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
     """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
 
-    pictures: the same of each picture that is there.
-    stands (L,): logarithm of how much likelier these pictures are if it stands than if it is gone (presence.py).
-    covered: share of all roofs in view that something covers, or where there is no roof, in every picture.
-    apart: (du, dv) of right against left picture, px, and its standard deviation; None where too little is in both.
+    pictures: the same of each image that is there.
+    stands (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
+    covered: share of all roofs in view that something covers, or where there is no roof, in every image.
+    apart: (du, dv) of right against left image, px, and its standard deviation; None where too little is in both.
     """
 
     share: Array
@@ -66,8 +66,8 @@ class Recheck:
     apart: tuple[float, float, float] | None
 
 
-class _Looked(NamedTuple):
-    """What one picture shows of the samples of roofs: offsets (N,) px, normals (N, 2), places x_c (N, 3) m in the camera; usable
+class _Checked(NamedTuple):
+    """What one image shows of the samples of roofs: offsets (N,) px, normals (N, 2), positions x_c (N, 3) m in the camera; usable
     ones (N,), and those of them that something hides (N,); across() (E, C + 1) of roofs and walls.
     """
 
@@ -76,13 +76,13 @@ class _Looked(NamedTuple):
     x_c: Array
     usable: Mask
     hidden: Mask
-    told: Array
+    sums: Array
 
 
 def recheck(
     rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
 ) -> Recheck:
-    """Look at the roofs from the pose that prior and pictures gave together."""
+    """Look at the roofs from the pose that prior and images gave together."""
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
@@ -95,8 +95,8 @@ def recheck(
     bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
     on_roofs = roofs.points_n, roofs.edge, block[roofs.edge], spot[roofs.edge]
     on_walls = walls.points_n, walls.t, walls.edge
-    seen = [_looked_at(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
-    offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.told for one in seen]
+    seen = [_checked(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
+    offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.sums for one in seen]
     hidden = np.logical_and.reduce([one.hidden for one in seen])
     asked = np.logical_and.reduce([one.usable for one in seen])
     for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
@@ -111,9 +111,7 @@ def recheck(
     return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
-def _looked_at(
-    image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array
-) -> _Looked:
+def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:
     """drawn: ModelEdges; roofs: Samples, their blocks, which are of spots; walls: Samples; bodies: Prisms; stand: as Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
@@ -127,13 +125,13 @@ def _looked_at(
     )
     offset = profiles.search(distance, edge, len(kind), 1.0, usable)
     small_landmarks.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
-    told = across(image, px, normal, block, len(kind), seen)
+    sums = across(image, px, normal, block, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     gap = partners_off(start, end, partner, edge, t, *stand, camera, px, along)
     apart = (partner < 0) | (np.abs(gap) > _GAP_PX)
-    told += across(image, px, along, edge, len(kind), seen & apart[edge])
-    return _Looked(offset, normal, x_c, usable, hidden, told)
+    sums += across(image, px, along, edge, len(kind), seen & apart[edge])
+    return _Checked(offset, normal, x_c, usable, hidden, sums)
 
 
 @njit(cache=True)
@@ -160,7 +158,7 @@ def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | Non
 
 @njit(cache=True)
 def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float]:
-    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if untold."""
+    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if not measured."""
     good, count = np.empty(len(difference), np.int64), 0
     for i in range(len(difference)):
         if math.isfinite(difference[i]):

@@ -1,11 +1,12 @@
-"""From a place that the coarse search found to a fit of the outlines: what does not belong goes, what stands there joins.
+"""From a position that the coarse search found to a fit of the outlines: what does not belong goes, what stands there joins.
 
-    fit -> last look (final_check.py) -> landmarks that are not where it says, or a picture that contradicts the other, go ->
-    again each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> last look -> all
+    fit -> final check (final_check.py) -> landmarks that are not where it says, or an image that contradicts the other, go ->
+    again each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> final check -> all
     together
 
-A first fit begins at a place that is good to a few pixels, so it may not look far; then a roof larger than mapped is lost. Once
-the others tell the pose, what is left open of that roof is its own error on the map, and one may look as far as that reaches.
+A first fit begins at a position that is good to a few pixels, so it may not look far; then a roof larger than mapped is lost.
+Once the others tell the pose, what is left open of that roof is its own error on the map, and one may look as far as that
+reaches.
 """
 
 import math
@@ -33,15 +34,15 @@ from vision.records.reports import pose_flaw
 Views = tuple[Image | None, Image | None]
 Mask = NDArray[np.bool_]
 _MOST_FITS = 3
-_MOST_ALONE = 3  # landmarks of which each tells where to begin
-_WINDOW_PX = (8, 8)  # about a place the search found, good to a few px; wider ones meet feet of walls and rims of shadows
+_MOST_ALONE = 3  # landmarks from each of which a fit begins
+_WINDOW_PX = (8, 8)  # about a position the search found, good to a few px; wider ones meet feet of walls and rims of shadows
 _AGAIN_PX = ()  # where a fit was that had wrong landmarks as well: it is good to a pixel
 _ALONE_PX = (16, 8)  # about where the others put a landmark: as far as its shift and size may be off the map
-_PAIR_PX = 0.8  # shifts between the two pictures that do no harm
+_PAIR_PX = 0.8  # shifts between the two images that do no harm
 _SURE = math.log(0.99 / 0.01)  # odds from which a landmark stands,
 _SURE_HIDDEN = math.log(0.999 / 0.001)  # from which it does though more of it is hidden,
-_SURE_ANYHOW = math.log(0.9999 / 0.0001)  # and however little of it the last look finds
-_LEAST_SHARE = 0.5  # of what the better picture shows
+_SURE_ANYHOW = math.log(0.9999 / 0.0001)  # and however little of it the final check finds
+_LEAST_SHARE = 0.5  # of what the better image shows
 _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 
@@ -49,7 +50,7 @@ _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 class _Start:
     """Where a fit begins: pose and map errors (L, M), landmarks fitted; asked: those of whose outline so much must agree.
 
-    views: pictures that are used; remark: on one that is not.
+    views: images that are used; remark: on one that is not.
     """
 
     pose: Pose
@@ -61,7 +62,7 @@ class _Start:
 
 
 class Fitter:
-    """Fits outlines in the pictures of one rig. gone: share of the map that is believed to stand no longer."""
+    """Fits outlines in the images of one rig. gone: share of the map assumed to stand no longer."""
 
     def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
         self._rig, self._config, self._most = rig, config, most
@@ -79,7 +80,7 @@ class Fitter:
     def fit(
         self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
     ) -> Fitted | str:
-        """The fit from a place, or why there is none; among: landmarks (L,) that may take part, all by default."""
+        """The fit from a position, or why there is none; among: landmarks (L,) that may take part, all by default."""
         first = [k for k in sorted(self._most_seen(place)) if among is None or among[k]]
         return self._settled(marks, place, _start(pictures, place, first, first), prior)
 
@@ -91,21 +92,21 @@ class Fitter:
         return max(fits, key=lambda one: one.odds, default=None)
 
     def joined(self, pictures: Pictures, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
-        """The fit from that place with all landmarks seen that stand where it says; itself where it has them already.
+        """The fit from that position with all landmarks seen that stand where it says; itself where it has them already.
 
         More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
         """
         views: Views = (pictures.left, None if fitted.remark else pictures.right)
         fit, shift_m = fitted.pose, place.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m
-        more, told = [], fit
+        more, known = [], fit
         for k in sorted(set(np.flatnonzero(self._seen(place)).tolist()).difference(fitted.used)):
-            if (found := self._found(views, marks[k], told)) is not None:
-                told, shift_m[k] = found, found.shift_m[0]
+            if (found := self._found(views, marks[k], known)) is not None:
+                known, shift_m[k] = found, found.shift_m[0]
                 more.append(k)
         if not more:
             return fitted
-        here, chosen = replace(place, p_n=told.joint_p_n, R_nb=told.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
+        here, chosen = replace(place, p_n=known.joint_p_n, R_nb=known.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
         start = _Start(here.pose, shift_m, chosen, sorted({*fitted.asked, *more}), views, fitted.remark)
         again = self._settled(marks, here, start, prior)
         if isinstance(again, str) or len(again.used) <= len(fitted.used):
@@ -113,17 +114,17 @@ class Fitter:
         return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
 
     def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
-        """The pose that others and a landmark tell together, with its map errors; None where it does not stand there."""
+        """The pose from the others and a landmark together, with its map errors; None where it does not stand there."""
         pose = others.joint_p_n, others.joint_R_nb
-        told = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
-        alone = estimate_pose(self._rig, views, [mark], pose, told, self._alone)
+        about = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
+        alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
         if isinstance(alone, NoPose):
             return None
         stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.look))
         return alone if stands[0] else None
 
     def _settled(self, marks: list[Landmark], place: Candidate, start: _Start, prior: Prior) -> Fitted | str:
-        """The fit of what is left when landmarks and a picture that contradict it are gone, or why there is none."""
+        """The fit of what is left when landmarks and an image that contradict it are gone, or why there is none."""
         eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
         views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
         before: tuple[Pose, Array] | None = None
@@ -136,7 +137,7 @@ class Fitter:
             good = [k for k, stands in zip(chosen, self._stand(some, fit, seen), strict=True) if stands]
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, start, chosen, prior):
-                    return "left and right picture are swapped"
+                    return "left and right image are swapped"
                 views, remark, before = (views[0], None), f"right camera not used: {problem}; ", None
             elif len(good) < len(chosen):
                 if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
@@ -179,7 +180,7 @@ class Fitter:
         return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(place)).tolist()})
 
     def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
-        """Landmarks (L,) that the last look finds where the fit says, and not far off the map."""
+        """Landmarks (L,) that the final check finds where the fit says, and not far off the map."""
         v = self._config
         whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
         hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
@@ -206,20 +207,20 @@ class Fitter:
         return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found, covered)
 
     def _pair_flaw(self, seen: Recheck) -> str:
-        """Why the right picture does not belong to the left one; empty where it does."""
+        """Why the right image does not belong to the left one; empty where it does."""
         if seen.apart is not None:
             du, dv, sigma = seen.apart
             limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
             if abs(dv) > limit:
-                return f"rows differ by {dv:+.1f} px: wrong calibration, or pictures not taken together"
+                return f"rows differ by {dv:+.1f} px: wrong calibration, or images not taken together"
             if abs(du) > limit:
                 return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together"
         if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
-            return f"{seen.pictures[0]:.0%} of the outlines found in the left picture, {seen.pictures[1]:.0%} in the right one"
+            return f"{seen.pictures[0]:.0%} of the outlines found in the left image, {seen.pictures[1]:.0%} in the right one"
         return ""
 
     def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
-        """Whether the outlines lie in both pictures once they are taken the other way round."""
+        """Whether the outlines lie in both images once they are taken the other way round."""
         shift_m = start.shift_m[chosen]
         fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
@@ -237,12 +238,12 @@ def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
 
 
 def _sigma_m(fit: PoseEstimate) -> float:
-    """How sure prior and pictures together are of the position: (tr P)^(1/2)."""
+    """How sure prior and images together are of the position: (tr P)^(1/2)."""
     return math.sqrt(float(np.trace(fit.joint_covariance[:3, :3])))
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:
-    """By how much the two pictures may be shifted against each other for all that the calibration knows [px]."""
+    """By how much the two images may be shifted against each other for all that the calibration knows [px]."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
     lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
     return math.sqrt(turn + lenses)
@@ -257,7 +258,7 @@ def _moved_px(eye: Eye, marks: list[Landmark], place: Candidate, chosen: list[in
 
 
 def _whole(fit: PoseEstimate) -> bool:
-    """Whether the pictures leave no direction open: along one (a strip) the search finds no place that a fit could leave."""
+    """Whether the images leave no direction open: along one (a strip) the search finds no position that a fit could leave."""
     return fit.directions is None
 
 

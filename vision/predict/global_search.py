@@ -1,14 +1,14 @@
-"""The search of all that the prior leaves open, in the most reduced picture.
+"""The search of all that the prior leaves open, in the most reduced image.
 
     score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2,     q: shift, turn, log scale
 
 The grid's step is a pixel, and turns and scales of which the nearest one is off by a pixel at most, at the ends of all outlines.
 The ends of a single landmark are off by less, as its radius is less than that of all. So in many turns and scales a landmark is
-the same but for its place, and its votes are told once for all of these, in every place where they may put it:
+the same but for its position, and its votes are computed once for all of these, in every position where they may put it:
 
     support_l(q) = support_l,k(y_l(q) - y_l(q_k)),    q_k: the nearest turn and scale of a grid by the landmarks' own radius
 
-y_l: where the middle of the landmark's points is in the picture; rounded to pixels.
+y_l: where the middle of the landmark's points is in the image; rounded to pixels.
 """
 
 import math
@@ -27,7 +27,7 @@ Indices = NDArray[np.int64]
 _NEVER = -1e6
 _SUMMITS = 6  # of each turn and scale that are kept
 _OTHERS = 9.0  # what turn and scale may add to the squared distance of the shift
-_FARTHEST = 4.0  # times from the middle of the picture to its border: from farther away nothing is moved into view
+_FARTHEST = 4.0  # times from the middle of the image to its border: from farther away nothing is moved into view
 
 Other = tuple[float, float]  # turn and log scale
 
@@ -43,7 +43,7 @@ class Grid:
 
     @classmethod
     def of(cls, motion: Motion, sigmas: float, most_turn: float, step: int, limit_px: float) -> "Grid":
-        """Of so many sigmas of the prior, a turn [rad] and a shift, in a picture reduced `step` times."""
+        """Of so many sigmas of the prior, a turn [rad] and a shift, in an image reduced `step` times."""
         width, reach = _width(motion.radius, step), (min(sigmas * motion.turn_rad, most_turn), sigmas * motion.log_scale)
         u, v = (math.ceil(min(sigmas * math.sqrt(motion.covariance[k, k]), limit_px) / step) + 1 for k in range(2))
         turns, scales = (math.ceil(max(half / width - 0.5, 0.0)) for half in reach)
@@ -77,7 +77,7 @@ def summits(stage: Stage, motion: Motion, grid: Grid) -> tuple[Array, Array]:
 
 
 def _width(radius: float, step: int) -> float:
-    """Of a step in turn [rad] and scale that moves the ends of what has this radius by two pixels of the reduced picture."""
+    """Of a step in turn [rad] and scale that moves the ends of what has this radius by two pixels of the reduced image."""
     return 2.0 * step / radius
 
 

@@ -1,16 +1,16 @@
-"""How well all outlines together lie on edges of a picture, at one common shift, and whether one shift stands out.
+"""How well all outlines together lie on edges of an image, at one common shift, and whether one shift stands out.
 
     S(q) = sum_i (c_i(q) - c) / N,      c_i(q) = |n_i . g(x_i + q)| / (|g(x_i + q)| + g_0)
 
 g: gradients of all channels; n_i: normal of the outline at its point i; c: what c_i is on the average over all shifts, which is
 chance; N: number of points. Only directions count, so a shadow's rim has no more to say than a pale roof, and a point outside the
-picture says what chance does: nothing. Every point has its say, and no edge need be seen whole: where each edge shows little
-(hipped roofs, trees), all of them together still tell the place, and the prior P has its say as well. The best place is
+image says what chance does: nothing. Every point has its say, and no edge need be seen whole: where each edge shows little
+(hipped roofs, trees), all of them together still tell the position, and the prior P has its say as well. The best position is
 
     q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2
 
 s: standard deviation of S over all shifts, which is what chance makes of it; the first term is the largest likelihood ratio of
-N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, tells what this picture makes of a wrong place.
+N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, measures the score of wrong positions in this image.
 
     ratio = S(q_1) / max S(q),   |q - q_1| > apart
 """
@@ -41,7 +41,7 @@ def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Arr
 
 
 def summit(score: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
-    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from it is the same place."""
+    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from it is the same position."""
     q = np.stack(np.meshgrid(su, sv, indexing="ij"), axis=-1)
     squared = np.sum(q @ np.linalg.inv(covariance) * q, axis=-1)
     likely = 0.5 * (np.maximum(score, 0.0) / max(float(score.std()), 1e-9)) ** 2 - 0.5 * squared

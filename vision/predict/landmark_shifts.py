@@ -1,10 +1,10 @@
-"""Where each landmark is found in the picture, and the pose and the map errors that follow.
+"""Where each landmark is found in the image, and the pose and the map errors that follow.
 
     y_l = D_l dx - D_l,p m_l + e_l,       dx ~ N(0, P),  m_l ~ N(0, s_l^2 I),  e_l ~ N(0, e^2 I)                        (px)
     dx = (P^-1 + sum_l D_l^T N_l^-1 D_l)^-1 sum_l D_l^T N_l^-1 y_l,    N_l = e^2 I + s_l^2 D_l,p D_l,p^T
     m_l = -s_l^2 D_l,p^T N_l^-1 (y_l - D_l dx)
 
-D_l (2, 6): how landmark l moves in the picture with the pose, the mean over its points; D_l,p: with the position.
+D_l (2, 6): how landmark l moves in the image with the pose, the mean over its points; D_l,p: with the position.
 """
 
 from typing import NamedTuple
@@ -29,10 +29,10 @@ class Settled(NamedTuple):
 def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array) -> Settled:
     """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
 
-    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a place is found.
+    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a position is found.
     """
-    y, W, information, told = _told(D, found_px, trusted, map_sigma, place_px, error)
-    total = np.linalg.solve(np.eye(6) + P @ information, P @ told).astype(np.float64)
+    y, W, information, weighted = _information(D, found_px, trusted, map_sigma, place_px, error)
+    total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
     return Settled(total, _shifts(D, trusted, map_sigma, y, W, total))
 
 
@@ -68,11 +68,11 @@ def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, 
 
 
 @njit(cache=True)
-def _told(
+def _information(
     D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array
 ) -> tuple[Array, Array, Array, Array]:
     """y_l (L, 2), N_l^-1 (L, 2, 2), and the sums over landmarks of D_l^T N_l^-1 D_l (6, 6) and D_l^T N_l^-1 y_l (6,)."""
-    information, told = np.zeros((6, 6)), np.zeros(6)
+    information, weighted = np.zeros((6, 6)), np.zeros(6)
     y, W, WD = np.empty((len(D), 2)), np.empty((len(D), 2, 2)), np.empty((2, 6))
     for m in range(len(D)):
         if not trusted[m]:
@@ -88,10 +88,10 @@ def _told(
             for k in range(6):
                 WD[i, k] = W[m, i, 0] * D[m, 0, k] + W[m, i, 1] * D[m, 1, k]
         for k in range(6):
-            told[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
+            weighted[k] += WD[0, k] * y[m, 0] + WD[1, k] * y[m, 1]
             for j in range(6):
                 information[k, j] += D[m, 0, k] * WD[0, j] + D[m, 1, k] * WD[1, j]
-    return y, W, information, told
+    return y, W, information, weighted
 
 
 @njit(cache=True)
@@ -118,7 +118,9 @@ def _dot(a: Array, b: Array) -> float:
 
 @njit(cache=True)
 def own_places(votes: Array, common: Indices, free: Array) -> Array:
-    """Row and column (L, 2), to a fraction, of each landmark's best place in votes (L, U, V), at most free (L,) from common."""
+    """Row and column (L, 2), to a fraction, of each landmark's best position in votes (L, U, V), at most free (L,) from
+    common.
+    """
     places = np.empty((len(votes), 2))
     for k in range(len(votes)):
         one, radius = votes[k], int(free[k])

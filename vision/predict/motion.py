@@ -1,4 +1,4 @@
-"""How the picture of a few landmarks moves with the pose, and what the prior leaves open of it.
+"""How the image of a few landmarks moves with the pose, and what the prior leaves open of it.
 
     q = J dx + e,    Q = J P J^T,    dx = P J^T Q^-1 q           (q: shift u, v [px], turn [rad], log scale about their middle)
 
@@ -26,9 +26,9 @@ from vision.pose.sensitivity import Eye, part_in_view
 
 _FLOOR = np.array([0.7, 0.7, 2e-3, 2e-3]) ** 2  # px^2, px^2, rad^2, 1: of q beside what dx explains
 
-_LEAST = 3  # points that tell how the picture moves
+_LEAST = 3  # points that tell how the image moves
 _LEAST_SQUARE = 1e-9  # px^2, of what is moved
-_ASIDE = 0.1  # of the picture's width: what lies farther outside does not count
+_ASIDE = 0.1  # of the image's width: what lies farther outside does not count
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
     aside, corners = _ASIDE * eye.camera.width, Prisms.of(landmarks).roofs
     points = corners[pinhole.camera.contains(pinhole.camera.project((corners - p_nk) @ R_nk), -aside)]
-    if len(points) < _LEAST and landmarks:  # of what is larger than the picture sides are seen, not corners
+    if len(points) < _LEAST and landmarks:  # of what is larger than the image sides are seen, not corners
         points = roofs_in_view(pinhole, landmarks, (p_n, prior.R_nb), aside)[0]
     if len(points) < _LEAST:  # all may come into view yet
         points = corners
@@ -100,7 +100,7 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
 
 
 def roofs_in_view(eye: Eye, landmarks: Sequence[Landmark], pose: Pose, aside_px: float) -> tuple[Array, NDArray[np.int64]]:
-    """Ends (N, 3) of what the picture, enlarged by aside_px all around, shows of the roofs' sides, and whose they are (N,)."""
+    """Ends (N, 3) of what the image, enlarged by aside_px all around, shows of the roofs' sides, and whose they are (N,)."""
     wide = Eye(enlarged(eye.camera, math.ceil(aside_px)), eye.R_kb, eye.p_bk, eye.right)
     bodies = Prisms.of(landmarks)
     start, count, following = bodies.roofs, np.diff(bodies.offsets), np.arange(1, len(bodies.vertices) + 1)
@@ -121,7 +121,7 @@ def enlarged(camera: CameraModel, by: int) -> CameraModel:
 
 
 def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array:
-    """How points x_c (N, 3) move in the picture with the pose (N, 2, 6):  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
+    """How points x_c (N, 3) move in the image with the pose (N, 2, 6):  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
     jacobian = camera.project_jacobian(x_c) @ R_nk.T
     lever = lever_n[:, None, :]
     across = jacobian[..., [1, 2, 0]] * lever[..., [2, 0, 1]] - jacobian[..., [2, 0, 1]] * lever[..., [1, 2, 0]]

@@ -3,10 +3,10 @@
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
-together still have one place (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
+together still have one position (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
 searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
-no fit, a summit that stands out is told, along the directions it measures. By chance the best of M places is r times the second
-one with a probability of about M^(-2 (r - 1)).
+no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M positions is r times the
+second one with a probability of about M^(-2 (r - 1)).
 """
 
 import math
@@ -34,11 +34,11 @@ from vision.records.reports import Result, fix_of, pose_flaw
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
-_APART_PX = 8.0  # nearer places are one, as for the window of a fit
-_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: what the prior excludes still tells what chance makes
-_PLACE_PX = 1.0  # how well the summit's place is known
+_APART_PX = 8.0  # nearer positions are one, as for the window of a fit
+_AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that the prior excludes still sample chance
+_PLACE_PX = 1.0  # how well the summit's position is known
 _POINTS = 400
-_FLOOR = 0.5  # of the picture's median gradient: below it there is no direction
+_FLOOR = 0.5  # of the image's median gradient: below it there is no direction
 SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
@@ -53,7 +53,7 @@ def judged(
     if best is None:
         return result
     if result.pose is None:
-        return _told(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
+        return _as_fix(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
     if off_px > _APART_PX:
@@ -70,7 +70,7 @@ def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
 
 
 def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
-    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the picture."""
+    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the image."""
     picture = pictures.right if pictures.only_right else pictures.left
     assert picture is not None
     level = levels(picture, eye.camera, (1,))[0]
@@ -87,7 +87,7 @@ def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Mo
     return summit(score, su, sv, move.covariance[:2, :2], _APART_PX)
 
 
-def _told(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
+def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
     """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
     middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))

@@ -37,10 +37,10 @@ from vision.records.reports import RegionReport, Result, fix_of, report_of
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 PATH = "predict"
-_BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the place lies farther off nothing is found
-_MOST_STEPS = 12  # places that may be fitted beside a place
-_DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a place that is not sure is fitted as well
-_MOST_TRIED = 3  # places that are fitted if the best one is not sure; all that are nearly as good are in any case
+_BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the position lies farther off nothing is found
+_MOST_STEPS = 12  # positions that may be fitted beside a position
+_DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a position that is not sure is fitted as well
+_MOST_TRIED = 3  # positions that are fitted if the best one is not sure; all that are nearly as good are in any case
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,7 +60,7 @@ class _Refused(NamedTuple):
 
 
 class _Decided(NamedTuple):
-    """A place and its fit, how far it is believed, and why no further; rival: score of the next place over the best one's."""
+    """A position and its fit, its grade, and why it is no better; rival: score of the next position over the best one's."""
 
     place: Candidate
     fitted: Fitted
@@ -73,7 +73,7 @@ class PredictPath:
     """Pictures of one rig, looked at where the prior says."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float) -> None:
-        """gone: share of the map that is believed to stand no longer."""
+        """gone: share of the map assumed to stand no longer."""
         self._rig, self._config = rig, config
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
@@ -96,7 +96,7 @@ class PredictPath:
         eye, candidates = self._eye(pictures), self._candidates(pictures, marks, move)
         found = self._decide(pictures, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
-        found = self._believed(found, t_ns, prior) if isinstance(found, _Decided) else found
+        found = self._confirmed(found, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
             said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
@@ -112,9 +112,9 @@ class PredictPath:
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
 
     def stands_out(self, pictures: Pictures, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
-        """Whether a place is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
+        """Whether a position is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
 
-        One that would not be believed by itself is not.
+        One that would not be accepted by itself is not.
         """
         if len(steps) > _MOST_STEPS:
             return False
@@ -132,7 +132,7 @@ class PredictPath:
         return first.odds >= v.odds and verify.same_place(likeliest, first, v)
 
     def _fit_at(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a place, of one landmark where all of them together give none."""
+        """The fit from a position, of one landmark where all of them together give none."""
         fitted = self._fitter.fit(pictures, marks, place, prior)
         return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(pictures, marks, place, prior) or fitted
 
@@ -143,9 +143,9 @@ class PredictPath:
         return Search(self._eye(pictures), marks, move, self._config.coarse).candidates(picture)
 
     def _fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a place; small landmarks are searched once more where the large ones put them.
+        """The fit from a position; small landmarks are searched once more where the large ones put them.
 
-        A prior that is off in tilt puts what is at the picture's border many pixels off, farther than a small landmark is large:
+        A prior that is off in tilt puts what is at the image's border many pixels off, farther than a small landmark is large:
         something else would be found in its place.
         """
         eye, voted = self._eye(pictures), self._trusted(place)
@@ -165,7 +165,7 @@ class PredictPath:
     def _decide(
         self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior
     ) -> _Decided | _Refused:
-        """The one place that is left of those that were searched out, best first: by its votes, and by its fit."""
+        """The one position that is left of those that were searched out, best first: by its votes, and by its fit."""
         if not candidates:
             return _Refused("not_found", "nothing of the outlines in view")
         v, best = self._config.verify, candidates[0]
@@ -190,18 +190,16 @@ class PredictPath:
         grade, reason = verify.grade(evidence, outcome, v)
         voted = any(isinstance(one, Fitted) and verify.same_place(one, outcome, v) for one in tried[:likely])
         if grade == "sure" and at >= likely and not voted:
-            grade, reason = "weak", "another place has more votes"
+            grade, reason = "weak", "another position has more votes"
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 
-    def _believed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """What is weak, or not what the picture before showed, waits until the next one agrees."""
+    def _confirmed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
+        """What is weak, or not what the image before showed, waits until the next one agrees."""
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
         doubtful = found.grade == "weak" or self._waiting.holds(t_ns, found.fitted.odds)
         if doubtful and not self._waiting.agrees(found.fitted, t_ns, prior):
-            return _Refused(
-                "waiting", f"{found.reason or 'the picture before showed another place'}: the next picture must agree"
-            )
+            return _Refused("waiting", f"{found.reason or 'the image before showed another position'}: the next image must agree")
         return found
 
     def _trusted(self, place: Candidate) -> Mask:
@@ -216,8 +214,8 @@ class PredictPath:
 
 
 def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
-    """A place where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is in
-    the picture: its size alone tells how far it is, and a size that is wrong lays half of its sides on edges, too.
+    """A position where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is
+    in the picture: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """
@@ -231,7 +229,7 @@ def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prio
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
-    """At most `most` landmarks of whose roof something comes within limit_px of the picture, those with most in view first."""
+    """At most `most` landmarks of whose roof something comes within limit_px of the image, those with most in view first."""
     pinhole, p_n = straight(eye), np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
     ends, mark = roofs_in_view(pinhole, near, (p_n, prior.R_nb), limit_px)
@@ -256,7 +254,7 @@ def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
 
 
 def _as_fitted(found: _Decided) -> Candidate:
-    """The place with pose and map errors that the fit has found: a search is good to a few pixels only."""
+    """The position with pose and map errors that the fit has found: a search is good to a few pixels only."""
     place, fit = found.place, found.fitted.pose
     shift_m = place.shift_m.copy()
     shift_m[found.fitted.used] = fit.shift_m
@@ -282,7 +280,7 @@ def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -
 
 
 def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
-    """Left, top, width and height of what the picture holds of each landmark, whose corners are px[offsets[k] : offsets[k + 1]].
+    """Left, top, width and height of what the image holds of each landmark, whose corners are px[offsets[k] : offsets[k + 1]].
 
     Corners that are not before the camera do not count; without any there is nothing.
     """

@@ -13,10 +13,10 @@ The feet and corners of the walls in view tell as well, each of them less, as bu
 contrast: h = q = 0.2. An outline that lies on edges of something else seldom has more of these where its walls would end.
 
 A landmark too small to have edges (small_landmarks.py) has one side, its whole rim: a stain has all of a rim as well. One is
-missed with h = 0.15. At a place of no spot one of that size is found in 58 % within 8 px all around (2700 places each in photos
-of grass and woods and in rendered pictures); lying anywhere there, it is as near as 2.5 px to the very place in 9 %: q = 0.05.
-One that is found elsewhere, or nowhere within these 8 px, is missed whatever its place shows: a rim beside a stone crosses the
-stone's edges.
+missed with h = 0.15. At a position of no spot one of that size is found in 58 % within 8 px all around (2700 positions each in
+photos of grass and woods and in rendered images); lying anywhere there, it is as near as 2.5 px to the very position in 9 %: q =
+0.05. One that is found elsewhere, or nowhere within these 8 px, is missed whatever its position shows: a rim beside a stone
+crosses the stone's edges.
 """
 
 import math
@@ -41,7 +41,7 @@ _LEAST_POINTS = 2.0  # that have a direction in common
 def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, edges: int, usable: Mask) -> Array:
     """Sum of u_i of every edge, channel by channel, and the number of its points (E, C + 1), in a picture (H, W, C).
 
-    px, normal (N, 2) of the points, edge (N,) theirs; those that are not usable or not in the picture do not count.
+    px, normal (N, 2) of the points, edge (N,) theirs; those that are not usable or not in the image do not count.
     """
     rows, columns, channels = picture.shape
     total, g = np.zeros((edges, channels + 1)), np.empty(channels)
@@ -67,17 +67,17 @@ def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, 
 
 
 def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, kind: Indices) -> Array:
-    """log LR (L,) of standing against gone; sums: what across() gave of each picture; of the edges: landmark and Kind (E,).
+    """log LR (L,) of standing against gone; sums: what across() gave of each image; of the edges: landmark and Kind (E,).
 
-    Pictures of one pair show the same texture, so their points count once.
+    Images of one pair show the same texture, so their points count once.
     """
     return np.asarray(_log_ratio(np.array(sums), landmark, landmarks, kind))
 
 
 @njit(cache=True)
 def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) -> Array:
-    """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all pictures."""
-    told, channels = np.zeros(landmarks), sums.shape[2] - 1
+    """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all images."""
+    log_ratio, channels = np.zeros(landmarks), sums.shape[2] - 1
     for e in range(len(landmark)):
         if kind[e] == _SPOT:
             h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
@@ -97,10 +97,10 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
             a = math.sqrt(square) / points
             edge = a / math.sqrt(n) * math.sqrt(2.0)  # density of z where a has 2 a: 2 a da/dz
             chance = math.sqrt(2.0 / math.pi) * math.exp(-(a**2) * n)
-            told[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
-    return told
+            log_ratio[landmark[e]] += math.log(((1.0 - h) * edge + h * chance) / (q * edge + (1.0 - q) * chance))
+    return log_ratio
 
 
-def spots_missed(told: Array, share: Array) -> Array:
-    """log LR (N,) of small landmarks, told so far (N,) by their rims, of which such shares (N,) are found where the fit says."""
-    return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), told)
+def spots_missed(log_ratio: Array, share: Array) -> Array:
+    """log LR (N,) of small landmarks, so far (N,) from their rims; share (N,): of each that is found where the fit says."""
+    return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), log_ratio)

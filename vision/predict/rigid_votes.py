@@ -1,10 +1,11 @@
-"""How well landmarks lie on edges of a picture, moved by whole pixels and neither turned nor scaled, for many shifts at once.
+"""How well landmarks lie on edges of an image, moved by whole pixels and neither turned nor scaled, for many shifts at once.
 
     S_e(d) = sum_i f(x_i + d),    f = (g . n_e, |g . n_e|^2, |g|, |g|^2, 1)
     c_e = (|S_1|^2 - S_2) / (S_3^2 - S_4),        support_l = sum_{e of l} length_e c_e
 
 The votes of votes.py: a sum over all pairs of points is the square of the sum less the sum of squares. As all points move alike,
-S_e is f laid on itself, once for each point, and f is told once for each pixel, not for every point and shift that meet there.
+S_e is f laid on itself, once for each point, and f is computed once for each pixel, not for every point and shift that meet
+there.
 """
 
 import numpy as np
@@ -34,7 +35,7 @@ def rigid_votes(
     wide, high = window[1] - window[0] + 1, window[3] - window[2] + 1
     votes = np.zeros((marks, high, wide))
     one, total = np.zeros((_PLANES, 4 * wide * high), np.float32), np.empty((_PLANES, 2 * wide * high), np.float32)
-    told = np.empty(2 * wide * high, np.float32)
+    of_edge = np.empty(2 * wide * high, np.float32)
     for e in range(len(mark)):
         own, way = pixel[first[e] : first[e + 1]], normal[first[e] : first[e + 1]]
         moves = _into_view(field.shape[0], field.shape[1], own, window)
@@ -42,10 +43,10 @@ def rigid_votes(
             continue
         columns = _summed(field, own, way, moves, floor, one, total)
         across = moves[1] - moves[0] + 1
-        _told(total, (moves[3] - moves[2]) * columns + across, length[e], chroma[e], expected, told)
+        _edge_votes(total, (moves[3] - moves[2]) * columns + across, length[e], chroma[e], expected, of_edge)
         for y in range(moves[3] - moves[2] + 1):
             left = moves[0] - window[0]
-            _add(votes[mark[e], moves[2] - window[2] + y, left : left + across], told[y * columns : y * columns + across])
+            _add(votes[mark[e], moves[2] - window[2] + y, left : left + across], of_edge[y * columns : y * columns + across])
     return votes
 
 
@@ -62,7 +63,7 @@ def _around(pixel: Indices) -> Window:
 
 @njit(cache=True)
 def _into_view(rows: int, columns: int, pixel: Indices, window: Window) -> Window:
-    """The part of the window that brings something of points at pixel (N, 2) into a picture; nothing: from is larger than to."""
+    """The part of the window that brings something of points at pixel (N, 2) into an image; nothing: from is larger than to."""
     left, right, top, bottom = _around(pixel)
     first, last = max(window[0], 1 - right), min(window[1], columns - 2 - left)
     return first, last, max(window[2], 1 - bottom), min(window[3], rows - 2 - top)
@@ -125,8 +126,8 @@ def _add(total: Array | Planes, more: Planes) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _told(total: Planes, size: int, length: float, chroma: Array, expected: float, told: Planes) -> None:
-    """told (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
+def _edge_votes(total: Planes, size: int, length: float, chroma: Array, expected: float, of_edge: Planes) -> None:
+    """of_edge (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
 
     Without a branch, so that it is done for several shifts at once.
     """
@@ -137,4 +138,4 @@ def _told(total: Planes, size: int, length: float, chroma: Array, expected: floa
         g0, g1, g2, seen = total[0, k], total[1, k], total[2, k], total[6, k]
         c = (g0 * g0 + g1 * g1 + g2 * g2 - total[3, k]) / (total[4, k] * total[4, k] - total[5, k])
         c *= wrong if (g0 * c0 + g1 * c1 + g2 * c2 > none) & (c > none) else whole
-        told[k] = each * seen * (c - tau) if seen >= least else none
+        of_edge[k] = each * seen * (c - tau) if seen >= least else none

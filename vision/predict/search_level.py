@@ -1,4 +1,4 @@
-"""One reduced picture of the coarse search, and the points on predicted outlines that vote in it."""
+"""One reduced image of the coarse search, and the points on predicted outlines that vote in it."""
 
 import math
 from collections.abc import Sequence
@@ -22,22 +22,22 @@ from vision.predict.rigid_votes import Window, rigid_votes
 from vision.predict.votes import aim, vote
 
 Indices = NDArray[np.int64]
-_OPEN = 2.0  # standard deviations of a landmark's place and size on the map
-_FLOOR = 0.5  # of the median gradient of the picture
-_NOWHERE = -(1 << 20)  # a pixel that nothing brings into the picture
+_OPEN = 2.0  # standard deviations of a landmark's position and size on the map
+_FLOOR = 0.5  # of the median gradient of the image
+_NOWHERE = -(1 << 20)  # a pixel that nothing brings into the image
 
 
 class Stage:
-    """A level of the picture that `eye` took, in which about `points` points vote, of what is within reach_px of the picture.
+    """A level of the image that `eye` took, in which about `points` points vote, of what is within reach_px of the image.
 
-    free, sides (L,): px of the level that the map leaves open of a landmark's place, and of its sides; growth_m (K, L): the sizes
-    in which landmarks are to be sought, as mapped first.
+    free, sides (L,): px of the level that the map leaves open of a landmark's position, and of its sides; growth_m (K, L): the
+    sizes in which landmarks are to be sought, as mapped first.
     """
 
     def __init__(
         self, level: Level, eye: Eye, landmarks: Sequence[Landmark], motion: Motion, expected: float, reach_px: float, points: int
     ) -> None:
-        """expected: support per length that speaks neither for nor against a place."""
+        """expected: support per length that speaks neither for nor against a position."""
         self.level, self._motion, self._expected = level, motion, expected
         self._eye = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right)
         pose, body = motion.pose(np.zeros(6)), Prisms.of(landmarks)
@@ -88,8 +88,8 @@ class Stage:
         return support - self._expected * length, length
 
     def rigid_votes(self, aimed: Array, window: Window) -> Array:
-        """The best votes (L, rows, columns) within what the map leaves open of each landmark's place, of landmarks as aimed that
-        are moved by all the whole pixels of a window.
+        """The best votes (L, rows, columns) within what the map leaves open of each landmark's position, of landmarks as aimed
+        that are moved by all the whole pixels of a window.
         """
         assert self.voters is not None
         v, c, most = self.voters, self.camera, int(self.free.max())
@@ -106,7 +106,7 @@ class Stage:
         return np.ascontiguousarray(votes[:, most : votes.shape[1] - most, most : votes.shape[2] - most])
 
     def motions(self, pose: Pose, shift_m: Array) -> Array:
-        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the picture."""
+        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the image."""
         assert self.voters is not None
         v, c, marks = self.voters, self.level.camera, len(self.free)
         p_nk, R_nk = self._eye.pose(*pose)

@@ -1,10 +1,10 @@
-"""Is a place that was found the right one? When in doubt there is no fix.
+"""Is a position that was found the right one? When in doubt there is no fix.
 
     share   = sum support / sum length          of all landmarks in view, not of the chosen ones
-    rival   = (score of another place) / score          where it is high, both are fitted, and their odds compared
+    rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
 
-A place with little to be seen is held until the next picture shows the same error of the prior. Where that one shows another
+A position with little to be seen is held until the next image shows the same error of the prior. Where that one shows another
 error, one of the two is wrong, and even a sure one waits for a third, unless it is much likelier than the one that was held.
 """
 
@@ -24,45 +24,46 @@ from vision.identify.identify import Prior
 from vision.pose.pose import PoseEstimate, difference
 from vision.predict.coarse_search import Candidate
 
-_ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two places
+_ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two positions
 _FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
-_COVERED = 16.0  # 5 ln (0.99 / 0.8 * 0.2 / 0.01): of five pieces of outline 1 % is covered at right places, 20 % at others
+_COVERED = 16.0  # 5 ln (0.99 / 0.8 * 0.2 / 0.01): of five pieces of outline 1 % is covered at right positions, 20 % at others
 Grade = Literal["sure", "weak", "refused"]
 
 
 class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a place must show."""
+    """What a position must show."""
 
     landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length of a landmark that counts as seen")] = 0.2
     share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.22
     seen: Annotated[float, Meta(gt=0, lt=1, description="share of the outline in view that belongs to landmarks seen")] = 0.35
-    rival: Annotated[float, Meta(gt=0, lt=1, description="score over the best one's from which a place is fitted too")] = 0.7
-    score_px: Annotated[float, Meta(gt=0, description="score that is believed at once, in a picture 640 px wide")] = 45.0
-    least_px: Annotated[float, Meta(gt=0, description="score that is believed if the next picture agrees")] = 25.0
+    rival: Annotated[float, Meta(gt=0, lt=1, description="score over the best one's from which a position is fitted too")] = 0.7
+    score_px: Annotated[float, Meta(gt=0, description="score that is accepted at once, in an image 640 px wide")] = 45.0
+    least_px: Annotated[float, Meta(gt=0, description="score that is accepted if the next image agrees")] = 25.0
     found: Annotated[float, Meta(gt=0, lt=1, description="share of the fitted outlines that is found")] = 0.5
-    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next picture agrees")] = 0.35
+    weak_found: Annotated[float, Meta(gt=0, lt=1, description="the same, if the next image agrees")] = 0.35
     landmark_found: Annotated[
-        float, Meta(gt=0, lt=1, description="the same of one landmark in the last look, or it is left out")
+        float, Meta(gt=0, lt=1, description="the same of one landmark in the final check, or it is left out")
     ] = 0.5
     hidden_found: Annotated[float, Meta(gt=0, lt=1, description="the same where the edges there leave no doubt of it")] = 0.3
-    looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next picture must agree")] = 0.72
+    looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next image must agree")] = 0.72
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
-    kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next picture must agree")] = 0.65
-    odds: Annotated[float, Meta(description="ln of the odds of a place that is believed at once")] = 5.0
+    kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next image must agree")] = 0.65
+    odds: Annotated[float, Meta(description="ln of the odds of a position that is accepted at once")] = 5.0
     sure_odds: Annotated[float, Meta(description="the same, however little of the outlines is found")] = 12.0
-    weak_odds: Annotated[float, Meta(description="the same, if the next picture agrees")] = 2.0
-    both_odds: Annotated[float, Meta(description="the same of both pictures together, where they show one landmark alone")] = 7.0
-    decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another place")] = 2.3
+    weak_odds: Annotated[float, Meta(description="the same, if the next image agrees")] = 2.0
+    both_odds: Annotated[float, Meta(description="the same of both images together, where they show one landmark alone")] = 7.0
+    decides: Annotated[float, Meta(gt=0, description="ln of the odds by which it must be likelier than another position")] = 2.3
     decides_alike: Annotated[
-        float, Meta(gt=0, description="the same of a place that would be believed by itself: more than one landmark tells")
+        float,
+        Meta(gt=0, description="the same of a position that would be accepted by itself: more than one landmark contributes"),
     ] = 6.6
-    moved_px: Annotated[float, Meta(gt=0, description="from the place to the fit, at most, in a picture 640 px wide")] = 12.0
+    moved_px: Annotated[float, Meta(gt=0, description="from the position to the fit, at most, in an image 640 px wide")] = 12.0
     factor: Annotated[float, Meta(gt=1, description="variance factor of the fit, at most")] = 4.0
-    weak_factor: Annotated[float, Meta(gt=1, description="above it the next picture must agree")] = 2.2
-    memory_s: Annotated[float, Meta(gt=0, description="how long a weak place waits for another that agrees")] = 3.0
-    agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two places agree")] = 16.8
-    drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from picture to picture")] = 0.05
+    weak_factor: Annotated[float, Meta(gt=1, description="above it the next image must agree")] = 2.2
+    memory_s: Annotated[float, Meta(gt=0, description="how long a weak position waits for another that agrees")] = 3.0
+    agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two positions agree")] = 16.8
+    drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from image to image")] = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class Evidence:
 
     @classmethod
     def of(cls, candidates: list[Candidate], trusted: NDArray[np.bool_], width: int) -> "Evidence":
-        """trusted: (L,) landmarks of the best one that count as seen; width: px of the picture."""
+        """trusted: (L,) landmarks of the best one that count as seen; width: px of the image."""
         best = candidates[0]
         total = max(float(best.length.sum()), 1e-9)
         rival = max((c.score for c in candidates[1:]), default=0.0)
@@ -90,10 +91,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit; used: indices of its landmarks; asked: of all that the last look could see; remark: on a picture left out.
+    """A fit; used: indices of its landmarks; asked: of all that the final check could see; remark: on an image left out.
 
-    kept: share that agreed of the outline of those that must answer; looked: share of it that the last look found, in the worse
-    picture; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this place against one of chance.
+    kept: share that agreed of the outline of those that must answer; looked: share of it that the final check found, in the worse
+    image; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this position against one of chance.
     """
 
     pose: PoseEstimate
@@ -107,7 +108,7 @@ class Fitted:
 
 
 def flaw(evidence: Evidence, config: VerifyConfig) -> str:
-    """Why a place is not worth a fit; empty where it is."""
+    """Why a position is not worth a fit; empty where it is."""
     if evidence.score_px < config.least_px or evidence.share < config.share:
         return f"the outlines are not where they should be: {evidence.share:.0%} of them on edges"
     if evidence.seen < config.seen:
@@ -116,14 +117,14 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
 
 
 def place_odds(stands: Array, gone: float, squared: float, found: float, covered: float) -> float:
-    """ln of the odds of a place against one of chance, where outlines lie on edges of something else.
+    """ln of the odds of a position against one of chance, where outlines lie on edges of something else.
 
     (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
     stands (L,): ln LR of each landmark in view (presence.py); gone: g, share of the map that is; squared: d^2, of the pose from
-    the prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right places and c at those of
-    chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by themselves.
-    covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
+    the prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right positions and c at those
+    of chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by
+    themselves. covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
     there = float(np.logaddexp(math.log(1.0 - gone) + stands, math.log(gone)).sum())
@@ -132,10 +133,10 @@ def place_odds(stands: Array, gone: float, squared: float, found: float, covered
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
-    """The one fit of several places that is left, or why none is.
+    """The one fit of several positions that is left, or why none is.
 
-    Of those that show the likeliest place and are nearly as likely it is the one that knows the position best. Where several lead
-    to one fit, it has what the least of them has kept: none of them was more right than the others.
+    Of those that show the likeliest position and are nearly as likely it is the one that knows the position best. Where several
+    lead to one fit, it has what the least of them has kept: none of them was more right than the others.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
@@ -154,12 +155,12 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
 
 
 def _decisive(other: Fitted, config: VerifyConfig) -> float:
-    """ln of the odds by which another place must be less likely: in a row of equal houses it shows one more, or one less."""
+    """ln of the odds by which another position must be less likely: in a row of equal houses it shows one more, or one less."""
     return config.decides if other.odds < config.odds else config.decides_alike
 
 
 def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
-    """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one place have.
+    """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one position have.
 
     Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
     """
@@ -169,7 +170,7 @@ def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
 
 
 def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
-    """How far a fit is believed, and why no further."""
+    """The grade of a fit, and why it is no better."""
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
@@ -205,40 +206,40 @@ class _Held:
 
 
 class Waiting:
-    """The place of the picture before: a function of the requests alone, so that a replay waits as the flight did.
+    """The position of the image before: a function of the requests alone, so that a replay waits as the flight did.
 
-    One picture may be looked at twice, by prediction and where segmentation puts it, and both looks see the picture before.
+    One image may be looked at twice, by prediction and where segmentation puts it, and both looks see the image before.
     """
 
     def __init__(self, config: VerifyConfig) -> None:
         self._config = config
         self._held: _Held | None = None
-        self._nothing_ns: int | None = None  # when a picture after it showed no place
+        self._nothing_ns: int | None = None  # when an image after it showed no position
 
     def nothing(self, t_ns: int) -> None:
-        """No place was found at t_ns: later pictures know of none before."""
+        """No position was found at t_ns: later images know of none before."""
         self._nothing_ns = t_ns
 
     def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
-        """A fix was made: it makes no other one wait, but a weak place that agrees with it is believed."""
+        """A fix was made: it makes no other one wait, but a weak position that agrees with it is accepted."""
         self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
 
     def holds(self, t_ns: int, odds: float) -> bool:
-        """Whether the picture before t_ns showed a weak place, and not a much less likely one than one of these odds."""
+        """Whether the image before t_ns showed a weak position, and not a much less likely one than one of these odds."""
         before = self._before(t_ns)
         return before is not None and not before.sure and before.odds > odds - self._config.decides
 
     def _before(self, t_ns: int) -> _Held | None:
-        """The place of the picture before t_ns, if that was not long ago."""
+        """The position of the image before t_ns, if that was not long ago."""
         held = self._held
         if held is None or not 0 < t_ns - held.t_ns <= self._config.memory_s * 1e9:
             return None
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def agrees(self, fitted: Fitted, t_ns: int, prior: Prior) -> bool:
-        """Whether the place held before shows the same error of the prior; this one is held from now on.
+        """Whether the position held before shows the same error of the prior; this one is held from now on.
 
-        One landmark looks in both pictures as it does in one, so that together they must be likelier than each of them.
+        One landmark looks in both images as it does in one, so that together they must be likelier than each of them.
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         self._held, self._nothing_ns = now, None

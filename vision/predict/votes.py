@@ -1,4 +1,4 @@
-"""How well outlines lie on edges of a picture, for many shifts at once.
+"""How well outlines lie on edges of an image, for many shifts at once.
 
     c_e = sum_{i != j} (g_i . n_i) . (g_j . n_j) / sum_{i != j} |g_i| |g_j|,      support = sum_e l_e c_e
 
@@ -30,7 +30,7 @@ def vote(
     camera: fx fy cx cy of the field's pixels; aimed (N, 11): of each point x_c, d x_c by a shift of 1 px in u, the same in v, and
     the normal of its edge; first (E + 1,): points of edge e are first[e] to first[e + 1]; mark (E,): its landmark; length (E,):
     px that one of its points stands for; chroma (E, 3): unit colour of the roof inside it, without the grey part, else 0;
-    marks: L; floor: of a gradient, so that smooth places have no direction.
+    marks: L; floor: of a gradient, so that smooth positions have no direction.
     """
     rows, columns = field.shape[0], field.shape[1]
     pixels = field.reshape(rows * columns, field.shape[2])
@@ -97,7 +97,7 @@ def _pixels_met(aimed: Array, camera: Array, su: Array, sv: Array, rows: int, co
 def aim(points: Array, direction: Array, p_n: Array, gain: Array, p_nk: Array, R_nk: Array, fx: float, fy: float) -> Array:
     """Points (N, 3) on edges of direction (N, 3) as vote() wants them (N, 11); camera without distortion at p_nk, axes R_nk.
 
-    A shift of the picture by one pixel moves the pose p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
+    A shift of the image by one pixel moves the pose p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
     """
     out = np.empty((len(points), 11))
     lever, turned = np.empty(3), np.empty(3)

@@ -1,4 +1,4 @@
-"""What the way through leaves behind: the report with the reason of every refusal, the pictures of each stage.
+"""What the way through leaves behind: the report with the reason of every refusal, the images of each stage.
 
 May import pose and what is below it.
 """

@@ -1,4 +1,4 @@
-"""The pictures of a request that can be used."""
+"""The images of a request that can be used."""
 
 from dataclasses import dataclass
 
@@ -20,17 +20,17 @@ class Pictures:
 
     @property
     def only_right(self) -> bool:
-        """Whether the one good picture is the right one."""
+        """Whether the one good image is the right one."""
         return self.left is None
 
     @property
     def one_channel(self) -> bool:
-        """Whether the pictures have no colour."""
+        """Whether the images have no colour."""
         return any(image is not None and image.ndim == 2 for image in (self.left, self.right))
 
 
 def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures | str:
-    """The usable pictures, or why there is none."""
+    """The usable images, or why there is none."""
     flaws = [
         "missing" if image is None else picture_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
     ]

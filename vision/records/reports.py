@@ -19,7 +19,7 @@ class RegionReport(msgspec.Struct, frozen=True):
     """What became of one region (path segment), or of one landmark (path predict).
 
     state: identified, open, not_in_map, not_measured, cut_off, not_found;  landmark: what it is, or its best candidate
-    bbox: u0, v0, width, height in the rectified picture (segment), in the picture as it came (predict)
+    bbox: u0, v0, width, height in the rectified image (segment), in the image as it came (predict)
     """
 
     state: str
@@ -78,13 +78,13 @@ def report_of(
 
 
 def with_regions(result: Result, regions: Sequence[RegionReport]) -> Result:
-    """The result of a look at the place that regions told: after its lines those of the regions that were not identified."""
+    """The result at the pose from identified regions: after its lines those of the regions that were not identified."""
     said, r = (*result.regions, *(one for one in regions if one.state != "identified")), result.report
     return replace(result, regions=said, report=report_of(r.t_ns, r.outcome, r.detail, said, r.residual_px))
 
 
 def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:
-    """Why a fitted pose is not believed: not a number, or not where the prior may be."""
+    """Why a fitted pose is rejected: not a number, or not where the prior may be."""
     total = pose.covariance + pose.covariance_common
     if not (np.isfinite(pose.p_n).all() and np.isfinite(pose.R_nb).all() and np.isfinite(total).all()):
         return "the fit is not finite"

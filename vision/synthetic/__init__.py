@@ -1,4 +1,4 @@
-"""Rendered stereo pictures of worlds whose truth is known: world, ground, camera effects, scenes from a seed.
+"""Rendered stereo images of worlds whose truth is known: world, ground, camera effects, scenes from a seed.
 
 May import models, nothing else of vision.
 """

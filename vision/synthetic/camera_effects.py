@@ -19,15 +19,15 @@ from vision.synthetic.coverage import Grid
 
 Image = NDArray[np.uint8]
 
-_BANK = 1 << 20  # normal numbers that all pictures draw from, each row beginning elsewhere
+_BANK = 1 << 20  # normal numbers that all images draw from, each row beginning elsewhere
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """How a picture is taken.
+    """How an image is taken.
 
     exposure: factor on the light; cast_bgr: factors of the channels; vignetting: share of light lost in the corners; haze_per_m:
-    extinction (0.001 is a visual range of about 4 km); psf_sigma_px: of the lens; blur_px: way of the picture over the sensor
+    extinction (0.001 is a visual range of about 4 km); psf_sigma_px: of the lens; blur_px: way of the image over the sensor
     during exposure (u, v), centred on the stamp; read_sigma: noise in the dark [grey values]; shot: variance per grey value.
     """
 
@@ -46,7 +46,7 @@ IDEAL = Conditions(vignetting=0.0, psf_sigma_px=0.0, read_sigma=0.0, shot=0.0)  
 
 
 def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: float, exposure_s: float) -> tuple[float, float]:
-    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)), in the middle of the picture, for ground at depth_m.
+    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)), in the middle of the image, for ground at depth_m.
 
     velocity_c [m/s], rate_c [rad/s]: of the camera, in its own axes.
     """
@@ -56,7 +56,7 @@ def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: f
 
 
 def expose(light: Grid, conditions: Conditions, vignette: Grid, rng: np.random.Generator) -> Image:
-    """The picture (h, w, 3) of the light (h, w, 3) on the sensor; vignette (h, w): squared radius, 1 in the corners."""
+    """The image (h, w, 3) of the light (h, w, 3) on the sensor; vignette (h, w): squared radius, 1 in the corners."""
     c = conditions
     if c.psf_sigma_px > 0.0:
         lens = _gauss(c.psf_sigma_px)

@@ -3,7 +3,7 @@
     (s w, t w, w) = H @ (x/z, y/z, 1),      range along the ray = k |(x/z, y/z, 1)| / w
 
 H takes a ray of the camera to a place on the face [m]: with a face through q of axes a, b and normal m, seen from p along r,
-s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to a little more than the picture, and cut again
+s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to a little more than the image, and cut again
 into short pieces, so that a lens may bend them.
 """
 

@@ -1,4 +1,4 @@
-"""The ground: level, textured from centimetres to hundreds of metres, or a picture.
+"""The ground: level, textured from centimetres to hundreds of metres, or an image.
 
     colour(n, e) = tint * cover(n, e) (1 + contrast * detail(n, e))
 
@@ -75,7 +75,7 @@ class Ground:
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         size = 1 << (side - 1).bit_length()
         square = cv2.resize(image[top : top + side, left : left + side], (size, size), interpolation=cv2.INTER_CUBIC)
-        north_up = square[::-1]  # picture rows run south
+        north_up = square[::-1]  # image rows run south
         eastward = np.hstack([north_up, north_up[:, ::-1]])
         mirrored = np.vstack([eastward, eastward[::-1]])
         laid = np.ascontiguousarray(np.transpose(mirrored, (1, 0, 2)), dtype=np.float32)  # s is north, t is east

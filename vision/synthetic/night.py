@@ -32,7 +32,7 @@ def night(world: World, rng: np.random.Generator) -> World:
 
 
 def counts(image: Image) -> NDArray[np.uint16]:
-    """What a camera of 14 bits in 16 sends (h, w) of a rendered picture (h, w, 3)."""
+    """What a camera of 14 bits in 16 sends (h, w) of a rendered image (h, w, 3)."""
     return np.asarray(_ZERO + _COUNTS * image.sum(axis=2, dtype=np.uint16), dtype=np.uint16)
 
 

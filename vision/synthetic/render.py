@@ -23,7 +23,7 @@ from vision.synthetic.world import World
 
 _GRID_PX = 8  # rays are exact on this grid and linear between: below 0.005 px for a mild lens
 _PIECE_PX = 8.0  # longest straight piece of a bent edge
-_MARGIN_PX = 3.0  # beyond the picture, where polygons are cut
+_MARGIN_PX = 3.0  # beyond the image, where polygons are cut
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Lens:
 
 @lru_cache(maxsize=8)
 def lens(camera: CameraModel) -> Lens:
-    """Undoes the lens for every pixel, once a camera. Raises ValueError where the distortion folds the picture."""
+    """Undoes the lens for every pixel, once a camera. Raises ValueError where the distortion folds the image."""
     u, v = _knots(camera.width), _knots(camera.height)
     plane = camera.undistort(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)).reshape(len(v), len(u), 2)
     if not np.isfinite(plane).all():
-        raise ValueError("camera: its distortion cannot be undone everywhere in the picture")
+        raise ValueError("camera: its distortion cannot be undone everywhere in the image")
     across, down = _hats(u, camera.width), _hats(v, camera.height)
     rays = np.stack([down @ plane[:, :, i] @ across.T for i in range(2)], axis=-1).astype(np.float32)
     offset_u, offset_v = np.arange(camera.width) - camera.cx, np.arange(camera.height) - camera.cy
@@ -65,7 +65,7 @@ def render(
 def render_pair(
     world: World, rig: StereoRig, p_n: Array, R_nb: Array, conditions: Conditions, rng: np.random.Generator
 ) -> tuple[Image, Image]:
-    """Left and right picture of a rig on a body at p_n with axes R_nb."""
+    """Left and right image of a rig on a body at p_n with axes R_nb."""
     left = render(world, rig.left, *rig.camera_pose(p_n, R_nb), conditions, rng)
     return left, render(world, rig.right, *rig.right_camera_pose(p_n, R_nb), conditions, rng)
 

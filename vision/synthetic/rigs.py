@@ -9,7 +9,7 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
 
-_NADIR_bc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is y_b, down in the picture is backwards
+_NADIR_bc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is y_b, down in the image is backwards
 
 
 def make_rig(
@@ -47,14 +47,14 @@ def make_rig(
     )
 
 
-def draw_rig(believed: StereoRig, rng: np.random.Generator) -> StereoRig:
-    """A true rig that the believed one is a calibration of: errors drawn from its covariances."""
-    R_rc, t_rc = _draw_pose(believed.R_rc, believed.t_rc, believed.covariance_rc, rng)
-    R_bc, p_bc = _draw_pose(believed.R_bc, believed.p_bc, believed.covariance_bc, rng)
+def draw_rig(calibrated: StereoRig, rng: np.random.Generator) -> StereoRig:
+    """A true rig that whose calibration is the given one: errors drawn from its covariances."""
+    R_rc, t_rc = _draw_pose(calibrated.R_rc, calibrated.t_rc, calibrated.covariance_rc, rng)
+    R_bc, p_bc = _draw_pose(calibrated.R_bc, calibrated.p_bc, calibrated.covariance_bc, rng)
     return msgspec.structs.replace(
-        believed,
-        left=_draw_camera(believed.left, rng),
-        right=_draw_camera(believed.right, rng),
+        calibrated,
+        left=_draw_camera(calibrated.left, rng),
+        right=_draw_camera(calibrated.right, rng),
         R_rc=R_rc,
         t_rc=t_rc,
         R_bc=R_bc,

@@ -1,6 +1,6 @@
 """Worlds from a seed: what truly stands there, the map somebody made of it, the rig as it is and as it was calibrated.
 
-    make_world(seed, spec) -> Scene(world, map, rig, rig_believed)
+    make_world(seed, spec) -> Scene(world, map, rig, rig_calibrated)
 
 The map is drawn first and the truth around it: each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by
 N(0, outline_sigma_m), its roof raised by N(0, height_sigma_m). Errors are drawn once a world, as they are in life.
@@ -57,16 +57,16 @@ class WorldSpec:
 
 
 class Scene(NamedTuple):
-    """The truth and what is believed of it."""
+    """The truth, and map and rig with their errors."""
 
     world: World
     map: LandmarkMap
     rig: StereoRig
-    rig_believed: StereoRig
+    rig_calibrated: StereoRig
 
 
 def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None = None) -> Scene:
-    """A world of the spec (default: a village with a perfect map), on procedural ground unless told otherwise."""
+    """A world of the spec (default: a village with a perfect map), on procedural ground by default."""
     spec = spec or WorldSpec()
     for_ground, for_layout, for_errors, for_clutter, for_rig = np.random.default_rng(seed).spawn(5)
     taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
@@ -75,13 +75,13 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     if spec.clear_m > 0.0:
         taken.append((0.0, 0.0, spec.clear_m))
         built = [b for b in built if math.hypot(*b[0].centre_n) > spec.clear_m + _radius(b[0].outline_n, np.array(b[0].centre_n))]
-    believed, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
+    on_map, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
     for mark, look in built:
         taken.append((*mark.centre_n, _radius(mark.outline_n, np.array(mark.centre_n))))
         mapped, stands = for_errors.random() >= spec.unmapped, for_errors.random() >= spec.gone
         true = _err(mark, for_errors)
         if mapped:
-            believed.append(mark)
+            on_map.append(mark)
             if stands:
                 marks.append(true)
                 looks.append(look)
@@ -90,11 +90,13 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     clutter += _clutter(spec, taken, for_clutter)
     sun = Sun(for_clutter.uniform(-math.pi, math.pi), math.radians(for_clutter.uniform(30.0, 65.0)))
     world = World(tuple(marks), tuple(looks), tuple(clutter), ground or Ground.procedural(for_ground), sun)
-    return Scene(world, LandmarkMap.from_landmarks(spec.origin, believed), draw_rig(spec.rig, for_rig), spec.rig)
+    return Scene(world, LandmarkMap.from_landmarks(spec.origin, on_map), draw_rig(spec.rig, for_rig), spec.rig)
 
 
 def _places(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """North, east and direction of buildings: on a grid of the spacing, shaken (village, look-alikes) or along streets."""
+    """North, east and direction of buildings: on a grid of the spacing, shaken (village, ambiguous landmarks) or along
+    streets.
+    """
     n = max(1, int(spec.area_m / spec.spacing_m))
     steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
     places = []
@@ -169,7 +171,7 @@ def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
     north, east, growth, rise = rng.standard_normal(4)
     outline = grow(mark.outline_n, growth * mark.outline_sigma_m) + mark.sigma_m * np.array([north, east])
     height, base = mark.height_m + rise * mark.height_sigma_m, mark.base_d
-    if mark.height_m == 0.0:  # painted on the ground, which is lower or higher than believed
+    if mark.height_m == 0.0:  # painted on the ground, which is lower or higher than mapped
         height, base = 0.0, mark.base_d - rise * mark.height_sigma_m
     return Landmark.of(
         mark.id, outline, base, max(height, 0.0), mark.colour_bgr, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m

@@ -1,4 +1,4 @@
-"""Outlines and bodies around (0, 0): houses of several plans, look-alikes, cars, trees, patches of paint, roads."""
+"""Outlines and bodies around (0, 0): houses of several plans, ambiguous landmarks, cars, trees, patches of paint, roads."""
 
 import math
 

@@ -30,7 +30,7 @@ _FINE_ENOUGH = 0.03  # share of the next level that is not worth its lookup
 
 
 def pyramid(image: Grid) -> Grid:
-    """All levels of a square picture of 2^k texels a side (n, n[, channels]), level after level: (sum of n^2[, channels])."""
+    """All levels of a square image of 2^k texels a side (n, n[, channels]), level after level: (sum of n^2[, channels])."""
     n = image.shape[0]
     if image.shape[1] != n or n & (n - 1):
         raise ValueError(f"a texture must be square, with a power of two of texels a side: {image.shape}")

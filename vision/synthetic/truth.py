@@ -34,11 +34,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Sight:
-    """One landmark in one picture.
+    """One landmark in one image.
 
-    corners_px: of the roof (K, 2), NaN behind the camera; corners_visible (K,): in the picture and not hidden;
-    sides_visible (K,): walls of which something is seen; occluded: share of the roof's edge within the picture that is hidden;
-    cut: the picture's border cuts the roof.
+    corners_px: of the roof (K, 2), NaN behind the camera; corners_visible (K,): in the image and not hidden;
+    sides_visible (K,): walls of which something is seen; occluded: share of the roof's edge within the image that is hidden;
+    cut: the image's border cuts the roof.
     """
 
     id: str
@@ -117,7 +117,7 @@ def _stretches(edge: int, shares: Array, px: Array, visible: Mask) -> list[Stret
 
 
 def _wall_seen(world: World, index: int, a: Array, b: Array, camera: CameraModel, p_nc: Array, R_nc: Array) -> bool:
-    """Whether anything of a wall that faces the camera is in the picture and not hidden: a grid of 12 x 5 points."""
+    """Whether anything of a wall that faces the camera is in the image and not hidden: a grid of 12 x 5 points."""
     along, down = np.meshgrid(np.linspace(0.02, 0.98, 12), np.linspace(0.02, 0.98, 5))
     points = a + along.ravel()[:, None] * (b - a)
     points[:, 2] += down.ravel() * world.landmarks[index].height_m

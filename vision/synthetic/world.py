@@ -86,7 +86,7 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """True landmarks, how they look, clutter, ground and sun. The label of a landmark in a picture is its index, clutter follows.
+    """True landmarks, how they look, clutter, ground and sun. The label of a landmark in an image is its index, clutter follows.
 
     landmarks: as they truly are (their ids are the map's); looks: one each.
     """

@@ -1,4 +1,4 @@
-"""landfix calibrate mono, stereo, dlt and convert: cameras and stereo rigs from pictures of a board, and their files."""
+"""landfix calibrate mono, stereo, dlt and convert: cameras and stereo rigs from images of a board, and their files."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
@@ -35,15 +35,15 @@ def mono_command(
 ) -> None:
     """One camera.
 
-    Needs about 20 pictures of a board, moved through the whole picture and tilted each way. Those that differ most are used.
-    With --mount (0,0,0,0,-90,0 looks down with the picture's upper edge forward) the file is a rig of one camera.
+    Needs about 20 images of a board, moved through the whole image and tilted each way. Those that differ most are used.
+    With --mount (0,0,0,0,-90,0 looks down with the image's upper edge forward) the file is a rig of one camera.
 
     \b
     Examples:
-      landfix calibrate mono pictures/ --board 9x6 --square-mm 25 -o camera.yaml
+      landfix calibrate mono images/ --board 9x6 --square-mm 25 -o camera.yaml
       landfix calibrate mono 'left*.jpg' -o camera.xml --lens 4
       landfix calibrate mono walk.mp4 --square-mm 40 --marker-mm 30 -o camera.yaml
-      landfix calibrate mono pictures/ -o camera.yaml --mount 0.1,0,0.05,0,-90,0 --mount-sigma 0.01,0.5
+      landfix calibrate mono images/ -o camera.yaml --mount 0.1,0,0.05,0,-90,0 --mount-sigma 0.01,0.5
       landfix calibrate mono camera:0 -o camera.yaml            a live camera, for a minute and a half
     """
     from calib.cameras import mono
@@ -55,9 +55,9 @@ def mono_command(
 
     options.check_outputs(report_file or out, out, *map(Path, files_of(sources)))
     pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
-    with progress("calibrate") as told:
-        views, unused = gather(sources, topic, pattern, lambda f: told(0.8 * f))
-        result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
+    with progress("calibrate") as update:
+        views, unused = gather(sources, topic, pattern, lambda f: update(0.8 * f))
+        result = mono.calibrate([v for _, v in views], pattern, mono.Lens(lens.value), lambda f: update(0.8 + 0.2 * f))
     judged, tables = verdict.of_mono(result), [*page.mono_tables(result), page.dropped(unused)]
     if placed is None:
         written = formats.save_camera(out, result.camera)
@@ -90,7 +90,7 @@ def stereo_command(
     """A stereo rig.
 
     Pairs are made by the number in the file names, by frame, or in a log by stamp. A camera with --mount 0,0,0,0,0,0 looks
-    forward; pitch -90 looks down with the picture's upper edge forward. Without --mount only the cameras' poses to each other
+    forward; pitch -90 looks down with the image's upper edge forward. Without --mount only the cameras' poses to each other
     are known; landfix calibrate camera-imu finds the rest.
 
     \b
@@ -107,9 +107,9 @@ def stereo_command(
 
     options.check_outputs(report_file or out, out, *map(Path, files_of([*left, *right])))
     pattern, placed = options.board_of(board, square_mm, marker_mm, dictionary), mount_of(mount, mount_sigma)
-    with progress("calibrate") as told:
-        pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: told(0.8 * f))
-        result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: told(0.8 + 0.2 * f))
+    with progress("calibrate") as update:
+        pairs, unused = gather_pairs(left, right, (left_topic, right_topic), pattern, lambda f: update(0.8 * f))
+        result = stereo.calibrate(pairs, pattern, mono.Lens(lens.value), lambda f: update(0.8 + 0.2 * f))
     judged, tables = verdict.of_stereo(result), [*page.stereo_tables(result), page.dropped(unused)]
     rig = _placed(result.rig, placed)
     written = formats.save_rig(out, rig)

@@ -47,8 +47,8 @@ def imu_command(
 
     page = report_file or log.with_suffix(".html")
     options.check_outputs(page, out, log)
-    with progress("calibrate") as told:
-        recording = _recording(log, _config(config), told)
+    with progress("calibrate") as update:
+        recording = _recording(log, _config(config), update)
         static = imu.static_noise(recording.t_ns, recording.gyro, recording.accel)
         sides = imu.six_position(recording.t_ns, recording.gyro, recording.accel) if six else None
     judged, tables = imu_report.of_static(static), imu_report.static_tables(static)
@@ -96,13 +96,13 @@ def camera_imu_command(
 
     options.check_outputs(report_file or out, out, log)
     stereo, pattern, settings = formats.load_rig(rig), options.board_of(board, square_mm, marker_mm, dictionary), _config(config)
-    with progress("calibrate") as told:
-        recording = _recording(log, settings, lambda f: told(0.05 * f))
-        views, unused = gather([str(log)], topic, pattern, lambda f: told(0.05 + 0.55 * f), _MOST_PICTURES)
+    with progress("calibrate") as update:
+        recording = _recording(log, settings, lambda f: update(0.05 * f))
+        views, unused = gather([str(log)], topic, pattern, lambda f: update(0.05 + 0.55 * f), _MOST_PICTURES)
         options.check_size(stereo.left, views[0][1])
         stamps = np.array([key for key, _ in views], dtype=np.int64)
         result = camera_imu.calibrate(
-            recording, stamps, [v for _, v in views], pattern, stereo.left, settings.imu, lambda f: told(0.6 + 0.4 * f)
+            recording, stamps, [v for _, v in views], pattern, stereo.left, settings.imu, lambda f: update(0.6 + 0.4 * f)
         )
     judged, tables = imu_report.of_camera_imu(result), imu_report.camera_imu_tables(result)
     placed = msgspec.structs.replace(
@@ -123,7 +123,7 @@ def _config(path: Path | None) -> "Config":
     return Config(imu=Imu(gyro_noise=5e-4, accel_noise=5e-3, gyro_walk=3e-5, accel_walk=3e-3))
 
 
-def _recording(log: Path, config: "Config", told: Callable[[float], None]) -> "Recording":
+def _recording(log: Path, config: "Config", update: Callable[[float], None]) -> "Recording":
     """The IMU samples of a log in body axes."""
     import numpy as np
 
@@ -139,7 +139,7 @@ def _recording(log: Path, config: "Config", told: Callable[[float], None]) -> "R
             if isinstance(message, ImuSample):
                 samples.append(message)
             if k % 1000 == 0:
-                told(reader.fraction)
+                update(reader.fraction)
     if not samples:
         raise CalibrationError(f"{log}: no IMU in it under the configuration's topic")
     samples.sort(key=lambda s: s.t_ns)

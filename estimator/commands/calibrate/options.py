@@ -1,4 +1,4 @@
-"""What the calibrate commands share: options, and how a result is told."""
+"""What the calibrate commands share: options, and how a result is printed."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Sequence
@@ -107,7 +107,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_size(camera: "CameraModel", view: "View") -> None:
-    """Refuse pictures of another size than the camera was calibrated for. Raises CalibrationError."""
+    """Refuse images of another size than the camera was calibrated for. Raises CalibrationError."""
     from calib.errors import CalibrationError
 
     if (view.width, view.height) != (camera.width, camera.height):

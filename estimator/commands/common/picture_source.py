@@ -134,7 +134,7 @@ def live(sources: Sequence[str]) -> Iterator[tuple[Picture, ...]]:
 def _opened(device: str) -> Any:
     import cv2
 
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # else it tells of every way that it tried
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # else it reports every back-end that it tried
     camera = cv2.VideoCapture(int(device) if device.isdigit() else device)
     if not camera.isOpened():
         raise CalibrationError(f"camera {device} cannot be opened (landfix takes camera:0, camera:1, ... or camera:URL)")

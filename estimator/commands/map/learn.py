@@ -62,18 +62,18 @@ def command(
     if json:
         print_json(summary)
     else:
-        _print(summary, out, told=ground_alt_m is not None)
+        _print(summary, out, given=ground_alt_m is not None)
     if not len(the_map):
         note(f"landfix: {source}: no landmark was learned, nothing written")
         raise typer.Exit(1)
 
 
-def _print(summary: "LearnSummary", out: Path, *, told: bool) -> None:
+def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:
     horizontal, vertical = summary.common_sigma_m
     rows = [
         ("landmarks", str(summary.landmarks)),
         ("pictures looked at", str(summary.pictures)),
-        ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if told else ", where the log begins")),
+        ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if given else ", where the log begins")),
         ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
         *((f"skipped: {reason}", f"{count} pictures") for reason, count in summary.skipped.items()),
         *((f"left out: {reason}", f"{count} things") for reason, count in summary.left_out.items()),

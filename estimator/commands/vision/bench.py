@@ -41,7 +41,7 @@ def recognition(
     """Recognise landmarks in rendered stereo pairs: four experiments.
 
     Accuracy and speed; roofs of one texture and other sizes; roofs of which 30 to 70 % are in view; landmarks known by their
-    description only. For landfix, for the plain method of the thesis it began with, and for SIFT + FLANN on the same pictures.
+    description only. For landfix, for the plain method of the thesis it began with, and for SIFT + FLANN on the same images.
     Recognised: the landmark is named and the position agrees with the truth. Wrong: something else is named, or the position
     contradicts the truth. Who is silent is asked again with the next pair. Times are of one core's processor.
 

@@ -66,14 +66,14 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
-    """Say where the vehicle is: a fix from a stereo pair, from one picture, or from several photos of one camera.
+    """Say where the vehicle is: a fix from a stereo pair, from one image, or from several photos of one camera.
 
     A camera file of landfix calibrate mono needs --mount (0,0,0,0,-90,0 looks down with the photo's upper edge forward), which is
     that of the photo as a viewer shows it. Photos of another size are scaled where the aspect ratio is the camera's. Of several
     photos a later one may confirm an earlier one; the answer is that of the last photo with a fix.
 
-    Regions are measured and looked up in the map near the prior; where that gives nothing, the left picture is laid onto an
-    orthophoto. The fix is that of the pictures, "with the prior" what both give together. Every region says what became of it.
+    Regions are measured and looked up in the map near the prior; where that gives nothing, the left image is laid onto an
+    orthophoto. The fix is that of the images, "with the prior" what both give together. Every region says what became of it.
     Exit code 1 where there is no fix, or with --within none that, with the prior, is good enough.
 
     \b
@@ -83,7 +83,7 @@ def command(
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
       landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
-      landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png --rig rig.yaml --image ortho.tif --image-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from calib.files.formats import load_cameras
     from estimator.map_files.picture_file import PictureFile
@@ -186,7 +186,7 @@ def _results(
 
 
 def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
-    """Landmarks, none without a file of them, and the map's picture in the same frame."""
+    """Landmarks, none without a file of them, and the map's image in the same frame."""
     from estimator.map_files import picture as picture_store
     from estimator.map_files import store as map_store
     from models.maps.landmarks import LandmarkMap
@@ -243,13 +243,13 @@ def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
     return numbers
 
 
-def _prior(landmarks: "LandmarkMap", believed: list[float], sigma: list[float]) -> "Prior":
+def _prior(landmarks: "LandmarkMap", pose_prior: list[float], sigma: list[float]) -> "Prior":
     import numpy as np
 
     from models import so3
     from vision.identify.identify import Prior
 
-    lat, lon, alt, roll, pitch, yaw = believed
+    lat, lon, alt, roll, pitch, yaw = pose_prior
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
     if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):
@@ -336,7 +336,7 @@ def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
 def _write_overlay(
     path: Path, image: "Image", rig: "StereoRig", landmarks: "LandmarkMap", prior: "Prior", result: "Result"
 ) -> None:
-    """The map drawn into the left picture from the estimate, or from the prior where there is none."""
+    """The map drawn into the left image from the estimate, or from the prior where there is none."""
     import cv2
 
     from vision.describe.survey import to_8_bit

@@ -46,7 +46,7 @@ def command(
     """Measure the regions of a stereo pair, in metres.
 
     Each region of one colour: distance, width, length, size and fill ratio, each with its standard deviation. Without --colour
-    the picture's own colours divide it. Nothing is looked up: no map, no position.
+    the image's own colours divide it. Nothing is looked up: no map, no position.
 
     \b
     Examples:
@@ -175,7 +175,7 @@ def _region(measured: "Measured") -> dict[str, Any]:
 
 
 def _write(path: Path, found: "Survey") -> None:
-    """The rectified left picture with the measured regions outlined and numbered, the others in grey."""
+    """The rectified left image with the measured regions outlined and numbered, the others in grey."""
     import cv2
 
     from vision.show.annotate import annotate

@@ -28,10 +28,10 @@ def command(
     seconds: Annotated[float, typer.Option(metavar="SECONDS", min=0, help="Duration.")] = float("inf"),
     json: Json = False,
 ) -> None:
-    """Draw the map into the recorded pictures, from the estimate, and say how well it fits them.
+    """Draw the map into the recorded images, from the estimate, and say how well it fits them.
 
-    Outlines are drawn from /landfix/odometry at the exposure, not from the fix: green where the fix of that picture identified
-    the landmark, else amber. The number is the reprojection residual in px: how far edges in the picture lie from the drawn
+    Outlines are drawn from /landfix/odometry at the exposure, not from the fix: green where the fix of that image identified
+    the landmark, else amber. The number is the reprojection residual in px: how far edges in the image lie from the drawn
     outlines, along their normals; beside it what the estimate's covariance lets one expect.
 
     \b

@@ -37,22 +37,22 @@ class AutopilotClock:
         if ts1 not in self._asked:
             return
         self._asked.remove(ts1)
-        if self._believed(tc1, now_ns):
+        if self._plausible(tc1, now_ns):
             self.answers += 1
             self._synced.round_trip(ts1, tc1, now_ns)
 
     def t_ns(self, stamp_ns: int, now_ns: int) -> int | None:
         """A stamp on our clock; None: not plausible."""
-        if not self._believed(stamp_ns, now_ns):
+        if not self._plausible(stamp_ns, now_ns):
             return None
         self._quick.one_way(stamp_ns, now_ns)
         return self.offset.ours(stamp_ns)
 
     def hear(self, stamp_ns: int, now_ns: int) -> None:
         """A stamp that holds only the coarse time since boot: for a reboot."""
-        self._believed(stamp_ns, now_ns)
+        self._plausible(stamp_ns, now_ns)
 
-    def _believed(self, stamp_ns: int, now_ns: int) -> bool:
+    def _plausible(self, stamp_ns: int, now_ns: int) -> bool:
         expected_ns = self.offset.theirs(now_ns)
         if expected_ns is None or abs(stamp_ns - expected_ns) <= _WILD_NS:
             self._wild_in_a_row = 0

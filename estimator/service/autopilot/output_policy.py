@@ -1,8 +1,8 @@
-"""What an autopilot may be told, and when: "odometry" all the time, a "fix" only when something new to it entered.
+"""What an autopilot is sent, and when: "odometry" all the time, a "fix" only when something new to it entered.
 
-The autopilot has an IMU and, often, the GNSS receiver that we listen to as well. Told again what rests on these alone, it would
-count them twice. So a fix goes out only when a landmark or another fix from outside was fused while its own GNSS was not, and the
-quality of the odometry says what it rests on:
+The autopilot has an IMU and, often, the GNSS receiver that we listen to as well. Sent an estimate that rests on these alone, it
+would count them twice. So a fix goes out only when a landmark or another fix from outside was fused while its own GNSS was not,
+and the quality of the odometry says what it rests on:
 
     100         a fix from outside was fused within dead_reckoning_after_s
     99 ... 1    dead reckoning since then: 100 * 2^(-age / 10 s)
@@ -29,7 +29,7 @@ _LAT_DEG, _LON_DEG, _HEIGHT_M = 90.0, 360.0, 1e5
 
 
 class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[autopilot]: what it knows itself, and what it is told."""
+    """[autopilot]: its own sensors, and the output that it is sent."""
 
     own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
     gnss_quiet_s: Annotated[

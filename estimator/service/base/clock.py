@@ -4,7 +4,7 @@
 
 A stamp t' of another clock, which is ahead of ours by a:  t = t' - a,  lag = arrival - t >= the least delay of the way.
 From messages that go one way only a is known from above, a <= t' - arrival + delay, and the quickest message of the last seconds
-tells most; from a question and its answer a is known within half the time that both took (Cristian 1989).
+is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989).
 """
 
 import time

@@ -24,7 +24,7 @@ Heard = Callable[[str, float], None]  # kernel that is begun; "" and its seconds
 
 
 class _Listener(event.Listener):
-    """Hears of kernels that are compiled; of those that one of them calls only the outermost is told."""
+    """Reports kernels as they are compiled; of nested ones the outermost only."""
 
     def __init__(self, heard: Heard) -> None:
         self._heard, self._depth, self._since_s = heard, 0, 0.0

@@ -52,7 +52,7 @@ class Log(Protocol):
     """Where everything is kept. Never blocks, never raises; what is dropped is counted."""
 
     def put_input(self, arrival: Arrival) -> None:
-        """What the estimator was told: the last that may be lost."""
+        """The estimator's inputs: the last that may be lost."""
         ...
 
     def put_output(self, encoded: Encoded, log_time_ns: int) -> None:

@@ -31,7 +31,7 @@ class Status:
         self._totals: dict[str, int] = {}
         self._latency_ns: deque[tuple[int, int]] = deque(maxlen=_RECENT)  # since validity, since arrival
         self._defects, self._defect = 0, ""
-        self.unbelieved = 0  # messages whose stamps are of no known clock
+        self.implausible = 0  # messages whose stamps are of no known clock
         self._health: Health | None = None
         self._sane_ns = self._imu_ns = began_ns  # last estimate, or known reason for none; last IMU sample
         self._values: dict[str, str] = {}
@@ -87,7 +87,7 @@ class Status:
         self._reported_ns, self._next_ns = now_ns, now_ns + _PERIOD_NS
         values: dict[str, Any] = {"uptime_s": f"{(now_ns - self._began_ns) * 1e-9:.0f}"}
         values |= {f"rate_hz {topic}": f"{n / period_s:.1f}" for topic, n in sorted(self._counts.items())}
-        values["unbelieved_stamps"] = self.unbelieved
+        values["implausible_stamps"] = self.implausible
         if not self.works(now_ns):
             values["estimator"] = _NO_ESTIMATE
         if self._defects:

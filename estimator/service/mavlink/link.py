@@ -189,7 +189,7 @@ class MavlinkLink:
         """Take it; one that cannot be taken is refused with the reason, and costs none of those that came with it."""
         try:
             self._take(message, now_ns, inbox)
-        except Exception as error:  # of what a stranger's bytes can say not everything is foreseen
+        except Exception as error:  # a peer's bytes may raise what no check covers
             self.refused, self._refusal = self.refused + 1, f"{message.get_type()}: {str(error) or type(error).__name__}"
 
     def _is_peer(self, sender: Any, now_ns: int) -> bool:

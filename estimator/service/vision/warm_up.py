@@ -1,4 +1,4 @@
-"""Each way of looking once, at pictures drawn here: no picture of the flight then waits for a kernel to be compiled or loaded."""
+"""Each way of looking once, at images drawn here: no image of the flight then waits for a kernel to be compiled or loaded."""
 
 from itertools import product
 from typing import Final
@@ -31,7 +31,7 @@ _GROUND, _GRAIN = 110.0, 8.0
 
 
 def warm_up() -> None:
-    """Pairs and single pictures, grey and coloured, raw and JPEG, with priors from narrow to hopeless; then the map drawn in."""
+    """Pairs and single images, grey and coloured, raw and JPEG, with priors from narrow to hopeless; then the map drawn in."""
     rig, p_n = make_rig(), np.array(_PLACE)
     marks = [
         Landmark.of(str(k), outline, height_m=4.0, colour_bgr=bgr, sigma_m=0.1, height_sigma_m=0.1, outline_sigma_m=0.05)

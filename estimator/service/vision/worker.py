@@ -36,7 +36,7 @@ _SLICE_S: Final = 0.1  # of a time-out
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
 _GOOD_ANSWERS: Final = 50  # in a row, until the back-off begins anew: seconds of sight, not one answer between two failures
 _IDLE_S: Final = 0.05
-_WAITING: Final = 8  # pictures
+_WAITING: Final = 8  # images
 
 
 class Compiling(NamedTuple):
@@ -50,7 +50,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
     why it cannot see.
 
-    A request is its bytes and two pictures; or a mode, for which the picture looked at last is drawn. Before its answer there may
+    A request is its bytes and two images; or a mode, for which the image looked at last is drawn. Before its answer there may
     be any number of Compiling.
     """
     _give_way()
@@ -88,7 +88,7 @@ def _give_way() -> None:
 
 
 class VisionWorker:
-    """put() takes pictures from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
+    """put() takes images from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class VisionWorker:
         screen: Screen | None = None,
         overlay_hz: float = 0.0,
     ) -> None:
-        """files: cameras, map, origin, picture; sides: topic -> "left" or "right"; screen: where it is drawn, if watched."""
+        """files: cameras, map, origin, image; sides: topic -> "left" or "right"; screen: where it is drawn, if watched."""
         self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
         self._files, self._config, self._sides = files, config, sides
         self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
@@ -122,7 +122,7 @@ class VisionWorker:
         self._thread.start()
 
     def put(self, arrival: Arrival) -> None:
-        """A picture; the oldest that waits is dropped when there are too many."""
+        """A image; the oldest that waits is dropped when there are too many."""
         topic, schema, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
@@ -167,11 +167,11 @@ class VisionWorker:
             try:
                 if self._process is not None or self._start():
                     self._turn(pairing)
-            except Exception as error:  # a defect of ours costs a picture and a restart, not the sight for the rest of the flight
+            except Exception as error:  # a defect of ours costs an image and a restart, not the sight for the rest of the flight
                 self._restart(f"{type(error).__name__}: {error}")
 
     def _turn(self, pairing: Pairing) -> None:
-        """Wait for pictures; ask about the newest pair. A process that has died meanwhile is not waited for until one comes."""
+        """Wait for images; ask about the newest pair. A process that has died meanwhile is not waited for until one comes."""
         self._wake.wait(_IDLE_S)
         self._wake.clear()
         if self._process is not None and not self._process.is_alive():
@@ -212,7 +212,7 @@ class VisionWorker:
             self._draw(self._screen)
 
     def _draw(self, screen: Screen) -> None:
-        """The picture just answered for, with the map drawn in; the answer is out already."""
+        """The image just answered for, with the map drawn in; the answer is out already."""
         drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, self._patience_s())
         if drawn is None:
             self._restart("does not draw")
@@ -268,7 +268,7 @@ class VisionWorker:
         return answered
 
     def _note(self, compiling: Compiling) -> None:
-        """A kernel that is compiled when pictures have come is missing in the warm-up: it is counted, and seen in the status."""
+        """A kernel that is compiled when images have come is missing in the warm-up: it is counted, and seen in the status."""
         self._compiling = compiling.kernel
         if self._warm:
             self._compiled += not compiling.kernel

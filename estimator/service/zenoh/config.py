@@ -81,7 +81,7 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
         "transport/link/rx/max_message_size": config.largest_image_mb * 1_000_000,
         f"{_QUEUE}/congestion_control/drop/wait_before_drop": 100,  # us; the estimate is newer than what waits
         f"{_QUEUE}/congestion_control/drop/max_wait_before_drop_fragments": 1000,
-        f"{_QUEUE}/congestion_control/block/wait_before_close": 500_000,  # us; who cannot even be told of newcomers has to leave
+        f"{_QUEUE}/congestion_control/block/wait_before_close": 500_000,  # us; a peer that takes no declarations is dropped
         **{f"{_QUEUE}/size/{priority}": _MOST_BATCHES for priority in _PATIENT},  # a busy machine is no congestion
         **_identity(config.security, folder),
         **_doorkeeper(config.security, folder, inputs, outputs),

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.config import Config
 from estimator.fusion import Fusion
-from estimator.replay.summary import Tally
+from estimator.replay.summary import SummaryBuilder
 from estimator.sources.aids import aid_of
 from estimator.sources.source import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
@@ -102,19 +102,19 @@ class _Alignment:
     """The estimator itself, on the log until its first estimate: whether one comes is no matter of rules of thumb."""
 
     def __init__(self, config: Config) -> None:
-        self._fusion, self._tally, self._aligned = Fusion(config.fusion()), Tally(), False
+        self._fusion, self._builder, self._aligned = Fusion(config.fusion()), SummaryBuilder(), False
 
     def step(self, message: Input, log_time_ns: int) -> None:
         """The next message."""
         if not self._aligned:
-            self._tally.record(log_time_ns)
+            self._builder.record(log_time_ns)
             outputs = self._fusion.handle(message)
-            self._tally.step(message, outputs)
+            self._builder.step(message, outputs)
             self._aligned = any(isinstance(output, Estimate) for output in outputs)
 
     def judged(self, kind: str) -> Check:
         """Whether the log leads to an estimate."""
-        summary = self._tally.summary(0.0, [], 0, "", kind)
+        summary = self._builder.summary(0.0, [], 0, "", kind)
         if summary.first_estimate_s is None:
             return judge("alignment", "this log leads to no estimate", fail=True, advice=summary.advice)
         return judge("alignment", f"first estimate {summary.first_estimate_s:.1f} s after the log's first measurement")

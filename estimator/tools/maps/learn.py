@@ -124,7 +124,7 @@ def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
 
 
 def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
-    """Down of the ground: as told, or where GNSS has the vehicle in the log's first seconds."""
+    """Down of the ground: as given, or where GNSS has the vehicle in the log's first seconds."""
     if how.ground_alt_m is not None:
         return origin.to_ned(origin.lat_deg, origin.lon_deg, how.ground_alt_m)[2]
     fixes = [m for m in messages if isinstance(m, GnssFix) and m.status >= 0]

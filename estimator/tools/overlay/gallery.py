@@ -1,4 +1,4 @@
-"""What vision adds to a report: pictures of fixes and of looks that gave none, and the landmarks around the flight."""
+"""What vision adds to a report: images of fixes and of looks that gave none, and the landmarks around the flight."""
 
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -17,14 +17,14 @@ from logs.wire.pictures import Picture
 from models.maps.landmarks import Landmark
 from models.messages import AidStatus, PictureName, Reason
 
-_FIXES, _REFUSALS = 6, 6  # pictures of each
+_FIXES, _REFUSALS = 6, 6  # images of each
 _WIDTH_PX: Final = 640
 _QUALITY: Final = 80  # of the JPEG files
 _MARGIN_M: Final = 50.0
 
 
 class _Choice(NamedTuple):
-    """A look whose picture is shown, and what the estimator made of its fix."""
+    """A look whose image is shown, and what the estimator made of its fix."""
 
     t_ns: int
     look: Look

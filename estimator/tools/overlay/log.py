@@ -1,4 +1,4 @@
-"""What an overlay needs of a log: the estimate at each exposure, what vision identified there, and the pictures one by one."""
+"""What an overlay needs of a log: the estimate at each exposure, what vision identified there, and the images one by one."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -31,9 +31,9 @@ _SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, 
 
 @dataclass(slots=True)
 class Flight:
-    """A log without its pictures' pixels.
+    """A log without its images' pixels.
 
-    odometry: thinned; stamps_ns: of the pictures of each topic, in order; exposures_ns: of those that vision was asked about, on
+    odometry: thinned; stamps_ns: of the images of each topic, in order; exposures_ns: of those that vision was asked about, on
     the estimate's clock; identified: landmarks of the fixes, by exposure; modes: what began when.
     """
 
@@ -73,7 +73,7 @@ class Flight:
             self.modes.append((stamp_of(record.data) or 0, values.get("mode", "")))
 
     def topic_of(self, topics: Sequence[str]) -> str:
-        """The one of the topics that has pictures. Raises LogError where there are none, or no estimate to draw from."""
+        """The one of the topics that has images. Raises LogError where there are none, or no estimate to draw from."""
         if not self.odometry:
             raise LogError(
                 f"{self.path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {self.path} -o estimate.mcap"
@@ -98,9 +98,9 @@ def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flig
 
 
 def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
-    """The estimate at the exposure of each picture of the topic in order; None where there is none.
+    """The estimate at the exposure of each image of the topic in order; None where there is none.
 
-    The exposure is what vision was told; of a picture that it was not asked about it is the stamp and the offset seen last, at
+    The exposure is that of vision's request; of an image without one it is the stamp and the offset seen last, at
     first the rig's.
     """
     offset_ns, exposures = round(time_offset_s * 1e9), []
@@ -108,11 +108,11 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
         exposures.append(flight.exposures_ns.get(PictureName(topic, stamp_ns), stamp_ns + offset_ns))
         offset_ns = exposures[-1] - stamp_ns
     estimate = decode(schemas.ODOMETRY, [data for data, _ in flight.odometry], [arrived for _, arrived in flight.odometry])
-    at, told = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
+    at, covered = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
     radius = horizontal_radius(at.covariance[:, :2, :2])
     began, names = [t for t, _ in flight.modes], [name for _, name in flight.modes]
     found: list[View | None] = [None] * len(exposures)
-    for row, k in enumerate(np.flatnonzero(told).tolist()):
+    for row, k in enumerate(np.flatnonzero(covered).tolist()):
         t_ns, q = exposures[k], at.q_wxyz[row]
         if np.isfinite(at.p[row]).all() and np.isfinite(q).all() and np.isfinite(at.covariance[row]).all():
             R_nb = so3.matrix(np.array(axes.attitude((q[0], q[1], q[2], q[3]))))
@@ -125,7 +125,7 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
 
 
 def pictures(flight: Flight, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, Image | None]]:
-    """Number and pixels of the wanted pictures of a topic, one after the other; None for one that cannot be read."""
+    """Number and pixels of the wanted images of a topic, one after the other; None for one that cannot be read."""
     last = max(wanted, default=-1)
     with LogReader(flight.path) as reader:
         for number, record in enumerate(record for record in reader if record.topic == topic and record.schema in _PICTURES):

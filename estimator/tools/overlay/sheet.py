@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 
 class Shown(NamedTuple):
-    """A fix and the left picture that it came from."""
+    """A fix and the left image that it came from."""
 
     fix: LandmarkFix
     picture: PictureName
@@ -47,7 +47,7 @@ def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, co
 
 
 def _fixes(log: Path) -> list[Shown]:
-    """The fixes of the log whose left picture is named by their request."""
+    """The fixes of the log whose left image is named by their request."""
     asked: dict[int, PictureName] = {}
     found: list[Shown] = []
     with LogReader(log) as reader:
@@ -70,7 +70,7 @@ def spread(rows: Sequence[T], count: int) -> list[T]:
 
 
 def find_pictures(log: Path, wanted: set[PictureName]) -> tuple[dict[PictureName, Picture], int]:
-    """The pictures, and when the log begins."""
+    """The images, and when the log begins."""
     pictures: dict[PictureName, Picture] = {}
     missing = set(wanted)
     start_ns = 0
@@ -88,7 +88,7 @@ def find_pictures(log: Path, wanted: set[PictureName]) -> tuple[dict[PictureName
 
 
 def _draw(fix: LandmarkFix, picture: Picture, rig: StereoRig, landmarks: LandmarkMap, start_ns: int) -> Canvas:
-    """The picture with the map drawn in."""
+    """The image with the map drawn in."""
     many = "landmark" if len(fix.landmarks) == 1 else "landmarks"
     caption = [f"{(fix.t_ns - start_ns) * 1e-9:.1f} s: {len(fix.landmarks)} {many}, fit {fix.residual_px:.2f} px"]
     return draw_from(fix, picture, rig, landmarks, fix.landmarks, caption)
@@ -102,7 +102,7 @@ def draw_from(
     identified: Collection[str] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
-    """The left picture with the map drawn in as it would be seen from a pose; residuals of the landmarks identified."""
+    """The left image with the map drawn in as it would be seen from a pose; residuals of the landmarks identified."""
     canvas = np.asarray(to_8_bit(picture), np.uint8)
     p_nc, R_nc = rig.camera_pose(np.array(pose.p_n), so3.matrix(so3.normalise(np.array(pose.q_nb_wxyz))))
     near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)

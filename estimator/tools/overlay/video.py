@@ -1,4 +1,4 @@
-"""A log's pictures with the map drawn in, as a video, and how well it fits them, as numbers and a plot."""
+"""A log's images with the map drawn in, as a video, and how well it fits them, as numbers and a plot."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ from vision.show.overlay import Picture
 
 _CODECS: Final = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # what OpenCV's own FFmpeg can always write
 _PLOTS: Final = (".png", ".svg", ".pdf")
-_SLOWEST, _FASTEST = 1.0, 60.0  # pictures a second
+_SLOWEST, _FASTEST = 1.0, 60.0  # images a second
 
 
 class Choice(msgspec.Struct, frozen=True):
@@ -35,7 +35,7 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 class _Video:
-    """A video file, or none; a context manager. Opened at the first picture, whose size all have. Raises LogError."""
+    """A video file, or none; a context manager. Opened at the first image, whose size all have. Raises LogError."""
 
     def __init__(self, path: Path | None, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
@@ -53,7 +53,7 @@ class _Video:
             self._writer.release()  # the file is whole
 
     def write(self, canvas: Picture) -> None:
-        """Add a picture."""
+        """Add an image."""
         if self._path is None:
             return
         if self._writer is None:
@@ -73,7 +73,7 @@ def make(
     plot: Path | None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> OverlayResult:
-    """Draw and measure the chosen pictures of a topic; the video and the plot where they are wanted. Raises LogError."""
+    """Draw and measure the chosen images of a topic; the video and the plot where they are wanted. Raises LogError."""
     if plot:
         _check_plot(plot)
     seen_from = views(flight, topic, scenery.rig.time_offset_s)
@@ -122,7 +122,7 @@ def _check_plot(path: Path) -> None:
 
 
 def _check_size(log: Path, picture: Image, overlay: Overlay) -> None:
-    """Raises LogError where the pictures are not the calibrated camera's."""
+    """Raises LogError where the images are not the calibrated camera's."""
     if picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
         raise LogError(
             f"{log}: pictures of {picture.shape[1]} x {picture.shape[0]}, a calibration for "

@@ -6,8 +6,8 @@ estimate x that was published for its time, of covariance P:
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
 the logarithmic score (Gneiting & Raftery 2007, JASA 102): proper, so in expectation no covariance scores better than the true
-one, neither a larger nor a smaller. eps U is the density of a false fix, as the estimator has it, so that a lie costs a bounded
-amount. A time without an estimate scores ln(eps U).
+one, neither a larger nor a smaller. eps U is the density of a false fix, as the estimator has it, so that a false fix costs a
+bounded amount. A time without an estimate scores ln(eps U).
 """
 
 import math
@@ -171,8 +171,8 @@ def _truths(truth: Trajectory) -> Iterator[PoseFix]:
             continue
         last = t_ns // _TRUTH_EVERY_NS
         q, covariance = truth.q_wxyz[k], truth.covariance[k]
-        told = np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)
-        noise = covariance if told else _TRUTH.copy()
+        given = np.isfinite(covariance).all() and np.all(np.diag(covariance) > 0.0)
+        noise = covariance if given else _TRUTH.copy()
         if not np.isfinite(q).all():
             q, noise = np.array([1.0, 0.0, 0.0, 0.0]), np.diag([*np.diag(noise)[:3], np.inf, np.inf, np.inf])
         q_nb = axes.attitude((float(q[0]), float(q[1]), float(q[2]), float(q[3])))

@@ -178,7 +178,7 @@ class Tuner:
         return [np.clip(place + sign * _DOUBLED * row, low, high) for row in np.eye(len(place)) for sign in (-1.0, 1.0)]
 
     def _polished(self, place: Array) -> Array:
-        """The place, or the best of those aside as long as one is better: what is told to be worse shall be worse."""
+        """The point, or the best of its neighbours as long as one is better: reported as worse is only what is worse."""
         for _ in range(_ROUNDS):
             places = [place, *self._aside(place)]
             costs = [-summary(windows).score for windows in self._windows(places)]

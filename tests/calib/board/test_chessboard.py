@@ -138,7 +138,7 @@ def test_charuco_corners_carry_their_identity_though_a_part_is_hidden() -> None:
     np.testing.assert_allclose(step / np.linalg.norm(step), (1.0, 0.0), atol=0.01)
 
 
-def test_blurred_empty_and_other_boards_are_told_apart(pictures: list[Grey]) -> None:
+def test_blurred_empty_and_other_boards_are_distinguished(pictures: list[Grey]) -> None:
     sharp = next(p for p in pictures if isinstance(find(p, BOARD), View))
     near = Pose(np.eye(3), np.array([0.0, 0.0, 0.25]) - BOARD.points.mean(axis=0))
     image = views.Painter(SMALL, BOARD).paint(near, np.random.default_rng(0))

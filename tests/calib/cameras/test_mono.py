@@ -112,7 +112,7 @@ def test_errors_that_a_view_has_in_common_widen_sigma() -> None:
     assert np.abs(error[:4] / np.sqrt(np.diagonal(covariance(widened))[:4])).max() < 4.0
 
 
-def test_a_bowed_board_is_told_and_its_effect_is_in_sigma() -> None:
+def test_a_bowed_board_is_reported_and_its_effect_is_in_sigma() -> None:
     """0.8 mm over 200 mm, alike in all views: by the corners' noise alone the focal length is off by more than five sigma."""
     rng, bow = np.random.default_rng(4), np.zeros((54, 3))
     bow[:, 2] = 8e-4 * (2.0 * BOARD.points[:, 0] / 0.2 - 1.0) ** 2

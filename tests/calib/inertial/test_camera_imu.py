@@ -78,7 +78,7 @@ def test_a_board_that_looks_the_same_upside_down_may_be_read_from_either_end() -
     assert np.abs(error(true, found)[:3]).max() < 2e-3
 
 
-def test_squares_of_another_size_than_told_are_to_be_done_again() -> None:
+def test_squares_of_another_size_than_configured_are_to_be_done_again() -> None:
     true = truth(1)
     imu, stamps, views, _ = record(true, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(1))
     judged = imu_report.of_camera_imu(camera_imu.calibrate(imu, stamps, views, Board(9, 6, 0.027), CAMERA, EUROC_NOISE))
@@ -135,7 +135,7 @@ def test_the_filters_derivatives_are_those_of_its_residual() -> None:
     assert P[E.P, E.P].max() < 1e-10
 
 
-def test_motion_that_tells_nothing_is_refused_with_what_to_do() -> None:
+def test_motion_without_information_is_refused_with_what_to_do() -> None:
     board_only = Truth(FORWARD, np.zeros(3), 0.0, 12.0, camera_hz=10.0, turn_rad=0.0, move_m=0.05)
     imu, stamps, views, _ = record(board_only, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(0))
     with pytest.raises(CalibrationError, match="hardly turned: turn it about all three axes"):

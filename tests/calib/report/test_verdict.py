@@ -32,7 +32,7 @@ def test_a_lens_model_that_folds_inside_the_picture_is_noticed() -> None:
     assert 5.0 < verdict.uncovered(folding) < 90.0
 
 
-def test_a_view_beyond_the_fold_has_no_residual_and_is_told() -> None:
+def test_a_view_beyond_the_fold_has_no_residual_and_is_reported() -> None:
     problem = mono.start(simulated_views(6), BOARD, mono.Lens.TWO)
     folding = CameraModel(640, 480, 533.0, 534.0, 342.0, 234.0, (-9.0, 0.0, 0.0, 0.0))
     assert mono._rms_or_nan(problem.only([0])) < 1.0

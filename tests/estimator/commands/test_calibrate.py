@@ -158,8 +158,8 @@ def test_a_picture_that_cannot_be_read_is_left_out_with_its_reason(folder: Path,
     assert facts["figures"]["views short of 20"] == 8
 
 
-def test_files_that_cannot_be_written_are_told_of_before_the_work(tmp_path: Path) -> None:
-    board, log = tmp_path / "board.png", tmp_path / "log.mcap"  # empty: told of, were they looked at first
+def test_files_that_cannot_be_written_are_reported_of_before_the_work(tmp_path: Path) -> None:
+    board, log = tmp_path / "board.png", tmp_path / "log.mcap"  # empty: an error if they were read first
     board.touch()
     log.touch()
     nowhere = ("-o", tmp_path / "no" / "x.yaml")

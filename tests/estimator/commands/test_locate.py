@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     cv2.imwrite(str(out / "left.png"), left)
     cv2.imwrite(str(out / "right.png"), right)
-    save_rig(out / "rig.yaml", scene.rig_believed)
+    save_rig(out / "rig.yaml", scene.rig_calibrated)
     (out / "map.geojson").write_bytes(scene.map.to_geojson())
     place = scene.map.frame.to_geodetic(P_N + np.array([4.0, -3.0, 2.0]))
     angles = (math.degrees(a) + e for a, e in zip(EULER, (0.5, -0.5, 1.0), strict=True))

@@ -62,7 +62,7 @@ def test_build_writes_a_map_and_says_what_it_left_out(tmp_path: Path) -> None:
     assert landmark.length_m == pytest.approx(0.0002 * 111_320 * math.cos(math.radians(47.0)), rel=0.003)
 
 
-def test_build_takes_the_height_it_is_told(tmp_path: Path) -> None:
+def test_build_takes_the_height_it_is_reported(tmp_path: Path) -> None:
     out = tmp_path / "map.geojson"
     found = json.loads(run("build", footprints(tmp_path / "in.geojson"), "-o", out, "--height-m", 0, "--json").stdout)
     assert found["landmarks"] == 1
@@ -184,7 +184,7 @@ def test_check_names_what_lies_in_another(tmp_path: Path) -> None:
     assert "part lies in hall" in run("check", path).stderr
 
 
-def test_look_alikes_are_near_and_of_one_kind() -> None:
+def test_similar_landmarks_are_near_and_of_one_kind() -> None:
     red, blue = (0, 0, 200), (200, 0, 0)
     the_map = LandmarkMap.from_landmarks(
         ORIGIN,

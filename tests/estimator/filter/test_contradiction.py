@@ -39,11 +39,11 @@ def test_nor_do_few_fixes_or_those_too_far_apart() -> None:
     assert not _contradiction([0.0] * 12, every_s=3.0).is_shown
 
 
-def test_a_velocity_tells_no_place() -> None:
+def test_a_velocity_reports_no_place() -> None:
     assert NO_CONTRADICTION.also(0, Velocity(np.zeros(3), QUIET, np.zeros(3))) == NO_CONTRADICTION
 
 
-def test_a_pose_tells_its_place() -> None:
+def test_a_pose_reports_its_place() -> None:
     pose = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.eye(6) * SIGMA_M**2, np.arange(6))
     assert NO_CONTRADICTION.also(0, pose).unforeseen == 1
 

@@ -99,7 +99,7 @@ def test_reset_jacobian_is_the_derivative_of_the_error_after_injection() -> None
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_an_update_that_ruins_the_state_is_told(bad: float) -> None:
+def test_an_update_that_ruins_the_state_is_reported(bad: float) -> None:
     eskf = _filter()
     seen = eskf.innovation(_pose_of(_truth(), 0.1), GYRO)
     with np.errstate(invalid="ignore"):

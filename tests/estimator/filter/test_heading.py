@@ -37,7 +37,7 @@ def _heading_sigma(e: Estimate) -> float:
     return float(np.sqrt(down_b @ e.covariance[E.THETA, E.THETA] @ down_b))
 
 
-def test_a_hover_is_published_without_its_heading_and_honestly() -> None:
+def test_a_hover_is_published_without_its_heading_and_consistently() -> None:
     nees = []
     for seed in range(1, 5):
         simulation, run = _hover(seed)

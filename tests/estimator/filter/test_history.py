@@ -51,7 +51,7 @@ outages_s = [[4.0, 7.5]]
 rate_hz = 3.0
 outlier_share = 0.3
 outages_s = [[5.0, 6.0]]
-lies = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
+false_spans = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
 """
 SETTLED_S = 10.0  # aids end here, so that what is 5 s late has arrived before the flight ends
 
@@ -163,7 +163,7 @@ def test_without_a_given_origin_the_first_fix_by_validity_is_it() -> None:
 # --- what is said about it -------------------------------------------------------------------------------------------------
 
 
-def test_a_decision_that_changes_is_told_again_with_the_next_revision(flight: Simulation, messages: list[Input]) -> None:
+def test_a_decision_that_changes_is_reported_again_with_the_next_revision(flight: Simulation, messages: list[Input]) -> None:
     late = by_arrival(arriving(m, 1.5 + 1.5 * (k % 3)) if isinstance(m, PoseFix) else m for k, m in enumerate(messages))
     run = fly(flight, messages=late)
     told: dict[tuple[str, int, str], list[tuple[int, Reason]]] = {}
@@ -195,7 +195,7 @@ def test_catching_up_at_any_time_changes_no_word(flight: Simulation, messages: l
     assert revised > 0
 
 
-def test_a_decision_that_changes_back_before_the_next_output_is_not_told_again() -> None:
+def test_a_decision_that_changes_back_before_the_next_output_is_not_reported_again() -> None:
     """Fixes 0.5 s apart; one shortly before the last thins it out, until another before that one thins it out itself.
 
     The IMU goes missing meanwhile, so all is worked in at once.
@@ -300,7 +300,7 @@ def test_what_is_older_than_the_history_is_refused_and_changes_nothing() -> None
 
 
 @pytest.mark.parametrize(("late_s", "reason"), [(1.9, None), (2.1, Reason.TOO_OLD)])
-def test_the_history_reaches_as_far_as_told(late_s: float, reason: Reason | None) -> None:
+def test_the_history_reaches_as_far_as_reported(late_s: float, reason: Reason | None) -> None:
     history = _flown(2.0, 10.0)
     newest = history.samples.newest_ns
     assert history.insert_aid(aid_of(pose_fix(newest - round(late_s * 1e9)))) is reason

@@ -94,12 +94,12 @@ def test_eight_lies_that_agree_are_never_followed_by_a_settled_filter(seed: int)
     assert all(np.linalg.norm(reset.delta_p_n) < 1.0 for reset in run.resets)
 
 
-@pytest.mark.parametrize("believe_after_s", [8.0, 20.0])
-def test_a_filter_that_is_wrong_follows_the_fixes_after_believe_after_s_and_not_much_before(believe_after_s: float) -> None:
-    config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(believe_after_s=believe_after_s))
+@pytest.mark.parametrize("reset_after_s", [8.0, 20.0])
+def test_a_filter_that_is_wrong_follows_the_fixes_after_believe_after_s_and_not_much_before(reset_after_s: float) -> None:
+    config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(reset_after_s=reset_after_s))
     run = _fly(70.0, lambda t: LIE if t < 40.0 else NOWHERE, config=config)
     moved_s = next((e.t_ns - EPOCH_NS) * 1e-9 for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND and _near_truth(e.nav))
-    assert 0.4 * believe_after_s < moved_s - 40.0 <= believe_after_s + 3.0
+    assert 0.4 * reset_after_s < moved_s - 40.0 <= reset_after_s + 3.0
     assert _distance(run, moved_s + 1.0, 70.0).max() < 0.6
     assert [r.counter for r in run.resets] == list(range(1, len(run.resets) + 1))
     assert len(run.resets) >= 1
@@ -131,7 +131,7 @@ def test_while_it_is_open_which_fixes_are_true_the_covariance_covers_both() -> N
     assert not np.array_equal(lead.cov[: E.SIZE, : E.SIZE], end.covariance)
 
 
-def test_health_tells_the_radius_of_what_is_published_while_it_is_open() -> None:
+def test_health_reports_the_radius_of_what_is_published_while_it_is_open() -> None:
     run = _fly(46.0, lambda t: None if 15.0 <= t < 45.0 else LIE)
     published = {e.t_ns: e.covariance for e in run.estimates}
     told = [(h, published[h.t_ns]) for h in run.health if h.t_ns > EPOCH_NS + 10 * SECOND and h.t_ns in published]
@@ -149,7 +149,7 @@ def _overconfidence(run: Run, start_s: float, end_s: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_lie_that_is_believed_after_an_outage_is_not_told_as_sure(seed: int) -> None:
+def test_a_false_fix_that_is_accepted_after_an_outage_is_not_reported_as_sure(seed: int) -> None:
     """One reading in twenty is false: that is what the first ones after an outage are told with, however well they fit."""
     run = _fly(36.5, lambda t: None if 15.0 <= t < 35.0 else LIE if t >= 35.0 else NOWHERE, seed)
     assert _distance(run, 35.1, 36.5).max() > 5.0  # it is believed
@@ -286,7 +286,7 @@ def test_a_copy_is_independent() -> None:
     np.testing.assert_array_equal(bank.lead.x, _state(0.0, 0.0, 0.0))
 
 
-def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
+def test_a_velocity_accepted_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
     """The leading filter takes a receiver's velocity for false, and so, just now, did the one that follows it.
 
     When that one foresees the next, both have explained it: one as true, one as the same falsehood.
@@ -302,7 +302,7 @@ def test_a_velocity_believed_again_is_no_news_that_its_doubter_alone_pays_for() 
     assert z is not None
     bank.judge(aid, z, np.zeros(3), trusted=True)
     assert bank.members[0] is honest
-    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().lie_s)
+    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().fault_s)
     assert "/gnss/velocity" not in follower.doubts
 
 
@@ -321,7 +321,7 @@ def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
     assert [member.doubts for member in bank.members] == [{}, {}]
 
 
-def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_foresees() -> None:
+def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_predicts() -> None:
     """A velocity fits the leading filter poorly and a third one, of next to no weight, well: no evidence for a doubter."""
     lead, doubter, hopeless = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -2.0, -16.0))
     doubter.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
@@ -334,11 +334,11 @@ def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_fo
     assert z is not None
     assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
-    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().lie_s, abs=1e-3)
+    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().fault_s, abs=1e-3)
     assert hopeless.weight > -16.0
 
 
-def test_who_does_not_believe_in_a_reading_that_it_foresees_does_not_say_what_the_next_one_is() -> None:
+def test_who_does_not_believe_in_a_reading_that_it_predicts_does_not_say_what_the_next_one_is() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
     doubter.filter.x[X.V], believer.filter.x[X.V] = (11.2, 0.0, 0.0), (10.0, 0.0, 0.0)

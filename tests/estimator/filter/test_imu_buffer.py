@@ -76,7 +76,7 @@ def test_forgetting_drops_what_is_older_once_it_is_half_of_all_and_only_that(
     assert buffer.t_ns[: buffer.count].tolist() == buffer.u[: buffer.count, 0].tolist() == everything
 
 
-def test_what_is_known_outlives_the_samples_that_told_it() -> None:
+def test_what_is_known_outlives_the_samples_that_reported_it() -> None:
     rng = np.random.default_rng(3)
     samples = [ImuSample(t, t, tuple(rng.normal(size=3).tolist()), (3.0, 4.0, 5.0)) for t in range(0, 6_000_000_000, 10_000_000)]
     short, whole = ImuBuffer(), ImuBuffer()

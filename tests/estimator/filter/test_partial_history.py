@@ -51,7 +51,7 @@ def _directions(k: int) -> Array:
     return orthonormal((np.vstack((point, np.eye(6)[5])), point, point[1:])[k % 3])
 
 
-def _told_in_part(messages: list[Input]) -> list[Input]:
+def _in_part(messages: list[Input]) -> list[Input]:
     """After WHOLE_S every pose fix tells a part only; off by metres and degrees in the rest."""
     rng, told = np.random.default_rng(7), list[Input]()
     for k, m in enumerate(messages):
@@ -70,7 +70,7 @@ def flight() -> Simulation:
 
 @pytest.fixture(scope="module")
 def messages(flight: Simulation) -> list[Input]:
-    return _told_in_part(list(flight.messages))
+    return _in_part(list(flight.messages))
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_some_are_fused_and_false_ones_are_gated(punctual: Run) -> None:
     assert max(h.hypotheses for h in punctual.health) > 1
 
 
-def test_status_tells_the_degrees_of_freedom(punctual: Run) -> None:
+def test_status_reports_the_degrees_of_freedom(punctual: Run) -> None:
     for status in punctual.last_words(TOPIC).values():
         dof = len(status.innovation)
         assert dof == len(status.innovation_sigma) in (2, 3, 4)

@@ -163,7 +163,7 @@ def test_inside_an_outage_it_is_several_times_better_than_the_filter() -> None:
 
 @pytest.mark.parametrize("part", [slice(E.P.start, E.THETA.stop), slice(0, E.SIZE)], ids=["pose and velocity", "full state"])
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0], ids=["begin", "middle", "end"])
-def test_inside_an_outage_it_is_honest(part: slice, fraction: float) -> None:
+def test_inside_an_outage_it_is_consistent(part: slice, fraction: float) -> None:
     total = 0.0
     for seed in SEEDS:
         s, rows = smoothed(seed), inside_outage(seed)
@@ -193,9 +193,9 @@ def test_arrival_plays_no_part() -> None:
     np.testing.assert_array_equal(s.nav[here], smoothed(0).nav)
 
 
-def test_a_lie_at_the_end_of_an_outage_does_not_bend_what_was_before() -> None:
+def test_a_false_fix_at_the_end_of_an_outage_does_not_bend_what_was_before() -> None:
     """GIVEN three fixes after the outage that are off by the same 4.7 m, so that the filter believes them at first."""
-    lie = "lies = [{start_s = 24.0, end_s = 25.6, offset_n_m = [3.0, -2.0, 3.0]}]\n"
+    lie = "false_spans = [{start_s = 24.0, end_s = 25.6, offset_n_m = [3.0, -2.0, 3.0]}]\n"
     s, simulation, estimates = smoothed(3, lie), flight(3, lie), filtered(3, lie)
     stamps = [t for t in s.t_ns.tolist() if 24.9 < (t - EPOCH_NS) * 1e-9 < 25.6 and t in estimates]
     believed = errors(simulation, {t: estimates[t].nav for t in stamps})[:, E.P]
@@ -217,7 +217,7 @@ def test_nothing_is_smoothed_across_a_silent_imu() -> None:
     np.testing.assert_allclose(s.nav[:before], alone.nav[:before], rtol=0, atol=1e-14)
 
 
-def test_progress_is_told() -> None:
+def test_progress_is_reported() -> None:
     told: list[float] = []
     simulation = flight(0)
     smooth(simulation.messages, parse(simulation.config_toml).fusion(), told.append)

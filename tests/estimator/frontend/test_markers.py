@@ -27,7 +27,7 @@ def _names(messages: list[Any]) -> set[str]:
     return {m.text for m in STORE.deserialize_cdr(message.data, message.schema).markers if m.text}  # type: ignore[attr-defined]
 
 
-def test_told_at_the_start_and_when_those_in_use_change(board: LandmarkBoard) -> None:
+def test_reported_at_the_start_and_when_those_in_use_change(board: LandmarkBoard) -> None:
     assert _names(board.news(0, HERE, NONE)) == {str(k) for k in range(30)} | {"30"}
     assert board.news(5 * SECOND, HERE, NONE) == []
     assert board.news(6 * SECOND, HERE, frozenset({"1"}))
@@ -41,7 +41,7 @@ def test_a_change_waits_for_its_second(board: LandmarkBoard) -> None:
     assert board.news(SECOND, HERE, frozenset({"1"}))
 
 
-def test_told_anew_further_on(board: LandmarkBoard) -> None:
+def test_reported_anew_further_on(board: LandmarkBoard) -> None:
     board.news(0, HERE, NONE)
     assert board.news(2 * SECOND, np.add(HERE, [90.0, 0.0, 300.0]), NONE) == []
     assert "40" in _names(board.news(4 * SECOND, np.add(HERE, [110.0, 0.0, 0.0]), NONE))

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.config import ConfigError, load
 from estimator.frontend.files import load_sight
-from estimator.frontend.replay_pictures import PictureTally, SightReplay
+from estimator.frontend.replay_pictures import ImageCounts, SightReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
@@ -19,7 +19,7 @@ from tests.estimator.scenes import SECOND
 from tests.estimator.sights import PLACE, SEEN_S, write_flight
 
 
-def _again(source: Path, out: Path, config_file: Path) -> PictureTally:
+def _again(source: Path, out: Path, config_file: Path) -> ImageCounts:
     """Replay from pictures."""
     config = load(config_file)
     assert config.rig.file is not None
@@ -27,7 +27,7 @@ def _again(source: Path, out: Path, config_file: Path) -> PictureTally:
     sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
     pictures = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
     replay(source, out, config, sight=pictures)
-    return pictures.tally
+    return pictures.counts
 
 
 def _records(path: Path, *topics: str) -> list[Record]:
@@ -44,9 +44,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def seen(flight: tuple[Path, Path]) -> Path:
     source, config = flight
     out = source.with_name("seen.mcap")
-    tally = _again(source, out, config)
-    assert (tally.looked_at, tally.missing, tally.same, tally.different) == (4, 0, 0, 0)
-    assert tally.fixes >= 3
+    counts = _again(source, out, config)
+    assert (counts.processed, counts.missing, counts.same, counts.different) == (4, 0, 0, 0)
+    assert counts.fixes >= 3
     return out
 
 
@@ -68,22 +68,22 @@ def test_each_pair_has_its_request_and_its_report(seen: Path) -> None:
         assert len(_records(seen, topic)) == len(SEEN_S)
 
 
-def test_viewers_are_told_of_the_landmarks_at_the_first_look_and_of_those_in_use(seen: Path) -> None:
+def test_viewers_are_reported_of_the_landmarks_at_the_first_image_and_of_those_in_use(seen: Path) -> None:
     looks = _records(seen, "/landfix/vision", "/landfix/fix", "/landfix/landmarks")
     assert "/landfix/landmarks" in {r.topic for r in looks[1:3]}, "behind the first report and fix"
-    told = [r for r in looks if r.topic == "/landfix/landmarks"]
-    assert 1 <= len(told) <= 2, "four pictures within 1.5 s"
+    sent = [r for r in looks if r.topic == "/landfix/landmarks"]
+    assert 1 <= len(sent) <= 2, "four pictures within 1.5 s"
     fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in looks if r.topic == "/landfix/fix"]
-    markers = STORE.deserialize_cdr(told[0].data, told[0].schema).markers  # type: ignore[attr-defined]
+    markers = STORE.deserialize_cdr(sent[0].data, sent[0].schema).markers  # type: ignore[attr-defined]
     green = {m.text for m in markers if m.text and m.color.g > m.color.r}
     assert green in [set(fix.landmarks) if isinstance(fix, LandmarkFix) else set() for fix in fixes] + [set()]
     assert len({m.text for m in markers if m.text}) > 5
 
 
 def test_the_same_again_to_the_bit(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
-    tally = _again(seen, tmp_path / "again.mcap", flight[1])
-    assert tally.same == tally.fixes >= 3
-    assert (tally.different, tally.missing) == (0, 0)
+    counts = _again(seen, tmp_path / "again.mcap", flight[1])
+    assert counts.same == counts.fixes >= 3
+    assert (counts.different, counts.missing) == (0, 0)
     assert (tmp_path / "again.mcap").read_bytes() == seen.read_bytes()
 
 
@@ -98,8 +98,8 @@ def test_a_fix_that_is_not_what_the_pictures_show_is_found_out(seen: Path, fligh
         for r in _records(seen):
             data = r.data[:-8] + bytes([r.data[-8] ^ 1]) + r.data[-7:] if r.data == first.data else r.data
             recorder.write(r.topic, r.schema, data, r.log_time_ns)
-    tally = _again(forged, tmp_path / "again.mcap", flight[1])
-    assert (tally.same, tally.different) == (tally.fixes - 1, 1)
+    counts = _again(forged, tmp_path / "again.mcap", flight[1])
+    assert (counts.same, counts.different) == (counts.fixes - 1, 1)
 
 
 def test_pictures_that_are_not_in_the_log_are_counted(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
@@ -118,8 +118,8 @@ def test_broken_pictures_give_a_reason_and_no_fix(flight: tuple[Path, Path], tmp
         for r in _records(flight[0]):
             data = r.data[: len(r.data) // 3] if "image" in r.topic else r.data
             recorder.write(r.topic, r.schema, data, r.log_time_ns)
-    tally = _again(broken, tmp_path / "out.mcap", flight[1])
-    assert (tally.looked_at, tally.fixes) == (len(SEEN_S), 0)
+    counts = _again(broken, tmp_path / "out.mcap", flight[1])
+    assert (counts.processed, counts.fixes) == (len(SEEN_S), 0)
     assert len(_records(tmp_path / "out.mcap", "/landfix/vision")) == len(SEEN_S)
 
 

@@ -113,8 +113,8 @@ def test_roofs_are_where_truth_and_rig_put_them(log: Path) -> None:
     assert near / checked > 0.9
 
 
-def test_what_the_vehicle_is_told(log: Path) -> None:
-    """Map and rig are the believed ones, and the configuration finds them."""
+def test_what_the_vehicle_is_reported(log: Path) -> None:
+    """Map and rig have their errors, and the configuration finds them."""
     config = load(log.with_suffix(".toml"))
     assert config.rig.file == "flight_rig.yaml"
     assert config.map.landmarks == "flight_map.geojson"
@@ -123,7 +123,7 @@ def test_what_the_vehicle_is_told(log: Path) -> None:
     assert cameras
     scene = flight_pictures.plan(cameras, simulate(loads(SCENARIO.format(quality=92)), 4), 4).scene
     rig, landmarks = load_rig(log.with_name("flight_rig.yaml")), map_store.load(log.with_name("flight_map.geojson"))
-    np.testing.assert_allclose(rig.R_bc, scene.rig_believed.R_bc, atol=1e-9)
+    np.testing.assert_allclose(rig.R_bc, scene.rig_calibrated.R_bc, atol=1e-9)
     assert not np.allclose(rig.R_bc, scene.rig.R_bc, atol=1e-6)
     assert len(landmarks) == len(scene.map)
     off = [np.subtract(landmarks[m.id].centre_n, m.centre_n) for m in scene.world.landmarks]

@@ -82,7 +82,7 @@ def test_landmarks_are_found_by_night(night: flight_pictures.Flight) -> None:
         q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(np.ascontiguousarray(night.truth.R_nb[at])))
         prior = Prior(p_n - error[:3], so3.normalise(q), np.diag(SIGMA**2))
         left, right = (decode_picture(m.schema, m.data) for m in night.draw(k))
-        pipeline = LandmarkPipeline(night.scene.rig_believed, night.scene.map)
+        pipeline = LandmarkPipeline(night.scene.rig_calibrated, night.scene.map)
         result = pipeline.process(left, right, int(night.t_ns[k]), prior)
         if result.fix is not None:
             off_m.append(float(np.linalg.norm(fused(prior, result.fix)[0] - p_n)))

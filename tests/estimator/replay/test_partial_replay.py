@@ -14,7 +14,7 @@ from logs.wire.codec import decode_aid_status, encode_input
 from logs.wire.schemas import schema_text
 from models.messages import Input, LandmarkFix, Reason
 from models.sim.scenario import Simulation
-from tests.estimator.filter.test_partial_history import FLIGHT, _told_in_part
+from tests.estimator.filter.test_partial_history import FLIGHT, _in_part
 from tests.estimator.scenes import simulated
 
 FIX = "/landfix/fix"
@@ -34,7 +34,7 @@ def config(flight: Simulation) -> Config:
 def log(flight: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("partial") / "flight.mcap"
     with Recorder(path) as recorder:
-        for message in _told_in_part(list(flight.messages)):
+        for message in _in_part(list(flight.messages)):
             recorder.write(*encode_input(message), message.arrived_ns)
     return path
 
@@ -50,8 +50,8 @@ def test_a_replay_fuses_them_and_its_own_replay_gives_the_same_bytes(log: Path, 
     replay(first, second, config)
     assert first.read_bytes() == second.read_bytes()
     assert [r.data for r in _records(first, FIX)] == [r.data for r in _records(log, FIX)]
-    told = [decode_aid_status(r.data) for r in _records(first, "/landfix/aid_status")]
-    fused = [s for s in told if s.topic == FIX and s.reason is Reason.FUSED]
+    statuses = [decode_aid_status(r.data) for r in _records(first, "/landfix/aid_status")]
+    fused = [s for s in statuses if s.topic == FIX and s.reason is Reason.FUSED]
     assert len(fused) >= 10
     assert {len(s.innovation) for s in fused} == {2, 3, 4}
 
@@ -81,7 +81,7 @@ def test_a_log_of_the_first_version_is_replayed_and_written_as_one_of_today(
     with old.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
-        for message in _told_in_part(list(flight.messages)):
+        for message in _in_part(list(flight.messages)):
             _as_first_version(_whole(message) if isinstance(message, LandmarkFix) else message, writer, channels)
         writer.finish()  # type: ignore[no-untyped-call]
     replay(old, out, config)

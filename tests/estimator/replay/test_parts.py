@@ -81,13 +81,13 @@ def test_a_later_part_alone_is_said_to_be_not_the_flight(parts: list[Path], flig
     assert result.exit_code == 0
     assert "without parts 0, 1 of this flight the estimate aligns anew" in result.stderr
     assert "without part 1 of this flight" in _run("replay", parts[0], parts[2], *arguments).stderr
-    for told in (_run("replay", parts[0], *arguments), _run("replay", *parts, *arguments)):
-        assert told.exit_code == 0
-        assert "this flight" not in told.stderr
+    for result in (_run("replay", parts[0], *arguments), _run("replay", *parts, *arguments)):
+        assert result.exit_code == 0
+        assert "this flight" not in result.stderr
     assert (tmp_path / "out.mcap").read_bytes() == whole
 
 
-def test_many_missing_parts_are_told_in_short(parts: list[Path], config: Config, tmp_path: Path) -> None:
+def test_many_missing_parts_are_reported_in_short(parts: list[Path], config: Config, tmp_path: Path) -> None:
     with LogReader(parts[0]) as reader:
         late = _written(tmp_path / "late.mcap", 40, list(reader)[:10], [])
     assert replay(late, tmp_path / "out.mcap", config).missing == "40 of the parts 0 to 39"
@@ -162,7 +162,7 @@ def test_files_that_the_configuration_names_take_the_place_of_the_logs_own(log: 
     assert (tmp_path / "again.mcap").read_bytes() == out.read_bytes()
 
 
-def test_a_file_that_is_not_there_is_told_and_the_logs_own_is_kept(log: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_reported_and_the_logs_own_is_kept(log: Path, tmp_path: Path) -> None:
     config, out = tmp_path / "c.toml", tmp_path / "out.mcap"
     config.write_text('[rig]\nfile = "gone.yaml"\n')
     result = _run("replay", log, "-o", out, "-c", config)

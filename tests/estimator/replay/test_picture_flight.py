@@ -143,9 +143,9 @@ def test_locate_says_what_is_missing(folder: Path, tmp_path: Path) -> None:
 
 def test_the_log_names_the_picture_and_its_checksum(folder: Path) -> None:
     config = load(folder / "flight.toml")
-    told = _metadata(config, folder, "digest")
-    assert told["picture"] == "ortho.png"
-    assert told["picture_sha256"] == sha256((folder / "ortho.png").read_bytes()).hexdigest()
+    metadata = _metadata(config, folder, "digest")
+    assert metadata["picture"] == "ortho.png"
+    assert metadata["picture_sha256"] == sha256((folder / "ortho.png").read_bytes()).hexdigest()
     assert "picture" not in _metadata(Config(), folder, "digest")
     with pytest.raises(ConfigError, match=r"ortho\.png: no such file"):
         _metadata(config, folder / "elsewhere", "digest")

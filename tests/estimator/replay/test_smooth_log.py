@@ -79,13 +79,13 @@ def test_the_log_says_what_made_it(out: Path, config: Config) -> None:
 
 
 def test_the_summary_and_progress(flight: Path, config: Config, tmp_path: Path) -> None:
-    told: list[float] = []
-    summary = write_smoothed(flight, tmp_path / "out.mcap", config, told.append)
+    fractions: list[float] = []
+    summary = write_smoothed(flight, tmp_path / "out.mcap", config, fractions.append)
     assert summary.nodes == sum(r.topic == TOPIC for r in records(tmp_path / "out.mcap"))
     assert summary.segments == 1
     assert 0.01 < summary.worst_sigma_m < 5.0
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def test_the_input_is_not_overwritten(flight: Path, config: Config) -> None:
@@ -103,8 +103,10 @@ def test_a_file_that_is_no_log_is_refused(tmp_path: Path, config: Config) -> Non
 
 def test_the_command_writes_the_same(flight: Path, out: Path, tmp_path: Path) -> None:
     again = tmp_path / "smoothed.mcap"
-    told = CliRunner().invoke(app, ["replay", str(flight), "-o", str(again), "-c", str(flight.with_suffix(".toml")), "--smooth"])
-    assert told.exit_code == 0, told.output
-    assert "/landfix/smoothed" in told.stderr
+    result = CliRunner().invoke(
+        app, ["replay", str(flight), "-o", str(again), "-c", str(flight.with_suffix(".toml")), "--smooth"]
+    )
+    assert result.exit_code == 0, result.output
+    assert "/landfix/smoothed" in result.stderr
     assert again.read_bytes() == out.read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["smoothed.mcap"]

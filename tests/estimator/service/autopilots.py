@@ -24,7 +24,7 @@ PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
 class Autopilot(ABC):
-    """Sends what it is told to, keeps what it hears, counts its time from its boot."""
+    """Sends on request, keeps what it hears, counts its time from its boot."""
 
     def __init__(self, kind: int = PX4, *, passphrase: str = "", component: int = 1) -> None:
         self.kind, self.booted_ns = kind, time.monotonic_ns() - 500_000_000_000

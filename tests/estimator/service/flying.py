@@ -149,9 +149,9 @@ def assert_sound(*logs: Path) -> None:
 
     What a full disk tears off is written again into the next log, so that logs may have records in common.
     """
-    told = [o for log in logs for o in odometry(log)]
-    assert np.isfinite([[*o.p_n, *o.q_nb_wxyz] for o in told]).all()
-    variances = np.array([np.diag(o.pose_covariance) for o in told])
+    heard = [o for log in logs for o in odometry(log)]
+    assert np.isfinite([[*o.p_n, *o.q_nb_wxyz] for o in heard]).all()
+    variances = np.array([np.diag(o.pose_covariance) for o in heard])
     assert np.isfinite(variances).all()
     assert (variances > 0.0).all()
     for log in logs:
@@ -165,8 +165,8 @@ def assert_sound(*logs: Path) -> None:
 
 def said(log: Path) -> list[tuple[str, int, bytes]]:
     """What the estimator said in a log, the daemon's words about itself aside."""
-    told = [r for r in records(log) if r.topic in OUTPUTS and r.topic != DAEMON_TOPIC]
-    return [(r.topic, r.log_time_ns, r.data) for r in told]
+    heard = [r for r in records(log) if r.topic in OUTPUTS and r.topic != DAEMON_TOPIC]
+    return [(r.topic, r.log_time_ns, r.data) for r in heard]
 
 
 def assert_replay_says_the_same(log: Path, text: str, *, torn: bool = False) -> None:

@@ -28,7 +28,7 @@ rate_hz = 100.0
 SCENARIOS = (
     HEAD + "[gnss]\noutages_s = [[25.0, 60.0]]\n[pose_fix]\nrate_hz = 2.0\ndelay_s = 0.3\noutages_s = [[35.0, 45.0]]\n",
     HEAD + '[vehicle]\nkind = "fixed_wing"\n[gnss]\noutages_s = [[20.0, 60.0]]\n[pose_fix]\nrate_hz = 0.5\ndelay_s = 1.5\n'
-    "lies = [{ start_s = 30.0, end_s = 42.0, offset_n_m = [30.0, -20.0, 5.0] }]\n",
+    "false_spans = [{ start_s = 30.0, end_s = 42.0, offset_n_m = [30.0, -20.0, 5.0] }]\n",
     HEAD.replace("origin = [47.3977, 8.5456, 488.0]\n", "") + "[pose_fix]\nrate_hz = 5.0\nsigma_m = [0.5, 0.5, 0.5]\n",
     HEAD + "[gnss]\n",
 )

@@ -37,22 +37,22 @@ SECOND = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]:
-    """A flight of three seconds: the log, the configuration, what was sent, what came back, what a late joiner was told."""
+    """A flight of three seconds: the log, the configuration, what was sent, what came back, what a late joiner gets."""
     folder, port = tmp_path_factory.mktemp("flown"), free_port()
     text = toml(folder, port, zenoh_keys="ros2dds = true")
     with in_thread(parse(text), folder) as daemon, client(port) as session:
         vehicle = fly(session, 3.0, image_hz=5.0)
         until(lambda: len(daemon.mailbox) == 0, "all is handled")
         received = str(sum(vehicle.sent.values()))
-        until(lambda: status(session).get("zenoh received") == received, "the status tells of all")
+        until(lambda: status(session).get("zenoh received") == received, "the status reports all")
         health = rmw_key(0, "/landfix/health", schemas.DIAGNOSTICS, type_hash(schemas.DIAGNOSTICS))
         keys = [health, "landfix/odometry", "landfix/status", "landfix/config", "landfix/map"]
-        told = {key: ask(session, key) for key in keys}
-        told["health"] = told.pop(health)
+        heard = {key: ask(session, key) for key in keys}
+        heard["health"] = heard.pop(health)
         tokens = [reply.ok for reply in session.liveliness().get("@ros2_lv/**", timeout=5.0)]
-        told["tokens"] = [str(token.key_expr).encode() for token in tokens if token is not None]
+        heard["tokens"] = [str(token.key_expr).encode() for token in tokens if token is not None]
     (log,) = logs_of(folder)
-    return log, text, vehicle.sent, len(vehicle.latency_ns), told
+    return log, text, vehicle.sent, len(vehicle.latency_ns), heard
 
 
 def test_every_input_is_in_the_log_and_every_picture(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
@@ -90,15 +90,15 @@ def test_others_can_read_the_log(flown: tuple[Path, str, dict[str, int], int, ob
         assert [(a.name, a.data.decode()) for a in ours.attachments] == [("config.toml", parse(text).toml())]
 
 
-def test_who_comes_late_is_told(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
-    log, text, sent, _, told = flown
-    (health,) = told["health"]
+def test_who_comes_late_is_reported(flown: tuple[Path, str, dict[str, int], int, dict[str, list[bytes]]]) -> None:
+    log, text, sent, _, heard = flown
+    (health,) = heard["health"]
     assert health in {r.data for r in records(log, "/landfix/health")}
-    (last,) = told["landfix/odometry"]
+    (last,) = heard["landfix/odometry"]
     assert last in {r.data for r in records(log, ODOMETRY)}
-    assert told["landfix/config"] == [parse(text).toml().encode()]
-    assert told["landfix/map"] == []
-    values = json.loads(told["landfix/status"][0])["daemon"]
+    assert heard["landfix/config"] == [parse(text).toml().encode()]
+    assert heard["landfix/map"] == []
+    values = json.loads(heard["landfix/status"][0])["daemon"]
     assert values["log state"] == "recording"
     assert values["log lost_inputs"] == "0"
     assert int(values["zenoh received"]) == sum(sent.values())
@@ -133,7 +133,7 @@ def test_an_oversized_message_is_refused_and_the_flight_goes_on(tmp_path: Path) 
         for size in (100_000, 50_000_000):
             other.put(key, b"\0" * size)
         after = fly(session, 1.0)
-        until(lambda: status(session).get("zenoh oversized") == "1", "it is told")  # the larger one never came through
+        until(lambda: status(session).get("zenoh oversized") == "1", "it is reported")  # the larger one never came through
     assert len(before.latency_ns) > 50
     assert len(after.latency_ns) > 100
     assert len(records(logs_of(tmp_path)[0], "/imu")) == before.sent["/imu"] + after.sent["/imu"]
@@ -175,7 +175,7 @@ def test_a_defect_of_ours_costs_one_message(tmp_path: Path, monkeypatch: pytest.
 
         monkeypatch.setattr(daemon._decoder, "decode", fails_once)
         vehicle = fly(session, 1.5)
-        until(lambda: status(session).get("internal_errors") == "1", "the status tells of it")
+        until(lambda: status(session).get("internal_errors") == "1", "the status reports it")
     assert len(vehicle.latency_ns) > 50
 
 

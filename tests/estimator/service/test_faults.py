@@ -85,7 +85,7 @@ def _in_step(autopilot: Autopilot, link: MavlinkLink) -> None:
     autopilot.until(lambda: link.report()["timesync_answers"] >= 3, "clocks are in step")
 
 
-def _assert_honest(log: Path, text: str) -> list[Odometry]:
+def _assert_consistent(log: Path, text: str) -> list[Odometry]:
     """All of the flight is within five of its own sigmas, dead reckoning and coasting included; its estimates."""
     estimates = odometry(log)
     assert errors_in_sigma(estimates).max() < 5.0
@@ -108,13 +108,13 @@ def test_an_autopilot_that_reboots_is_understood_from_its_fifth_message_on(tmp_p
         autopilot.heard.clear()
         flight.until(lambda: ears.hears(Mode.AIDED, booted_ns), "it flies on")
         flight.until(lambda: _asked(autopilot) == asked, "all is asked for again")
-        flight.until(lambda: autopilot.of("ODOMETRY"), "it is told again")
+        flight.until(lambda: autopilot.of("ODOMETRY"), "it is sent again")
         dropped, reboots = _dropped(link), link.report()["reboots"]
     (log,) = logs_of(tmp_path)
     assert reboots == 1
     assert len(asked) == 4  # IMU, GNSS, attitude, system time
     assert len(records(log, "/imu")) >= flight.samples - (BELIEVED_AT - 1) - dropped
-    assert _assert_honest(log, text)[-1].t_ns > booted_ns
+    assert _assert_consistent(log, text)[-1].t_ns > booted_ns
 
 
 def test_while_a_serial_line_is_unplugged_the_estimate_coasts_and_then_it_is_aided_again(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_while_a_serial_line_is_unplugged_the_estimate_coasts_and_then_it_is_aid
         again.close()
     (log,) = logs_of(tmp_path)
     assert len(records(log, "/imu")) >= flight.samples - 300  # but for what was said to a line that nobody had open
-    _assert_honest(log, text)
+    _assert_consistent(log, text)
 
 
 def test_during_a_flood_on_one_topic_estimates_stay_in_time_and_the_log_replays_to_the_same_bytes(tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_a_thousand_malformed_frames_a_second_cost_nothing(tmp_path: Path) -> No
     assert report["damaged"] >= NOISE * 3 // 4 - dropped
     assert (report["defects"], report["wild_stamps"]) == (0, 0)
     assert flight.samples + NOISE // 4 - dropped <= len(records(log, "/imu")) <= flight.samples + NOISE // 4
-    stamps = [e.t_ns for e in _assert_honest(log, text)]
+    stamps = [e.t_ns for e in _assert_consistent(log, text)]
     assert max(b - a for a, b in pairwise(stamps)) < SECOND  # the IMU was never taken for gone
 
 
@@ -253,7 +253,7 @@ def test_a_subscriber_that_stands_still_holds_up_nobody_and_hears_again_when_it_
     assert max(vehicle.latency_ns) < 4 * SECOND
     assert len(vehicle.latency_ns) > 200
     _assert_goes_on(log)
-    _assert_honest(log, text)
+    _assert_consistent(log, text)
 
 
 def test_while_a_zenoh_router_is_restarted_the_flight_goes_on_and_who_listens_there_hears_again(tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ def test_while_a_zenoh_router_is_restarted_the_flight_goes_on_and_who_listens_th
     (log,) = logs_of(tmp_path)
     assert len(records(log, "/imu")) >= vehicle.sent["/imu"]
     _assert_goes_on(log)
-    _assert_honest(log, text)
+    _assert_consistent(log, text)
 
 
 def _assert_goes_on(log: Path) -> None:

@@ -28,7 +28,7 @@ def _text(view: View, now_s: float) -> str:
     return paper.file.getvalue()
 
 
-def test_silence_is_told_and_how_long_it_lasts() -> None:
+def test_silence_is_reported_and_how_long_it_lasts() -> None:
     view = View()
     assert "nothing heard yet from tcp/somewhere" in _text(view, 5.0)
     for message in encode(Health(T0, T0, Mode.AIDED, 0.5, 1.25, 0.5, 0, {}, {}, 1)):

@@ -61,15 +61,15 @@ def test_access_control_denies_what_is_not_named() -> None:
     assert allowed == {"0/imu/**", "@ros2_lv/**"}
 
 
-def test_systemd_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_systemd_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         notifier = Notifier()
         notifier.ready("running")
         notifier.alive()
-        told = [systemd.recv(100) for _ in range(2)]
-        assert told == [b"READY=1\nSTATUS=running", b"WATCHDOG=1"]
+        heard = [systemd.recv(100) for _ in range(2)]
+        assert heard == [b"READY=1\nSTATUS=running", b"WATCHDOG=1"]
         systemd.close()
         notifier.alive()  # nobody listens any more: nothing happens
         notifier.stopping()
@@ -160,7 +160,7 @@ def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest
     with monkeypatch.context() as broken:
         broken.setattr("estimator.service.log.state_file.checkpoint_of", lambda *_: 1 / 0)
         keeper.note(_estimate(T0))
-        until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is told")
+        until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is reported")
     keeper.note(_estimate(T0 + 1))
     until(lambda: keeper.report() == {"file": "kept"}, "the next one is kept")
     keeper.close()

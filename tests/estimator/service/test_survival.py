@@ -1,4 +1,4 @@
-"""What may happen to the process: killed, stopped, told to stop. The estimate goes on, the log has all but the last instant."""
+"""What may happen to the process: killed, stopped, asked to stop. The estimate goes on, the log has all but the last instant."""
 
 import resource
 import signal
@@ -117,7 +117,7 @@ def _estimates(folder: Path) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])  # of systemd, and of a terminal that is closed
-def test_told_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: signal.Signals) -> None:
+def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: signal.Signals) -> None:
     if signal.getsignal(number) is signal.SIG_IGN:
         pytest.skip(f"{number.name} is ignored in this run, as nohup does, and so the daemon ignores it")
     port = free_port()

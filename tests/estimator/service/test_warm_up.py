@@ -88,13 +88,13 @@ outages_s = [[35.0, 45.0]]
 """
 
 
-def _told(code: str, *words: str) -> dict[str, Any]:
+def _answer_of(code: str, *words: str) -> dict[str, Any]:
     return _run("-c", _KERNELS + code, *words)
 
 
 def _run(*words: str) -> dict[str, Any]:
-    told = subprocess.run([sys.executable, *words], env=environment(), capture_output=True, text=True, check=True)
-    answer: dict[str, Any] = json.loads(told.stdout)
+    process = subprocess.run([sys.executable, *words], env=environment(), capture_output=True, text=True, check=True)
+    answer: dict[str, Any] = json.loads(process.stdout)
     return answer
 
 
@@ -113,7 +113,7 @@ def test_no_kernel_is_compiled_in_flight(tmp_path: Path) -> None:
     turns = itertools.cycle(range(6))
     messages = [_with_less(m, next(turns)) if isinstance(m, PoseFix) else m for m in simulation.messages]
     write(replace(simulation, messages=messages), tmp_path / "flight.mcap")
-    said = _told(_FLIGHT, str(tmp_path / "flight.mcap"))
+    said = _answer_of(_FLIGHT, str(tmp_path / "flight.mcap"))
     assert said["warm"] > 15
     assert said["new"] == []
     assert said["estimates"] > 3000
@@ -121,7 +121,7 @@ def test_no_kernel_is_compiled_in_flight(tmp_path: Path) -> None:
 
 
 def test_no_kernel_is_compiled_when_pictures_come() -> None:
-    said = _told(_PICTURES)
+    said = _answer_of(_PICTURES)
     assert said["warm"] > 20
     assert said["new"] == []
     assert said["outcomes"] > 1  # some gave a fix, some did not

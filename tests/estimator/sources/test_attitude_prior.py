@@ -1,4 +1,4 @@
-"""An attitude that an autopilot believes: it begins the alignment, and is never fused."""
+"""An attitude estimated by an autopilot: it begins the alignment, and is never fused."""
 
 import math
 from functools import cache
@@ -52,7 +52,7 @@ def _drawn(seed: int) -> tuple[float, float, float]:
     return vec3(np.random.default_rng(seed).normal(size=3) * [TILT, TILT, HEADING])
 
 
-def test_with_it_the_estimate_begins_at_once_and_is_honest() -> None:
+def test_with_it_the_estimate_begins_at_once_and_is_consistent() -> None:
     """GIVEN a hover in which GNSS does not show the heading; THEN it begins after 3 s, with NEES / 15 about 1."""
     assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([]).aligned)
     nees = []
@@ -115,7 +115,7 @@ def _without_motion(rate: float, duration_s: float = 6.0) -> list[Input]:
     return messages
 
 
-def _believed(t_s: float, heading: float) -> AttitudePrior:
+def _sent(t_s: float, heading: float) -> AttitudePrior:
     t = EPOCH_NS + round(t_s * SECOND) + 3
     w, x, y, z = so3.from_euler(0.0, 0.0, heading).tolist()
     return AttitudePrior(t, t, (w, x, y, z), NOISE)
@@ -124,7 +124,7 @@ def _believed(t_s: float, heading: float) -> AttitudePrior:
 def test_a_prior_is_turned_on_by_the_gyroscope_until_it_is_used() -> None:
     rate = 0.7
     messages = [m for m in _without_motion(rate) if not (isinstance(m, GnssFix) and m.t_ns < EPOCH_NS + 2.5 * SECOND)]
-    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, _believed(1.0, rate * 1.0)]))
+    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, _sent(1.0, rate * 1.0)]))
     first = run.aligned[0]
     assert first.t_ns > EPOCH_NS + 2.5 * SECOND  # the prior was 1.5 s old, and 60 degrees off by then
     off = so3.to_euler(first.nav[X.Q])[2] - rate * (first.t_ns - EPOCH_NS) * 1e-9
@@ -135,7 +135,7 @@ def test_a_prior_that_comes_during_the_search_ends_it() -> None:
     """GNSS alone has begun with eight headings; an autopilot that speaks up two seconds later is heard."""
     messages = _without_motion(0.0)
     assert not Run(Fusion(FusionConfig())).feed(messages).aligned
-    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, *(_believed(3.0 + 0.1 * k, 2.0) for k in range(20))]))
+    run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, *(_sent(3.0 + 0.1 * k, 2.0) for k in range(20))]))
     assert EPOCH_NS + 3 * SECOND < run.aligned[0].t_ns < EPOCH_NS + 5 * SECOND
     assert abs(so3.to_euler(run.aligned[0].nav[X.Q])[2] - 2.0) < math.radians(4.0)
     assert run.reasons("/attitude")[Reason.THINNED] > 5  # once it has begun, it changes nothing
@@ -166,8 +166,8 @@ def test_one_against_gravity_is_not_begun_with(off_n: tuple[float, float, float]
 
 
 def test_one_of_long_ago_is_not_begun_with() -> None:
-    believed = _prior(_simulation(), 0)
-    stale = AttitudePrior(EPOCH_NS - 2 * SECOND, EPOCH_NS, believed.q_nb_wxyz, believed.covariance)
+    sent = _prior(_simulation(), 0)
+    stale = AttitudePrior(EPOCH_NS - 2 * SECOND, EPOCH_NS, sent.q_nb_wxyz, sent.covariance)
     assert not any(e.t_ns < EPOCH_NS + 6 * SECOND for e in _flown([stale]).aligned)
 
 

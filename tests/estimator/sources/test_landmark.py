@@ -67,7 +67,7 @@ def test_without_directions_it_is_the_pose_fix_it_was_to_the_bit() -> None:
     assert isinstance(aid.measurement(None), Pose)
 
 
-def test_six_directions_are_the_whole_pose_told_from_elsewhere() -> None:
+def test_six_directions_are_the_whole_pose_distinguished_from_elsewhere() -> None:
     rows, y = np.diag(DIRECTION_SCALE), np.array([0.1, -0.2, 0.3, 0.5, -1.0, 1.5])
     z = _measurement(_fix(directions=rows, readings=y))
     nu, _ = z.evaluate(STATE, np.zeros(3))
@@ -76,7 +76,7 @@ def test_six_directions_are_the_whole_pose_told_from_elsewhere() -> None:
     np.testing.assert_allclose(z.noise, DIRECTION_SCALE * COVARIANCE * DIRECTION_SCALE[:, None])
 
 
-def test_directions_and_readings_are_part_of_what_tells_two_fixes_apart() -> None:
+def test_directions_and_readings_are_part_of_what_distinguishes_two_fixes() -> None:
     orders = [_aid(fix).order for fix in (_fix(), _fix(directions=ROWS[:3]), _fix(readings=np.full(4, 0.1)))]
     assert len(set(orders)) == 3
 
@@ -105,13 +105,13 @@ def test_errors_that_repeat_are_seen_along_the_directions(config: PoseConfig) ->
     aid = _aid(_fix(covariance_common=common, landmark_errors=errors, covariance_rig=rig), config)
     z = aid.measurement(None)
     assert z is not None
-    told = z.noise
+    noise = z.noise
     for slow in aid.slow_errors:
         moved = slow.moves(STATE)
         assert moved is not None
         assert moved.shape == (4, len(slow.covariance))
-        told = told + moved @ slow.covariance @ moved.T
-    np.testing.assert_allclose(told, ROWS @ (COVARIANCE + common) @ ROWS.T, atol=1e-10)
+        noise = noise + moved @ slow.covariance @ moved.T
+    np.testing.assert_allclose(noise, ROWS @ (COVARIANCE + common) @ ROWS.T, atol=1e-10)
     names = ["/landfix/fix/a", "/landfix/fix/b", "/landfix/fix.rig"]
     assert [slow.block for slow in aid.slow_errors] == names + (["/landfix/fix.look"] if config.lasting_share else [])
 

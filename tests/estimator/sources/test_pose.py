@@ -135,14 +135,14 @@ def test_the_common_part_is_considered_under_the_topics_name() -> None:
     common = np.eye(6) * 0.04
     (slow,) = _aid(_fix(covariance_common=common, topic="/tower")).slow_errors
     assert slow.block == "/tower"
-    np.testing.assert_allclose(_told(slow), common, atol=1e-15)
+    np.testing.assert_allclose(_covariance(slow), common, atol=1e-15)
     assert slow.tau_s > 1e6
     assert _aid(_fix(covariance_common=np.zeros((6, 6)))).slow_errors == ()
 
 
 def test_a_frame_that_does_not_say_how_level_it_is_leans_about_both_horizontal_axes() -> None:
     (slow,) = _aid(_fix(), PoseConfig(tilt_deg=0.5, mount_deg=0.0)).slow_errors
-    assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix tells: it has other states
+    assert slow.block == "/pose_fix.tilt"  # not that of a common error that a fix reports: it has other states
     moved = slow.moves(LEVEL)
     assert moved is not None
     lean = math.radians(0.5) ** 2
@@ -173,21 +173,21 @@ def test_positions_alone_have_no_axes() -> None:
 def test_a_common_part_of_what_is_not_given_is_left_out() -> None:
     common = np.diag([0.04, 0.04, 1e150, 0.01, 0.01, 0.01])
     (slow,) = _aid(_fix(covariance=_without([2], 1e9), covariance_common=common)).slow_errors
-    np.testing.assert_allclose(_told(slow), np.diag([0.04, 0.04, 0.0, 0.01, 0.01, 0.01]), atol=1e-15)
+    np.testing.assert_allclose(_covariance(slow), np.diag([0.04, 0.04, 0.0, 0.01, 0.01, 0.01]), atol=1e-15)
 
 
-def _told(slow: SlowError, x: Array | None = None) -> Array:
+def _covariance(slow: SlowError, x: Array | None = None) -> Array:
     """The covariance of the pose that a slow error makes at state x."""
     moved = slow.moves(LEVEL if x is None else x)
     assert moved is not None
     return moved @ slow.covariance @ moved.T
 
 
-def test_a_common_part_that_grows_with_height_is_told_each_time_anew() -> None:
+def test_a_common_part_that_grows_with_height_is_reported_each_time_anew() -> None:
     low, high = (_aid(_fix(covariance_common=np.eye(6) * v)).slow_errors[0] for v in (0.04, 0.16))
     assert low.block == high.block
-    np.testing.assert_allclose(_told(low), np.eye(6) * 0.04, atol=1e-15)
-    np.testing.assert_allclose(_told(high), np.eye(6) * 0.16, atol=1e-15)
+    np.testing.assert_allclose(_covariance(low), np.eye(6) * 0.04, atol=1e-15)
+    np.testing.assert_allclose(_covariance(high), np.eye(6) * 0.16, atol=1e-15)
 
 
 def _landmark_fix(q: tuple[float, float, float, float], names: tuple[str, ...] = ("a", "b"), **changes: Any) -> LandmarkFix:
@@ -198,14 +198,14 @@ def _landmark_fix(q: tuple[float, float, float, float], names: tuple[str, ...] =
     return LandmarkFix(10**9, 10**9, (1.0, 2.0, 3.0), q, GIVEN, total, names, 0.9, 0.4, **fields)
 
 
-def test_errors_of_each_landmark_and_of_the_rig_are_told_apart_and_make_up_the_whole() -> None:
+def test_errors_of_each_landmark_and_of_the_rig_are_distinguished_and_make_up_the_whole() -> None:
     fix = _landmark_fix(Q)
     slow = _aid(fix).slow_errors
     assert [s.block for s in slow] == ["/landfix/fix/a", "/landfix/fix/b", "/landfix/fix.rig"]
     x = LEVEL.copy()
     x[X.Q] = Q
     assert fix.covariance_common is not None
-    np.testing.assert_allclose(sum(_told(s, x) for s in slow), fix.covariance_common, atol=1e-12)
+    np.testing.assert_allclose(sum(_covariance(s, x) for s in slow), fix.covariance_common, atol=1e-12)
 
 
 def test_what_the_rig_does_turns_with_the_body() -> None:
@@ -216,7 +216,7 @@ def test_what_the_rig_does_turns_with_the_body() -> None:
     x[X.Q] = so3.from_euler(0.0, 0.0, 1.2)
     turn = np.kron(np.eye(2), so3.matrix(x[X.Q]) @ then.T)
     expected = turn @ np.diag([1e-4, 2e-4, 3e-4, 1e-6, 4e-6, 9e-6]) @ turn.T
-    np.testing.assert_allclose(_told(rig, x), expected, atol=1e-15)
+    np.testing.assert_allclose(_covariance(rig, x), expected, atol=1e-15)
 
 
 def test_of_too_many_landmarks_the_sum_is_taken() -> None:
@@ -258,10 +258,10 @@ def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() 
     assert look.block == "/pose_fix.look"
     assert look.tau_s == 2.0
     np.testing.assert_allclose(z.noise, 0.4 * GIVEN, atol=1e-15)
-    np.testing.assert_allclose(z.noise + _told(look), GIVEN, atol=1e-15)
+    np.testing.assert_allclose(z.noise + _covariance(look), GIVEN, atol=1e-15)
 
 
-def test_landmark_fixes_last_and_others_do_not_unless_told_so() -> None:
+def test_landmark_fixes_last_and_others_do_not_by_default() -> None:
     assert _aid(_fix(), PoseConfig(tilt_deg=0.0, mount_deg=0.0)).slow_errors == ()
     assert [s.block for s in _aid(_landmark_fix(Q), LandmarkFixConfig()).slow_errors][-1] == "/landfix/fix.look"
 

@@ -110,7 +110,7 @@ def test_silence_stops_a_source_and_its_return_is_on_probation() -> None:
     assert back.passed == 1
 
 
-def test_a_silent_source_is_told_as_stopped_though_nothing_comes_to_stop_it() -> None:
+def test_a_silent_source_is_reported_as_stopped_though_nothing_comes_to_stop_it() -> None:
     state = _active(100.0)
     assert [state.phase_at(t * SECOND) for t in (100, 105, 106)] == [Phase.ACTIVE, Phase.ACTIVE, Phase.STOPPED]
     assert SourceState().phase_at(0) is Phase.STOPPED

@@ -61,7 +61,7 @@ def test_every_file_that_may_go_into_a_kernel_counts(monkeypatch: pytest.MonkeyP
 
 @pytest.fixture
 def nothing_there(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Nothing is compiled, as far as prepare() is told; what it says is done."""
+    """Nothing is compiled, as far as prepare() knows; what it says is done."""
     done: list[str] = []
     monkeypatch.setattr(compilation, "is_current", lambda: False)
     monkeypatch.setattr(compilation, "forget", lambda: done.append("forgotten"))

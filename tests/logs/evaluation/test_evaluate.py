@@ -10,7 +10,7 @@ from rich.console import Console
 from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
 from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
-from logs.evaluation.records import Evaluation, Honesty
+from logs.evaluation.records import ConsistencySummary, Evaluation
 from logs.evaluation.table import print_table
 from logs.evaluation.trajectory import decode
 from logs.store.reader import LogError, LogReader
@@ -25,31 +25,37 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("evaluate") / "honest.mcap"
+    path = tmp_path_factory.mktemp("evaluate") / "consistent.mcap"
     flight_log.write(path, Flight())
     return path
 
 
 @pytest.fixture(scope="module")
-def honest(log: Path) -> Evaluation:
+def consistent(log: Path) -> Evaluation:
     return evaluate(log)
 
 
-def test_extent(honest: Evaluation) -> None:
-    assert honest.duration_s == pytest.approx(120.0)
-    assert (honest.estimates, honest.truth_samples, honest.compared, honest.without_estimate, honest.without_truth) == (
+def test_extent(consistent: Evaluation) -> None:
+    assert consistent.duration_s == pytest.approx(120.0)
+    assert (
+        consistent.estimates,
+        consistent.truth_samples,
+        consistent.compared,
+        consistent.without_estimate,
+        consistent.without_truth,
+    ) == (
         3001,
         3001,
         3001,
         0,
         0,
     )
-    assert honest.distance_m == pytest.approx(605.0, abs=2.0)  # 120 s at 5 m/s and a little up and down
-    assert honest.notes == ()
+    assert consistent.distance_m == pytest.approx(605.0, abs=2.0)  # 120 s at 5 m/s and a little up and down
+    assert consistent.notes == ()
 
 
-def test_accuracy_is_what_the_filter_of_the_log_has(honest: Evaluation) -> None:
-    a = honest.accuracy
+def test_accuracy_is_what_the_filter_of_the_log_has(consistent: Evaluation) -> None:
+    a = consistent.accuracy
     assert a is not None
     assert 0.3 < a.aided_position_m.rmse < 0.5  # sigma of 0.14 to 0.25 m an axis
     assert a.position_m.rmse > 1.3 * a.aided_position_m.rmse
@@ -60,15 +66,15 @@ def test_accuracy_is_what_the_filter_of_the_log_has(honest: Evaluation) -> None:
     assert [r.over for r in a.relative] == ["1 s", "10 s", "10 m", "100 m"]
 
 
-def steadily_aided(path: Path, error_scale: float) -> Honesty:
+def steadily_aided(path: Path, error_scale: float) -> ConsistencySummary:
     flight_log.write(path, Flight(outages=(), error_scale=error_scale))
-    honesty = evaluate(path).honesty
-    assert honesty is not None
-    return honesty
+    consistency = evaluate(path).consistency
+    assert consistency is not None
+    return consistency
 
 
-def test_an_honest_estimate_is_called_so(tmp_path: Path) -> None:
-    h = steadily_aided(tmp_path / "honest.mcap", 1.0)
+def test_a_consistent_estimate_is_called_so(tmp_path: Path) -> None:
+    h = steadily_aided(tmp_path / "consistent.mcap", 1.0)
     assert [h.position.dof, h.attitude.dof, h.velocity.dof, h.pose.dof] == [3, 3, 3, 6]
     for c in (h.position, h.position_aided, h.attitude, h.velocity, h.pose):
         assert c.consistent
@@ -88,12 +94,12 @@ def test_errors_half_as_large_again_are_not(tmp_path: Path) -> None:
     assert h.radius95_covered < 0.88
 
 
-def test_outages_and_their_drift(log: Path, honest: Evaluation) -> None:
-    assert [o.source for o in honest.outages] == ["all", "all"]  # one source only: not told twice
-    first, second = honest.outages
+def test_outages_and_their_drift(log: Path, consistent: Evaluation) -> None:
+    assert [o.source for o in consistent.outages] == ["all", "all"]  # one source only: not listed twice
+    first, second = consistent.outages
     assert [first.start_s, first.duration_s] == pytest.approx([20.0, 10.0])
     assert second.start_s + second.duration_s == pytest.approx(90.0)
-    assert honest.without_absolute_s == pytest.approx(first.duration_s + second.duration_s)
+    assert consistent.without_absolute_s == pytest.approx(first.duration_s + second.duration_s)
     assert second.drift is not None
     assert second.drift.distance_m == pytest.approx(161.0, abs=1.0)
     assert second.drift.end_percent == pytest.approx(100 * second.drift.end_m / second.drift.distance_m)
@@ -105,9 +111,9 @@ def test_outages_and_their_drift(log: Path, honest: Evaluation) -> None:
     assert second.attitude_end_deg == pytest.approx(np.rad2deg(np.linalg.norm(c.theta_error[-1])))
 
 
-def test_modes_aids_latency_and_resets(honest: Evaluation) -> None:
-    assert honest.modes == {"aided": pytest.approx(0.69, abs=0.01), "dead_reckoning": pytest.approx(0.31, abs=0.01)}
-    (aid,) = honest.aids
+def test_modes_aids_latency_and_resets(consistent: Evaluation) -> None:
+    assert consistent.modes == {"aided": pytest.approx(0.69, abs=0.01), "dead_reckoning": pytest.approx(0.31, abs=0.01)}
+    (aid,) = consistent.aids
     assert (aid.topic, aid.kind, list(aid.reasons)) == ("/pose_fix", "pose", ["fused", "gated"])
     assert aid.reasons["gated"] == pytest.approx(sum(aid.reasons.values()) / 10, abs=2)
     assert aid.nis == pytest.approx(1.0, abs=0.15)
@@ -115,8 +121,8 @@ def test_modes_aids_latency_and_resets(honest: Evaluation) -> None:
     assert aid.test_ratio.max == 0.4
     assert aid.delay_s is not None
     assert aid.delay_s.p50 == 0.25
-    assert honest.latency_s["/landfix/odometry"].p95 == pytest.approx(0.004, abs=1e-6)
-    (reset,) = honest.resets
+    assert consistent.latency_s["/landfix/odometry"].p95 == pytest.approx(0.004, abs=1e-6)
+    (reset,) = consistent.resets
     assert msgspec.structs.astuple(reset) == pytest.approx((1.0, 1, 5.0, 2.0, 1.0))
 
 
@@ -126,7 +132,7 @@ def test_burn_in_is_not_compared(log: Path) -> None:
 
 def test_without_truth_all_that_needs_none(log: Path, tmp_path: Path) -> None:
     e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",)))
-    assert (e.accuracy, e.honesty, e.compared, e.without_truth) == (None, None, 0, 3001)
+    assert (e.accuracy, e.consistency, e.compared, e.without_truth) == (None, None, 0, 3001)
     assert [o.drift for o in e.outages] == [None, None]
     assert [o.duration_s for o in e.outages] == pytest.approx([10.0, 32.0])
     assert e.distance_m > 600
@@ -134,9 +140,9 @@ def test_without_truth_all_that_needs_none(log: Path, tmp_path: Path) -> None:
     assert "no truth: nothing can be said about errors" in e.notes
 
 
-def test_without_aid_status_the_health_tells_the_outages(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+def test_without_aid_status_the_health_reports_the_outages(log: Path, consistent: Evaluation, tmp_path: Path) -> None:
     e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/landfix/aid_status",)))
-    assert [o.duration_s for o in e.outages] == pytest.approx([o.duration_s for o in honest.outages], abs=0.3)
+    assert [o.duration_s for o in e.outages] == pytest.approx([o.duration_s for o in consistent.outages], abs=0.3)
     assert e.notes == ("no /landfix/aid_status: outages are found from the health alone",)
 
 
@@ -151,19 +157,19 @@ def test_gaps_in_the_truth_are_not_filled(log: Path, tmp_path: Path) -> None:
     assert e.without_truth == pytest.approx(250, abs=3)
 
 
-def test_truth_of_another_rate_meets_an_interpolated_estimate(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+def test_truth_of_another_rate_meets_an_interpolated_estimate(log: Path, consistent: Evaluation, tmp_path: Path) -> None:
     """GIVEN truth at 7 Hz, between the estimate's stamps, THEN the errors are those of the full comparison."""
     stamps = [EPOCH_NS + k * S // 7 for k in range(1, 830)]
     truth = tuple((*encode_truth(t, *truth_at((t - EPOCH_NS) * 1e-9)), t) for t in stamps)
     e = evaluate(rewritten(log, tmp_path / "x.mcap", without=("/truth",), extra=truth))
     assert e.compared == len(truth)
     assert e.accuracy is not None
-    assert honest.accuracy is not None
-    assert e.accuracy.position_m.rmse == pytest.approx(honest.accuracy.position_m.rmse, rel=0.03)
-    assert e.accuracy.attitude_deg.rmse == pytest.approx(honest.accuracy.attitude_deg.rmse, rel=0.05)
+    assert consistent.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(consistent.accuracy.position_m.rmse, rel=0.03)
+    assert e.accuracy.attitude_deg.rmse == pytest.approx(consistent.accuracy.attitude_deg.rmse, rel=0.05)
 
 
-def test_a_hidden_gnss_receiver_serves_as_truth(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+def test_a_hidden_gnss_receiver_serves_as_truth(log: Path, consistent: Evaluation, tmp_path: Path) -> None:
     """GIVEN 5 Hz GNSS of 1 m noise on a topic of its own, THEN its noise is not held against the estimate."""
     rng = np.random.default_rng(3)
     fixes = []
@@ -174,33 +180,33 @@ def test_a_hidden_gnss_receiver_serves_as_truth(log: Path, honest: Evaluation, t
     e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=tuple(fixes)), "/gnss_hidden")
     assert e.compared == 600
     assert e.accuracy is not None
-    assert e.honesty is not None
-    assert honest.accuracy is not None
-    assert e.accuracy.position_m.rmse == pytest.approx(np.hypot(honest.accuracy.position_m.rmse, np.sqrt(3.0)), rel=0.08)
+    assert e.consistency is not None
+    assert consistent.accuracy is not None
+    assert e.accuracy.position_m.rmse == pytest.approx(np.hypot(consistent.accuracy.position_m.rmse, np.sqrt(3.0)), rel=0.08)
     assert e.accuracy.attitude_deg.n == 0
-    assert e.honesty.position.mean == pytest.approx(1.0, abs=0.15)
+    assert e.consistency.position.mean == pytest.approx(1.0, abs=0.15)
     assert e.notes == ("the truth has no attitude",)
 
 
-def test_the_first_message_with_a_stamp_counts(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+def test_the_first_message_with_a_stamp_counts(log: Path, consistent: Evaluation, tmp_path: Path) -> None:
     """GIVEN all stamps published again with the truth itself, THEN no error gets smaller."""
     with LogReader(log) as reader:
         again = tuple(("/landfix/odometry", r.schema, r.data, r.log_time_ns) for r in reader if r.topic == "/truth")
     e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=again))
-    assert e.accuracy == honest.accuracy
+    assert e.accuracy == consistent.accuracy
 
 
-def test_only_the_last_decision_on_a_measurement_counts(log: Path, honest: Evaluation, tmp_path: Path) -> None:
+def test_only_the_last_decision_on_a_measurement_counts(log: Path, consistent: Evaluation, tmp_path: Path) -> None:
     gated = next(a for a in read(log).aids if a.reason is Reason.GATED)
     revised = msgspec.structs.replace(gated, reason=Reason.FUSED, revision=1)
     extra = tuple((*encode(revised)[0], t) for t in (EPOCH_NS + 121 * S,))
     (aid,) = evaluate(rewritten(log, tmp_path / "x.mcap", extra=extra)).aids
     assert aid.revised == 1
-    assert aid.reasons["gated"] == honest.aids[0].reasons["gated"] - 1
-    assert sum(aid.reasons.values()) == sum(honest.aids[0].reasons.values())
+    assert aid.reasons["gated"] == consistent.aids[0].reasons["gated"] - 1
+    assert sum(aid.reasons.values()) == sum(consistent.aids[0].reasons.values())
 
 
-def test_fixes_are_told_from_each_other(log: Path) -> None:
+def test_fixes_are_reported_from_each_other(log: Path) -> None:
     fixes = read(log).fixes["/pose_fix"]
     truth = np.array([truth_at((t - EPOCH_NS) * 1e-9)[0] for t in fixes.t_ns.tolist()])[:, [1, 0, 2]] * [1, 1, -1]
     wrong = np.linalg.norm(fixes.p - truth, axis=1) > 5
@@ -217,7 +223,7 @@ def seconds(spans: list[tuple[int, int]]) -> list[tuple[float, float]]:
     return [((a - EPOCH_NS) / S, (b - EPOCH_NS) / S) for a, b in spans]
 
 
-def test_outages_are_told_by_source_and_of_all() -> None:
+def test_outages_are_reported_by_source_and_of_all() -> None:
     """GIVEN /a silent over 10-20 s and /b over 15-40 s, THEN each has its outage and both together 15-20 s."""
     estimate = decode(schemas.ODOMETRY, [encode_truth(EPOCH_NS + k * S, *truth_at(k)).data for k in range(41)], [0] * 41)
     a = [aid(t) for t in range(41) if not 10 < t < 20]
@@ -230,7 +236,7 @@ def test_outages_are_told_by_source_and_of_all() -> None:
     late = [aid(t, late_s=1.5) for t in range(41) if not 10 < t < 20]
     assert seconds(find_outages(late, [], estimate)["all"].spans) == [(10.0, 21.5)]
     assert seconds(find_outages(gated, [], estimate)["all"].spans) == [(0.0, 40.0)]
-    assert seconds(find_outages([], [], estimate)["all"].spans) == []  # nothing tells
+    assert seconds(find_outages([], [], estimate)["all"].spans) == []  # nothing to go by
     health = [HealthPoint(EPOCH_NS + t * S, "aided", max(0.0, t - 30.0)) for t in range(41)]
     assert seconds(find_outages([], health, estimate)["all"].spans) == [(30.0, 40.0)]
 
@@ -279,7 +285,7 @@ def test_the_jump_at_the_end_of_an_outage_is_not_called_aided(log: Path) -> None
         assert (accuracy.position_m.n, accuracy.aided_position_m.n) == (1, aided)
 
 
-def test_an_estimate_that_is_not_finite_is_left_out_and_told(log: Path, tmp_path: Path) -> None:
+def test_an_estimate_that_is_not_finite_is_left_out_and_reported(log: Path, tmp_path: Path) -> None:
     nan = encode_truth(EPOCH_NS + 10_000_000, (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     extra = (("/landfix/odometry", nan.schema, nan.data, EPOCH_NS + 121 * S),)
     e = evaluate(rewritten(log, tmp_path / "x.mcap", extra=extra))
@@ -318,18 +324,20 @@ def test_a_torn_log_is_evaluated_as_far_as_it_goes(log: Path, tmp_path: Path) ->
     assert e.notes[0] == "the log is torn: read to its last whole record"
 
 
-def test_json_holds_all_of_it(honest: Evaluation) -> None:
-    text = msgspec.json.encode(honest)
+def test_json_holds_all_of_it(consistent: Evaluation) -> None:
+    text = msgspec.json.encode(consistent)
     assert b"NaN" not in text
     back = msgspec.json.decode(text)
-    assert back["accuracy"]["position_m"]["rmse"] == pytest.approx(honest.accuracy.position_m.rmse if honest.accuracy else None)
-    assert back["honesty"]["position"]["dof"] == 3
+    assert back["accuracy"]["position_m"]["rmse"] == pytest.approx(
+        consistent.accuracy.position_m.rmse if consistent.accuracy else None
+    )
+    assert back["consistency"]["position"]["dof"] == 3
     assert len(back["outages"]) == 2
 
 
-def test_the_table_tells_what_the_record_holds(honest: Evaluation) -> None:
+def test_the_table_reports_what_the_record_holds(consistent: Evaluation) -> None:
     out = io.StringIO()
-    print_table(honest, Console(file=out, width=80, no_color=True))
+    print_table(consistent, Console(file=out, width=80, no_color=True))
     text = out.getvalue()
     for word in ("3001 estimates", "Accuracy", "aligned, SE(3)", "Consistency", "Outages", "/pose_fix", "gated 8", "Resets"):
         assert word in text
@@ -346,7 +354,7 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
 def test_a_real_flight_with_nothing_but_poses(
     landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
 ) -> None:
-    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README tells."""
+    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README has."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
     e = evaluate(tmp_path / "vision.mcap")
     assert e.accuracy is not None

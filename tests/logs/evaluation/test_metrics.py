@@ -164,24 +164,24 @@ def test_nees_by_hand() -> None:
     np.testing.assert_allclose(m.nees(np.array([[1.0, 1.0]]), correlated), [2 / 3])
 
 
-def test_a_covariance_that_promises_nothing_gives_inf() -> None:
+def test_a_covariance_that_is_not_definite_gives_inf() -> None:
     bad = [np.zeros((2, 2)), np.diag([1.0, -1.0]), np.array([[1.0, 0.5], [0.2, 1.0]]), np.diag([np.nan, 1.0])]
     values = m.nees(np.ones((5, 2)), np.array([*bad, np.eye(2)]))
     np.testing.assert_array_equal(values, [np.inf, np.inf, np.inf, np.inf, 2.0])
 
 
 @pytest.mark.parametrize("dof", [3, 6])
-def test_nees_tells_an_honest_covariance_from_one_that_is_not(dof: int) -> None:
+def test_nees_reports_a_consistent_covariance_from_one_that_is_not(dof: int) -> None:
     rng = np.random.default_rng(dof)
     root = np.tril(rng.normal(size=(2000, dof, dof))) + 2.0 * np.eye(dof)
     covariance = root @ root.mT
     error = (root @ rng.normal(size=(2000, dof, 1)))[..., 0]
-    honest = m.consistency(m.nees(error, covariance), dof)
-    assert honest.consistent
-    assert honest.mean == pytest.approx(1.0, abs=0.06)
-    assert honest.inside == pytest.approx(0.95, abs=0.015)
-    assert honest.covered == pytest.approx(0.95, abs=0.015)
-    assert honest.n_effective == pytest.approx(2000, rel=0.15)
+    checked = m.consistency(m.nees(error, covariance), dof)
+    assert checked.consistent
+    assert checked.mean == pytest.approx(1.0, abs=0.06)
+    assert checked.inside == pytest.approx(0.95, abs=0.015)
+    assert checked.covered == pytest.approx(0.95, abs=0.015)
+    assert checked.n_effective == pytest.approx(2000, rel=0.15)
     confident = m.consistency(m.nees(1.5 * error, covariance), dof)
     timid = m.consistency(m.nees(error / 1.5, covariance), dof)
     assert confident.mean > confident.band[1]
@@ -191,7 +191,7 @@ def test_nees_tells_an_honest_covariance_from_one_that_is_not(dof: int) -> None:
 
 
 def test_the_band_knows_that_correlated_samples_are_few() -> None:
-    """GIVEN honest errors correlated over 100 samples, THEN the band is wide enough for 19 runs in 20, and was not by n."""
+    """GIVEN consistent errors correlated over 100 samples, THEN the band is wide enough for 19 runs in 20, and was not by n."""
     rng = np.random.default_rng(5)
     phi, n, runs = 0.98, 3000, 60
     by_n_eff = by_n = 0

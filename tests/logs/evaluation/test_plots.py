@@ -127,7 +127,7 @@ def test_nothing_is_drawn_over_a_hole() -> None:
 
 
 def test_a_real_flight_with_visual_poses_as_the_estimate(landfix_data: Path, tmp_path: Path) -> None:
-    """GIVEN EuRoC's visual poses, THEN every figure is drawn, and the errors are those its README tells (0.06 m)."""
+    """GIVEN EuRoC's visual poses, THEN every figure is drawn, and the errors are those its README has (0.06 m)."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / "V1_02_medium")
     real = read(tmp_path / "vision.mcap")
     c = compare(real.estimate, real.truth)

@@ -15,10 +15,10 @@ from tests.logs.flight_log import Flight
 
 @pytest.fixture(scope="module")
 def evaluations(tmp_path_factory: pytest.TempPathFactory) -> list[Evaluation]:
-    """An honest flight, one that is too sure of itself, and one without truth."""
+    """A consistent flight, one that is too sure of itself, and one without truth."""
     folder = tmp_path_factory.mktemp("runs")
     flights = {
-        "honest": Flight(duration_s=60.0, outages=((20.0, 30.0),)),
+        "consistent": Flight(duration_s=60.0, outages=((20.0, 30.0),)),
         "sure": Flight(duration_s=60.0, outages=((20.0, 30.0),), error_scale=3.0),
         "alone": Flight(duration_s=60.0, outages=((20.0, 30.0),), truth=False),
     }
@@ -28,42 +28,46 @@ def evaluations(tmp_path_factory: pytest.TempPathFactory) -> list[Evaluation]:
 
 
 def test_a_row_says_what_the_evaluation_says(evaluations: list[Evaluation]) -> None:
-    honest, sure, alone = compare_runs(evaluations)
+    consistent, sure, alone = compare_runs(evaluations)
     e = evaluations[0]
     assert e.accuracy is not None
-    assert e.honesty is not None
-    assert (honest.run, honest.duration_s, honest.position_m) == ("honest", e.duration_s, e.accuracy.position_m.rmse)
+    assert e.consistency is not None
+    assert (consistent.run, consistent.duration_s, consistent.position_m) == (
+        "consistent",
+        e.duration_s,
+        e.accuracy.position_m.rmse,
+    )
     (outage,) = (o for o in e.outages if o.source == "all")
     assert outage.drift is not None
-    assert honest.longest_outage_s == outage.duration_s
-    assert honest.outage_end_m == pytest.approx(outage.drift.end_m)
-    assert honest.nees_position == e.honesty.position.mean
-    assert honest.fused + honest.not_fused == sum(n for a in e.aids for n in a.reasons.values())
-    assert honest.fused == sum(a.reasons["fused"] for a in e.aids)
-    assert honest.position_m is not None
-    assert sure.position_m == pytest.approx(3.0 * honest.position_m)
+    assert consistent.longest_outage_s == outage.duration_s
+    assert consistent.outage_end_m == pytest.approx(outage.drift.end_m)
+    assert consistent.nees_position == e.consistency.position.mean
+    assert consistent.fused + consistent.not_fused == sum(n for a in e.aids for n in a.reasons.values())
+    assert consistent.fused == sum(a.reasons["fused"] for a in e.aids)
+    assert consistent.position_m is not None
+    assert sure.position_m == pytest.approx(3.0 * consistent.position_m)
     assert alone.position_m is alone.nees_position is alone.inside95 is None
-    assert alone.without_absolute_s == honest.without_absolute_s
+    assert alone.without_absolute_s == consistent.without_absolute_s
 
 
 def test_markdown_marks_the_best_and_ends_with_the_medians(evaluations: list[Evaluation]) -> None:
     runs = compare_runs(evaluations)
-    header, rule, honest, sure, alone, median = (line.strip("| \n").split(" | ") for line in markdown(runs).splitlines())
-    assert len({len(row) for row in (header, rule, honest, sure, alone, median)}) == 1
+    header, rule, consistent, sure, alone, median = (line.strip("| \n").split(" | ") for line in markdown(runs).splitlines())
+    assert len({len(row) for row in (header, rule, consistent, sure, alone, median)}) == 1
     at = header.index("RMSE m")
-    assert honest[at].startswith("**")
+    assert consistent[at].startswith("**")
     assert not sure[at].startswith("**")
     assert alone[at] == "-"
-    assert honest[header.index("NEES p")].startswith("**")  # nearest to 1, though not always the least
+    assert consistent[header.index("NEES p")].startswith("**")  # nearest to 1, though not always the least
     assert median[0] == "median"
-    assert float(median[at]) == pytest.approx(0.5 * sum(float(r[at].strip("*")) for r in (honest, sure)), rel=0.01)
+    assert float(median[at]) == pytest.approx(0.5 * sum(float(r[at].strip("*")) for r in (consistent, sure)), rel=0.01)
     assert "median" not in markdown(runs[:2])
 
 
 def test_a_nees_far_below_one_is_not_the_best(evaluations: list[Evaluation]) -> None:
-    honest = compare_runs(evaluations)[0]
-    timid = msgspec.structs.replace(honest, run="timid", nees_position=0.01, inside95=1.0)
-    right = msgspec.structs.replace(honest, run="right", nees_position=1.1, inside95=0.95)
+    consistent = compare_runs(evaluations)[0]
+    timid = msgspec.structs.replace(consistent, run="timid", nees_position=0.01, inside95=1.0)
+    right = msgspec.structs.replace(consistent, run="right", nees_position=1.1, inside95=0.95)
     lines = markdown([timid, right]).splitlines()
     assert "**1.1**" in lines[3]
     assert "**95.0%**" in lines[3]
@@ -73,7 +77,7 @@ def test_a_nees_far_below_one_is_not_the_best(evaluations: list[Evaluation]) -> 
 def test_csv_holds_all_digits_and_nothing_where_nothing_is_known(evaluations: list[Evaluation]) -> None:
     runs = compare_runs(evaluations)
     rows = list(csv.DictReader(io.StringIO(comma_separated(runs))))
-    assert [r["run"] for r in rows] == ["honest", "sure", "alone"]
+    assert [r["run"] for r in rows] == ["consistent", "sure", "alone"]
     assert float(rows[0]["position_m"]) == runs[0].position_m
     assert rows[2]["position_m"] == ""
     assert tuple(rows[0]) == Run.__struct_fields__
@@ -87,11 +91,11 @@ def test_the_table_fits_a_terminal(evaluations: list[Evaluation], copies: int) -
     text = out.getvalue()
     assert ("largest 95 % radius, m" in text) == (copies == 1)
     assert "…" not in text
-    for name in ("honest", "sure", "alone", "median"):
+    for name in ("consistent", "sure", "alone", "median"):
         assert name in text
 
 
-def test_files_of_one_name_are_told_apart_by_their_folders(evaluations: list[Evaluation], tmp_path: Path) -> None:
+def test_files_of_one_name_are_distinguished_by_their_folders(evaluations: list[Evaluation], tmp_path: Path) -> None:
     logs = [tmp_path / "before" / "e.mcap", tmp_path / "after" / "e.mcap"]
     named = [msgspec.structs.replace(e, log=str(log)) for e, log in zip(evaluations, logs, strict=False)]
     assert [r.run for r in compare_runs(named)] == [str(Path("before/e")), str(Path("after/e"))]

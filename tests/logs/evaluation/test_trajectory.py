@@ -118,8 +118,8 @@ def test_nearest_is_exact_on_integer_nanoseconds() -> None:
 
 
 def test_interpolation_of_a_constant_motion_is_exact() -> None:
-    at, told = interpolate(straight([0, 10, 20]), np.array([0, 4, 10, 15, 20]), 10)
-    assert told.all()
+    at, inside = interpolate(straight([0, 10, 20]), np.array([0, 4, 10, 15, 20]), 10)
+    assert inside.all()
     np.testing.assert_allclose(at.p[:, 0], [0, 4, 10, 15, 20], atol=1e-12)
     np.testing.assert_allclose(rotation_of(at.q_wxyz).as_euler("ZYX")[:, 0], [0.0, 0.4, 1.0, 1.5, 2.0], atol=1e-12)
     np.testing.assert_allclose(at.covariance[:, 2, 2], [0.0, 0.04, 0.1, 0.15, 0.2], atol=1e-12)
@@ -136,15 +136,15 @@ def test_slerp_goes_the_short_way_round() -> None:
 
 def test_positions_without_attitude_are_interpolated_too() -> None:
     t = np.array([0, 10], np.int64)
-    at, told = interpolate(from_rows(t, t, np.array([[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])), np.array([5]), 10)
-    assert told.all()
+    at, inside = interpolate(from_rows(t, t, np.array([[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])), np.array([5]), 10)
+    assert inside.all()
     assert at.p.tolist() == [[1.0, 2.0, 3.0]]
     assert not at.has_attitude.any()
 
 
-def test_nothing_is_told_outside_or_in_a_hole_but_at_its_edges() -> None:
-    at, told = interpolate(straight([10, 20, 50, 60]), np.array([5, 10, 15, 20, 35, 50, 55, 65]), 10)
-    assert told.tolist() == [False, True, True, True, False, True, True, False]
+def test_nothing_is_reported_outside_or_in_a_hole_but_at_its_edges() -> None:
+    at, inside = interpolate(straight([10, 20, 50, 60]), np.array([5, 10, 15, 20, 35, 50, 55, 65]), 10)
+    assert inside.tolist() == [False, True, True, True, False, True, True, False]
     np.testing.assert_allclose(at.p[:, 0], [10, 15, 20, 50, 55], atol=1e-12)
     assert not interpolate(straight([]), np.array([1, 2]), 10)[1].any()
     assert interpolate(straight([7]), np.array([7, 8]), 10)[1].tolist() == [True, False]

@@ -101,11 +101,11 @@ def test_the_same_log_gives_the_same_bytes(flight: Path, tmp_path: Path) -> None
 
 
 def test_progress_goes_up_to_one(flight: Path, tmp_path: Path) -> None:
-    told: list[float] = []
-    convert("csv", flight, tmp_path / "out.mcap", told.append)
-    assert told == sorted(told)
-    assert told[0] < 0.5
-    assert told[-1] == 1.0
+    fractions: list[float] = []
+    convert("csv", flight, tmp_path / "out.mcap", fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.5
+    assert fractions[-1] == 1.0
 
 
 def test_all_of_settings_reaches_the_text() -> None:
@@ -165,10 +165,10 @@ def test_every_kind_says_in_one_line_that_nothing_is_there(kind: str, tmp_path: 
 def test_every_kind_refuses_what_is_of_another_kind(kind: str, tmp_path: Path) -> None:
     source = tmp_path / ("source" if kind in {"csv", "euroc"} else "source.txt")
     source.mkdir() if kind in {"csv", "euroc"} else source.write_text("hello")
-    with pytest.raises(LogError) as told:
+    with pytest.raises(LogError) as raised:
         convert(kind, source, tmp_path / "out.mcap")
-    assert "\n" not in str(told.value)
-    assert "source" in str(told.value)
+    assert "\n" not in str(raised.value)
+    assert "source" in str(raised.value)
     assert not (tmp_path / "out.mcap").exists()
 
 

@@ -226,7 +226,7 @@ def test_axes_and_world_by_option(tmp_path: Path) -> None:
     assert np.isnan(place.v_n).all()
 
 
-def test_axes_that_contradict_gravity_are_told(tmp_path: Path) -> None:
+def test_axes_that_contradict_gravity_are_reported(tmp_path: Path) -> None:
     recording = csv_folder.read(folder(tmp_path, imu=IMU), ImportOptions(axes="flu"))
     assert any("wrong axes?" in note for note in recording.notes)
 
@@ -295,11 +295,11 @@ def test_nan_rows_stay_for_the_estimator_to_judge(tmp_path: Path) -> None:
         ({"imu": IMU, "truth": "t_s,vn,ve,vd\n0,1,2,3\n"}, "truth.csv: neither position (pn_m or px_m) nor attitude (qw)"),
     ],
 )
-def test_what_cannot_be_imported_is_told_in_one_line(tmp_path: Path, files: dict[str, str], line: str) -> None:
-    with pytest.raises(LogError) as told:
+def test_what_cannot_be_imported_is_reported_in_one_line(tmp_path: Path, files: dict[str, str], line: str) -> None:
+    with pytest.raises(LogError) as raised:
         csv_folder.read(folder(tmp_path, **files))
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:

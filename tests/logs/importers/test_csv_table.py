@@ -75,13 +75,13 @@ def test_duplicate_and_backward_stamps_stay_where_they_are(tmp_path: Path) -> No
     assert t.values[:, 1].tolist() == [0.0, 1.0, 1.0, 2.0]
 
 
-def test_lines_without_the_right_number_of_cells_are_left_out_and_told(tmp_path: Path) -> None:
+def test_lines_without_the_right_number_of_cells_are_left_out_and_reported(tmp_path: Path) -> None:
     t = table(tmp_path, IMU + "0,1,2,3,4,5,6\n1,1,2,3\n2,1,2,3,4,5,6\n3,1,2,3,4,5")
     assert ((t.t_ns - EPOCH_NS) // 10**9).tolist() == [0, 2]
     assert t.notes == ("imu.csv: 2 lines without 7 cells left out",)
 
 
-def test_lines_without_a_stamp_are_left_out_and_told(tmp_path: Path) -> None:
+def test_lines_without_a_stamp_are_left_out_and_reported(tmp_path: Path) -> None:
     t = table(tmp_path, "t_s,arrived_s,x\n0,1,5\nnan,2,6\n,3,7\n4,5,8\n")
     assert t.values[:, 2].tolist() == [5.0, 8.0]
     assert t.arrived_ns is not None
@@ -113,14 +113,14 @@ def test_a_torn_gzip_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
         (b"t_s,x\n1\n", "no line with 2 cells, as the header has"),
     ],
 )
-def test_what_is_no_table_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+def test_what_is_no_table_is_reported_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
     path = tmp_path / "imu.csv"
     path.write_bytes(content)
-    with pytest.raises(LogError) as told:
+    with pytest.raises(LogError) as raised:
         read_table(path)
-    assert str(told.value).startswith("imu.csv: ")
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(raised.value).startswith("imu.csv: ")
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_file_that_only_claims_to_be_gzip(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_file_that_only_claims_to_be_gzip(tmp_path: Path) -> None:
         read_table(path)
 
 
-def test_a_missing_column_is_told_with_those_that_are_there(tmp_path: Path) -> None:
+def test_a_missing_column_is_reported_with_those_that_are_there(tmp_path: Path) -> None:
     t = table(tmp_path, "t_s,gx,gy\n0,1,2\n")
     with pytest.raises(LogError, match=r"imu\.csv: no column for angular rate z .*gz_rad_s.*; it has t_s, gx, gy"):
         t.needed(GYRO, "xyz")

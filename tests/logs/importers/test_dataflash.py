@@ -89,9 +89,9 @@ def test_pressure_and_reference(recording: Recording, rows: dict[str, list[DFRea
 
 
 def test_the_autopilots_attitude_twice_a_second(recording: Recording) -> None:
-    believed = {m.t_ns: m.q_nb_wxyz for m in recording if isinstance(m, Truth)}
+    known = {m.t_ns: m.q_nb_wxyz for m in recording if isinstance(m, Truth)}
     got = [m for m in recording if isinstance(m, AttitudePrior)]
-    assert all(m.q_nb_wxyz == believed[m.t_ns] for m in got)
+    assert all(m.q_nb_wxyz == known[m.t_ns] for m in got)
     assert np.median(np.diff([m.t_ns for m in got])) == pytest.approx(5e8, rel=0.05)
     np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diag(got[0].covariance))), [2.0, 2.0, 4.0])
 
@@ -183,7 +183,7 @@ def newer(tmp_path: Path) -> Path:
     return path
 
 
-def test_instances_are_told_apart(newer: Path) -> None:
+def test_instances_are_distinguished(newer: Path) -> None:
     first, second = dataflash.read(newer), dataflash.read(newer, ImportOptions(imu="IMU2"))
     a, b = first.stream("/imu"), second.stream("/imu")
     assert a is not None
@@ -251,14 +251,14 @@ def test_a_log_without_gnss_has_no_date(tmp_path: Path) -> None:
         (header() + imu_rows(3).replace(struct.pack("<f", -9.75), struct.pack("<f", -0.99)), "that is g"),
     ],
 )
-def test_what_is_no_dataflash_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+def test_what_is_no_dataflash_log_is_reported_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
     path = tmp_path / "log.bin"
     path.write_bytes(content)
-    with pytest.raises(LogError) as told:
+    with pytest.raises(LogError) as raised:
         dataflash.read(path)
-    assert str(told.value).startswith("log.bin: ")
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(raised.value).startswith("log.bin: ")
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_options_that_mean_nothing_are_refused(tmp_path: Path) -> None:

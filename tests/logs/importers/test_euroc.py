@@ -64,7 +64,7 @@ def test_a_recorded_flight_in_its_own_layout_gives_the_same_messages_as_its_csv_
 ROW = "1403715523912143104,0.1,0.2,0.3,9.8,0.1,-0.2"
 
 
-def test_axes_of_the_body_are_those_of_the_data_set_unless_told(tmp_path: Path) -> None:
+def test_axes_of_the_body_are_those_of_the_data_set_by_default(tmp_path: Path) -> None:
     write(tmp_path, [ROW])
     (sample,) = euroc.read(tmp_path)
     assert isinstance(sample, ImuSample)
@@ -108,7 +108,7 @@ def test_a_position_alone_is_a_truth_without_attitude(tmp_path: Path) -> None:
     assert np.isnan(truths[0].q_nb_wxyz).all()
 
 
-def test_what_cannot_be_imported_is_told_in_one_line(tmp_path: Path) -> None:
+def test_what_cannot_be_imported_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"no mav0/imu0/data\.csv in it; euroc wants the folder that mav0 lies in"):
         euroc.read(tmp_path)
     write(tmp_path, [])

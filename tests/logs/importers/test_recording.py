@@ -73,7 +73,7 @@ def test_many_blocks_of_rows() -> None:
     assert [m.t_ns for m in got] == t[::-1].tolist()
 
 
-def test_messages_whose_stamps_no_log_can_hold_are_left_out_and_told() -> None:
+def test_messages_whose_stamps_no_log_can_hold_are_left_out_and_reported() -> None:
     t, arrived = stamps(-5, 10, 20, 2**61 + 2**60), stamps(0, 10, 2**62, 2**62)
     r = Recording.of((recording.imu(t, arrived, numbers(4, 3), numbers(4, 3)),), Settings(), ["first"])
     assert [(m.t_ns, m.gyro_b) for m in r if isinstance(m, ImuSample)] == [(10, (3.0, 4.0, 5.0))]

@@ -34,12 +34,12 @@ def test_right_units_pass_also_with_some_nan() -> None:
     assert sensors.check_imu(gyro_b, accel_b, "imu.csv") == []
 
 
-def test_axes_that_do_not_fit_gravity_are_told() -> None:
+def test_axes_that_do_not_fit_gravity_are_reported() -> None:
     (note,) = sensors.check_imu(GYRO, -ACCEL, "imu.csv")
     assert "wrong axes?" in note
 
 
-def test_slow_imus_are_told() -> None:
+def test_slow_imus_are_reported() -> None:
     assert sensors.check_rate(np.arange(10, dtype=np.int64) * 10_000_000, "x") == []
     (note,) = sensors.check_rate(np.arange(10, dtype=np.int64) * 500_000_000, "x")
     assert note.startswith("x: 2.0 IMU samples a second are too few")

@@ -56,7 +56,7 @@ def test_every_imu_sample(recording: Recording, rows: dict[str, list[Any]]) -> N
         np.testing.assert_array_equal(np.diff([m.t_ns for m in got[part]]), np.diff([r.time_usec * 1000 for r in raw[part]]))
 
 
-def test_damage_does_not_disturb_and_is_told(recording: Recording, rows: dict[str, list[Any]]) -> None:
+def test_damage_does_not_disturb_and_is_reported(recording: Recording, rows: dict[str, list[Any]]) -> None:
     assert len(rows["BAD_DATA"]) == 1314
     assert "ardupilot_flight.tlog: 1314 damaged messages passed over" in recording.notes
     assert any("IMU from RAW_IMU" in note for note in recording.notes)
@@ -105,10 +105,10 @@ def test_pressure_and_reference(recording: Recording, rows: dict[str, list[Any]]
 
 def test_the_autopilots_attitude(recording: Recording, rows: dict[str, list[Any]]) -> None:
     got = [m for m in recording if isinstance(m, AttitudePrior)]
-    told = {round(r._timestamp * 1e6): r for r in rows["ATTITUDE"]}
-    assert 1000 < len(got) <= len(told)
+    known = {round(r._timestamp * 1e6): r for r in rows["ATTITUDE"]}
+    assert 1000 < len(got) <= len(known)
     for m in got:
-        r = told[round(m.arrived_ns * 1e-3)]
+        r = known[round(m.arrived_ns * 1e-3)]
         np.testing.assert_allclose(so3.to_euler(np.array(m.q_nb_wxyz)), [r.roll, r.pitch, r.yaw], atol=1e-9)
 
 
@@ -250,14 +250,14 @@ def test_another_imu_on_request(flown: Path, rows: dict[str, list[Any]]) -> None
         (Ground().data, "not a MAVLink telemetry log (.tlog), or one without IMU, GPS and attitude"),
     ],
 )
-def test_what_is_no_telemetry_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+def test_what_is_no_telemetry_log_is_reported_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
     path = tmp_path / "log.tlog"
     path.write_bytes(content)
-    with pytest.raises(LogError) as told:
+    with pytest.raises(LogError) as raised:
         tlog.read(path)
-    assert str(told.value).startswith("log.tlog: ")
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(raised.value).startswith("log.tlog: ")
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

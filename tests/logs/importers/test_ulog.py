@@ -34,7 +34,7 @@ class Case:
         return data
 
     def t_ns(self, name: str, field: str = "timestamp") -> Times:
-        """Stamps of a topic on the clock of the recording, which the first IMU sample tells."""
+        """Stamps of a topic on the clock of the recording, from the first IMU sample."""
         first = int(self.topic("sensor_combined")["timestamp"][0])
         imu = self.recording.stream("/imu")
         assert imu is not None
@@ -125,10 +125,10 @@ def test_truth_is_ground_truth_where_there_is_one_else_the_estimate(case: Case) 
 def test_the_attitude_to_begin_with_is_the_autopilots_even_where_there_is_ground_truth(case: Case) -> None:
     topic = case.topic("vehicle_attitude")
     stamps = case.t_ns("vehicle_attitude", "timestamp_sample" if "timestamp_sample" in topic else "timestamp")
-    told = dict(zip(stamps.tolist(), stack(topic, *(f"q[{k}]" for k in range(4))).tolist(), strict=True))
+    known = dict(zip(stamps.tolist(), stack(topic, *(f"q[{k}]" for k in range(4))).tolist(), strict=True))
     got = [m for m in case.messages if isinstance(m, AttitudePrior)]
     assert len(got) >= 10
-    assert all(list(m.q_nb_wxyz) == told[m.t_ns] for m in got)
+    assert all(list(m.q_nb_wxyz) == known[m.t_ns] for m in got)
 
 
 def test_the_origin_is_above_the_same_surface_as_the_fixes(case: Case) -> None:
@@ -243,14 +243,14 @@ def test_a_torn_log_is_read_as_far_as_it_goes(landfix_data: Path, tmp_path: Path
         (b"ULog\x01\x12\x35", "cannot be read"),
     ],
 )
-def test_what_is_no_px4_log_is_told_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+def test_what_is_no_px4_log_is_reported_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
     path = tmp_path / "log.ulg"
     path.write_bytes(content)
-    with pytest.raises(LogError) as told:
+    with pytest.raises(LogError) as raised:
         ulog.read(path)
-    assert str(told.value).startswith("log.ulg: ")
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(raised.value).startswith("log.ulg: ")
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_options_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The report in a real browser: it draws without an error, tells what is under the pointer, zooms; markup in a log stays text."""
+"""The report in a real browser: it draws without an error, names what is under the pointer, zooms; markup in a log stays text."""
 
 import html
 import json
@@ -37,7 +37,7 @@ const broken = (e) => [...e.attributes].some((a) => /NaN|undefined|Infinity/.tes
 found.broken = [...document.querySelectorAll("svg *")].filter(broken).length;
 found.whole = [seconds(0), seconds(0.25), seconds(1)];
 seconds(0.5);
-found.told = readout.textContent;
+found.readout = readout.textContent;
 found.beside = figure("state0").querySelector(".readout").textContent;
 found.here = figure("map").querySelectorAll(".here").length;
 send("pointerdown", 0.25), send("pointermove", 0.5), send("pointerup", 0.5);
@@ -86,8 +86,8 @@ def test_all_charts_are_drawn_and_tell_what_is_under_the_pointer(report: Path, t
     assert found["broken"] == 0
     assert found["svgs"] == found["figures"] == len(Page(report).drawing["charts"]) > 25
     assert found["whole"] == pytest.approx([0.0, 30.0, 120.0], abs=0.1)
-    assert re.fullmatch(r"60 s +· +95 % radius [\d.]+ +· +horizontal error [\d.…  ]+.*no absolute fix", found["told"])
-    assert "estimate" in found["beside"]  # every chart over time tells of the same moment
+    assert re.fullmatch(r"60 s +· +95 % radius [\d.]+ +· +horizontal error [\d.…  ]+.*no absolute fix", found["readout"])
+    assert "estimate" in found["beside"]  # every chart over time shows the same moment
     assert found["here"] == 1  # and so does the map
 
 

@@ -73,13 +73,13 @@ class Page(HTMLParser):
         return part
 
 
-def told(numbers: list[float | None]) -> list[float]:
+def known(numbers: list[float | None]) -> list[float]:
     return [x for x in numbers if x is not None]
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("report") / "honest.mcap"
+    path = tmp_path_factory.mktemp("report") / "consistent.mcap"
     flight_log.write(path, Flight())
     return path
 
@@ -96,11 +96,11 @@ def page(log: Path) -> Page:
 def test_the_summary_says_what_the_evaluation_says(page: Page, log: Path) -> None:
     e = evaluate(log)
     assert e.accuracy is not None
-    assert e.honesty is not None
+    assert e.consistency is not None
     assert f"{e.accuracy.position_m.rmse:.2f} m (RMS)" in page.text
     assert f"{e.distance_m:.0f} m flown" in page.text
     assert "without an absolute fix 2 times, 42.0 s in all, 32.0 s at the longest" in page.text
-    assert f"{e.honesty.radius95_covered:.0%} of the time" in page.text
+    assert f"{e.consistency.radius95_covered:.0%} of the time" in page.text
     assert "/pose_fix" in page.text
 
 
@@ -111,7 +111,7 @@ def verdict_of(tmp_path: Path, flight: Flight) -> tuple[str, list[str]]:
     return written.verdict, written.findings
 
 
-def test_a_jump_beyond_the_promised_radius_is_a_reason_to_look_closer_and_one_within_is_not(log: Path, tmp_path: Path) -> None:
+def test_a_jump_beyond_the_95_percent_radius_is_a_reason_to_look_closer_and_one_within_is_not(log: Path, tmp_path: Path) -> None:
     (said,) = (f for f in write(log, tmp_path / "x.html").findings if "jumped" in f)
     assert said.startswith("the position jumped by more than 1 m once: 5.0 m at 1.0 s, where the reported 95 % radius was ")
     radius = float(said.split()[-2])
@@ -136,11 +136,11 @@ def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth
     for scale, level in ((4.0, Level.WRONG), (1.6, Level.LOOK), (1.0, None)):
         flight_log.write(tmp_path / "x.mcap", Flight(error_scale=scale))
         evidence = read(tmp_path / "x.mcap")
-        told_of = {f.level for f in findings(assess(evidence, "x"), evidence, Gathered()) if f.text.startswith("position errors")}
-        assert told_of == ({level} if level is not None else set())
+        levels = {f.level for f in findings(assess(evidence, "x"), evidence, Gathered()) if f.text.startswith("position errors")}
+        assert levels == ({level} if level is not None else set())
 
 
-def test_an_honest_estimate_has_nothing_said_against_it_and_without_truth_nothing_about_errors(tmp_path: Path) -> None:
+def test_a_consistent_estimate_has_nothing_said_against_it_and_without_truth_nothing_about_errors(tmp_path: Path) -> None:
     assert verdict_of(tmp_path, Flight(false_every=1000))[0] == "no problems found"
     verdict, findings = verdict_of(tmp_path, Flight(truth=False, false_every=1000))
     assert verdict == "no problems found"
@@ -171,29 +171,29 @@ def test_the_estimate_is_drawn_with_its_band_and_the_truth(page: Page, log: Path
     estimate = read(log).estimate
     for k in range(3):
         line = page.part(f"state{k}", "estimate")
-        assert max(told(line["high"])) == pytest.approx(estimate.p[:, k].max(), rel=1e-4)
-        assert min(told(line["low"])) == pytest.approx(estimate.p[:, k].min(), rel=1e-4)
+        assert max(known(line["high"])) == pytest.approx(estimate.p[:, k].max(), rel=1e-4)
+        assert min(known(line["low"])) == pytest.approx(estimate.p[:, k].min(), rel=1e-4)
         band = page.part(f"state{k}", "95 % band")
         reach = 1.959964 * np.sqrt(estimate.covariance[:, k, k])
-        assert max(told(band["high"])) == pytest.approx((estimate.p[:, k] + reach).max(), rel=1e-3)
-        assert min(told(band["low"])) == pytest.approx((estimate.p[:, k] - reach).min(), rel=1e-3)
+        assert max(known(band["high"])) == pytest.approx((estimate.p[:, k] + reach).max(), rel=1e-3)
+        assert min(known(band["low"])) == pytest.approx((estimate.p[:, k] - reach).min(), rel=1e-3)
     heading = page.part("state8", "estimate")
     assert heading["turn"] == 360.0
-    steps = np.abs(np.diff(told(heading["high"])))
+    steps = np.abs(np.diff(known(heading["high"])))
     assert steps.max() < 30.0  # two turns, drawn without a leap
-    assert max(told(heading["high"])) - min(told(heading["low"])) > 600.0
+    assert max(known(heading["high"])) - min(known(heading["low"])) > 600.0
 
 
-def test_errors_are_drawn_with_what_was_promised(page: Page, log: Path) -> None:
+def test_errors_are_drawn_with_reported_ones(page: Page, log: Path) -> None:
     e = evaluate(log)
     assert e.accuracy is not None
-    assert e.honesty is not None
-    horizontal, radius = (told(page.part("radius", name)["high"]) for name in ("horizontal error", "95 % radius"))
+    assert e.consistency is not None
+    horizontal, radius = (known(page.part("radius", name)["high"]) for name in ("horizontal error", "95 % radius"))
     assert max(horizontal) == pytest.approx(e.accuracy.horizontal_m.max, rel=1e-4)
-    assert max(radius) == pytest.approx(e.honesty.radius95_max_m, rel=1e-4)
-    assert max(told(page.part("nees", "position")["high"])) > 1.0
+    assert max(radius) == pytest.approx(e.consistency.radius95_max_m, rel=1e-4)
+    assert max(known(page.part("nees", "position")["high"])) > 1.0
     heading = page.part("error_theta2", "error")
-    assert max(abs(x) for x in told(heading["low"] + heading["high"])) == pytest.approx(e.accuracy.heading_deg.max, rel=1e-3)
+    assert max(abs(x) for x in known(heading["low"] + heading["high"])) == pytest.approx(e.accuracy.heading_deg.max, rel=1e-3)
 
 
 def test_outages_are_shades_and_time_begins_with_the_first_estimate(page: Page) -> None:
@@ -293,7 +293,7 @@ def test_sigmas_of_roll_and_pitch_are_about_the_nose_and_across_it(log: Path) ->
     np.testing.assert_allclose(sigmas(estimate)[0], [1.0, 2.0, 3.0, 2.0, 1.0, 3.0, 0.2, 0.1, 0.3])
 
 
-def test_modes_and_sources_are_told_over_time(page: Page) -> None:
+def test_modes_and_sources_are_reported_over_time(page: Page) -> None:
     rows = page.chart("states")["rows"]
     assert set(rows) == {"mode", "/pose_fix"}
     assert [(s["text"], s["start"]) for s in rows["mode"]] == [
@@ -310,8 +310,8 @@ def test_ages_at_arrival_are_counted(page: Page) -> None:
 
 
 @pytest.mark.parametrize(("roll", "pitch", "heading"), [(0.3, -0.2, 1.0), (-1.0, 0.9, -2.5), (3.0, 0.0, 0.0)])
-def test_attitude_is_told_as_a_pilot_says_it(roll: float, pitch: float, heading: float) -> None:
-    """GIVEN a body FRD in NED at roll, pitch and heading, THEN its odometry in ENU and FLU is told by the same numbers."""
+def test_attitude_is_reported_as_a_pilot_says_it(roll: float, pitch: float, heading: float) -> None:
+    """GIVEN a body FRD in NED at roll, pitch and heading, THEN its odometry in ENU and FLU has the same numbers."""
     q = so3.from_euler(roll, pitch, heading)
     data = encode_truth(EPOCH_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), q).data
     x, y, z, w = np.frombuffer(data[-85 * 8 :], "<f8")[3:7]
@@ -426,12 +426,12 @@ def test_numbers_that_are_none_of_ours_do_not_stop_it(log: Path, tmp_path: Path)
     assert "position covariances are at times not positive definite: they report no bound there" in written.findings
 
 
-def test_junk_is_counted_and_told(log: Path, tmp_path: Path) -> None:
+def test_junk_is_counted_and_reported(log: Path, tmp_path: Path) -> None:
     topics = {"health": schemas.DIAGNOSTICS, "vision": schemas.VISION_REPORT, "vision_request": schemas.VISION_REQUEST}
     junk = tuple((f"/landfix/{name}", schema, b"\0\1\0\0junk", EPOCH_NS + 121 * S) for name, schema in topics.items())
     written = write(rewritten(log, tmp_path / "x.mcap", extra=junk), tmp_path / "x.html")
-    (told_so,) = (f for f in written.findings if f.startswith("unreadable messages"))
-    assert all(f"1 on /landfix/{name}" in told_so for name in topics)
+    (finding,) = (f for f in written.findings if f.startswith("unreadable messages"))
+    assert all(f"1 on /landfix/{name}" in finding for name in topics)
 
 
 def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_line(log: Path, tmp_path: Path) -> None:
@@ -477,7 +477,7 @@ def test_of_a_long_flight_estimates_are_thinned_evenly_and_extremes_stay(log: Pa
     page = Page(out)
     assert "Errors are computed from one of 4 estimates" in page.text
     assert "3001 estimates" in page.text
-    assert max(told(page.part("state0", "estimate")["high"])) == pytest.approx(whole.estimate.p[:, 0].max(), rel=1e-4)
+    assert max(known(page.part("state0", "estimate")["high"])) == pytest.approx(whole.estimate.p[:, 0].max(), rel=1e-4)
     assert truth_at(0.0)[0][0] == 40.0
 
 

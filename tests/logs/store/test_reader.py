@@ -310,7 +310,7 @@ def test_anything_behind_the_magic_is_survived(tmp_path_factory: pytest.TempPath
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reason"),
     [
         (b"", "is empty"),
         (b"hello world, this is a text", "is not an MCAP file, or its first bytes are damaged"),
@@ -318,12 +318,12 @@ def test_anything_behind_the_magic_is_survived(tmp_path_factory: pytest.TempPath
         (b"SQLite format 3\0", "is an SQLite bag; convert it to MCAP (ros2 bag convert, rosbags-convert)"),
     ],
 )
-def test_files_of_other_kinds(tmp_path: Path, content: bytes, told: str) -> None:
+def test_files_of_other_kinds(tmp_path: Path, content: bytes, reason: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(LogError) as error:
         LogReader(path)
-    assert str(error.value) == f"{path}: {told}"
+    assert str(error.value) == f"{path}: {reason}"
 
 
 def test_missing_file_and_directory(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from models.messages import ImuSample, Tick
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
-FLUSH_NS = 100_000_000  # promised
+FLUSH_NS = 100_000_000  # documented
 
 
 def write(path: Path, count: int = 100) -> list[tuple[str, str, bytes, int]]:

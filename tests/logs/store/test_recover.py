@@ -17,7 +17,7 @@ from models.messages import ImuSample
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
-FLUSH_NS = 100_000_000  # promised
+FLUSH_NS = 100_000_000  # documented
 
 
 def record(path: Path, count: int) -> None:
@@ -95,7 +95,7 @@ def test_a_damaged_chunk_is_left_out_and_counted(tmp_path: Path) -> None:
     assert_opens_everywhere(out, 380)
 
 
-def test_a_whole_log_stays_as_it_is_and_progress_is_told(tmp_path: Path) -> None:
+def test_a_whole_log_stays_as_it_is_and_progress_is_reported(tmp_path: Path) -> None:
     whole, out = tmp_path / "whole.mcap", tmp_path / "out.mcap"
     record(whole, 25_000)
     fractions: list[float] = []
@@ -158,16 +158,16 @@ with Recorder(sys.argv[1], metadata={"version": "1"}) as recorder:
 
 @pytest.mark.parametrize("written", [1, 20_011])
 def test_killed_while_writing_loses_at_most_a_tenth_of_a_second(tmp_path: Path, written: int) -> None:
-    # GIVEN a process that writes at full speed, and tells the log time of each message once it is written
+    # GIVEN a process that writes at full speed, and prints the log time of each message once it is written
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     command = [sys.executable, "-c", WRITER, str(log), str(START_NS), str(STEP_NS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]) as process:
         assert process.stdout is not None
-        told = process.stdout.read(8 * written)
+        output = process.stdout.read(8 * written)
         # WHEN it is killed
         process.kill()
-        told += process.stdout.read()
-    last = int.from_bytes(told[-8 - len(told) % 8 :][:8], "little")
+        output += process.stdout.read()
+    last = int.from_bytes(output[-8 - len(output) % 8 :][:8], "little")
     # THEN less than 0.1 s of log time is missing, and what is there is whole
     result = recover(log, out)
     got = stamps(out)

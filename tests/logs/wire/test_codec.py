@@ -236,7 +236,7 @@ def test_what_is_not_given_stays_in_its_place() -> None:
     assert np.isnan(got.p_n).tolist() == [True, False, False]
 
 
-def test_directions_are_told_in_map_axes() -> None:
+def test_directions_are_reported_in_map_axes() -> None:
     # GIVEN a fix that measured north with the turn about east, down, and the turn about down
     rows = np.zeros((3, 6))
     rows[0, [0, 4]], rows[1, 2], rows[2, 5] = (0.6, 40.0), 1.0, 50.0
@@ -420,7 +420,7 @@ def test_aid_status_round_trip() -> None:
         decode_aid_status(encoded.data[:40])
 
 
-def test_health_tells_every_field() -> None:
+def test_health_reports_every_field() -> None:
     last = LastGnss(47.0, 8.0, 400.0, 12.5, 3.0)
     sources, counts = {"/imu": "active", "/gnss": "stopped"}, {"fused": 12, "gated": 1}
     health = Health(
@@ -443,7 +443,7 @@ def test_health_tells_every_field() -> None:
     assert levels[Mode.DEAD_RECKONING] == levels[Mode.ALIGNING] == levels[Mode.STARTING] == status.WARN
 
 
-def test_reset_is_told_in_map_axes() -> None:
+def test_reset_is_reported_in_map_axes() -> None:
     encoded = encode(Reset(T_NS, ARRIVED_NS, 2, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (0.1, 0.2, 0.3)))[0]
     message = ros(encoded)
     assert encoded[:2] == ("/landfix/reset", "landfix_msgs/msg/Reset")
@@ -453,7 +453,7 @@ def test_reset_is_told_in_map_axes() -> None:
     np.testing.assert_array_equal(xyz(message.delta_rotation), [0.2, 0.1, -0.3])
 
 
-def test_vision_report_tells_every_field() -> None:
+def test_vision_report_reports_every_field() -> None:
     report = VisionReport(T_NS, ARRIVED_NS, "ambiguous", "pool or court", 5, 2, ("pool", "court"), (0.97, 0.81), 0.31, 0.012)
     encoded = encode(report)[0]
     assert encoded[:2] == ("/landfix/vision", "landfix_msgs/msg/VisionReport")
@@ -485,7 +485,7 @@ def test_viewers_get_the_pose_of_the_odometry_and_the_place_on_earth() -> None:
     exact(place.position_covariance.reshape(3, 3), odometry.covariance.reshape(6, 6)[:3, :3])
 
 
-def test_our_own_transform_is_told_from_others() -> None:
+def test_our_own_transform_is_reported_from_others() -> None:
     tf = encode_slow(estimate())[1]
     assert is_own_transform(tf.data)
     message = ros(tf)

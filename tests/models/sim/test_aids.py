@@ -7,7 +7,7 @@ import pytest
 from models import so3
 from models.frames import Origin
 from models.messages import Array, GnssFix, GnssVelocity, PoseFix
-from models.sim.aids import Gnss, Lie, PoseFixes, make_pose_fixes, receive_gnss
+from models.sim.aids import FalseSpan, Gnss, PoseFixes, make_pose_fixes, receive_gnss
 from models.sim.trajectory import Motion, Multirotor, Trajectory, build
 
 ORIGIN = Origin(47.4, 8.5, 450.0)
@@ -154,7 +154,7 @@ def test_common_error_is_the_same_for_all_fixes_of_a_run(trajectory: Trajectory,
         assert common is None
 
 
-def test_outliers_have_their_share_and_sizes_and_are_told(trajectory: Trajectory) -> None:
+def test_outliers_have_their_share_and_sizes_and_are_reported(trajectory: Trajectory) -> None:
     source = PoseFixes(rate_hz=10.0, outlier_share=0.1, outlier_m=(5.0, 20.0), outlier_deg=(10.0, 40.0))
     fixes, false = make_pose_fixes(source, trajectory, EPOCH_NS, np.random.default_rng(4))
     assert 320 < len(false) < 480
@@ -169,9 +169,9 @@ def test_outliers_have_their_share_and_sizes_and_are_told(trajectory: Trajectory
     assert angle[~is_false].max() < 7.0
 
 
-def test_lies_agree_with_each_other(trajectory: Trajectory) -> None:
-    lie = Lie(start_s=38.0, end_s=42.0, offset_n_m=(3.0, -4.0, 0.0), rotation_n_deg=(0.0, 0.0, 8.0))
-    source = PoseFixes(sigma_m=SILENT[0], sigma_deg=SILENT[0], lies=(lie,))
+def test_false_spans_agree_with_each_other(trajectory: Trajectory) -> None:
+    span = FalseSpan(start_s=38.0, end_s=42.0, offset_n_m=(3.0, -4.0, 0.0), rotation_n_deg=(0.0, 0.0, 8.0))
+    source = PoseFixes(sigma_m=SILENT[0], sigma_deg=SILENT[0], false_spans=(span,))
     fixes, false = make_pose_fixes(source, trajectory, EPOCH_NS, np.random.default_rng(4))
     assert len(false) == 8
     p, theta = np.array([f.p_n for f in fixes]) - truth_at(trajectory, fixes).p_n, attitude_errors(trajectory, fixes)

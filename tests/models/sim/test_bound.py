@@ -104,7 +104,7 @@ def test_measurement_is_the_information_form() -> None:
 
 
 def test_measurements_between_samples_are_used_at_their_own_time() -> None:
-    # Velocity unknown: a position fix after t tells it with variance R / t^2, so its time is visible.
+    # Velocity unknown: a position fix after t measures it with variance R / t^2, so its time is visible.
     truth, P0 = at_rest(2), diagonal(1e-9, 10.0, 1e-9, 1e-12, 1e-12)
     H = np.zeros((3, E.SIZE))
     H[:, E.P] = np.eye(3)

@@ -137,7 +137,7 @@ def test_file_becomes_the_scenario_it_says() -> None:
         [pose_fix]
         delay_s = [0, 2.5]
         outages_s = [[10, 20], [30.0, 40.0]]
-        [[pose_fix.lies]]
+        [[pose_fix.false_spans]]
         start_s = 5
         end_s = 6
         offset_n_m = [1, 0, 0]
@@ -150,6 +150,6 @@ def test_file_becomes_the_scenario_it_says() -> None:
     assert scenario.pose_fix is not None
     assert scenario.pose_fix.delay_s == (0.0, 2.5)
     assert scenario.pose_fix.outages_s == ((10.0, 20.0), (30.0, 40.0))
-    assert scenario.pose_fix.lies[0].offset_n_m == (1.0, 0.0, 0.0)
+    assert scenario.pose_fix.false_spans[0].offset_n_m == (1.0, 0.0, 0.0)
     assert scenario.faults == (SpoofJump(start_s=3.0, offset_n_m=(100.0, 0.0, 0.0)),)
     assert scenario.gnss is None

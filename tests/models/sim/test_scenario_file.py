@@ -13,7 +13,7 @@ WRONG = [
     ("[[faults]]\nkind = 'spoof_jum'", "unknown kind 'spoof_jum' in [faults]; did you mean 'spoof_jump'?"),
     ("[[faults]]\nkind = 'spoof_jump'\noffset_m = [1, 2, 3]", "did you mean 'offset_n_m'?"),
     ("[[faults]]\nkind = 'jam'\nstart_s = 5.0\nend_s = 4.0", "start_s, end_s"),
-    ("[[pose_fix.lies]]\nstart_s = 1\nend_s = 2\noffset = [1, 2, 3]", "unknown key 'offset' in [pose_fix.lies]"),
+    ("[[pose_fix.false_spans]]\nstart_s = 1\nend_s = 2\noffset = [1, 2, 3]", "unknown key 'offset' in [pose_fix.false_spans]"),
     ("[pose_fix]\ndelay_s = [5, 0]", "the smaller number first in 'pose_fix'"),
     ("[pose_fix]\ndelay_s = -1.0", "must be positive"),
     ("[gnss]\nsigma_m = [1, 2]", "expected array of length 3, got 2 in 'gnss.sigma_m'"),

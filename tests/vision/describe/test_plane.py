@@ -28,7 +28,7 @@ def test_the_covariance_is_true() -> None:
     assert 2.5 < np.mean(squares) < 3.6  # the robust weights cost some 5 %
 
 
-def test_sigmas_that_promise_too_much_are_found_out() -> None:
+def test_sigmas_that_are_too_small_are_found_out() -> None:
     rng = np.random.default_rng(2)
     points, d, sigmas = drawn(rng, 60)
     plane = fit_plane(points, d, sigmas / 5.0, FLAT, 10.0)
@@ -46,7 +46,7 @@ def test_a_third_of_the_points_may_lie() -> None:
     assert 22 <= plane.used <= 28
 
 
-def test_what_is_believed_of_the_tilt_holds_where_the_points_say_nothing() -> None:
+def test_what_is_accepted_of_the_tilt_holds_where_the_points_say_nothing() -> None:
     plane = fit_plane(np.array([[5.0, 5.0]]), np.array([7.0]), np.array([0.1]), np.array([0.01, 0.02]), 0.003)
     assert plane is not None
     np.testing.assert_allclose(plane.coefficients, (7.0, 0.01, 0.02), atol=1e-9)

@@ -67,7 +67,7 @@ def test_red_is_one_colour_on_both_sides_of_the_hue_circle() -> None:
     assert (segment_colours(image, colour_table([(30.0, 30.0, 200.0)])) == 1).all()
 
 
-def test_grey_landmarks_are_told_by_lightness() -> None:
+def test_grey_landmarks_are_reported_by_lightness() -> None:
     image = patches([(60.0, 60.0, 60.0), (150.0, 150.0, 150.0), (235.0, 235.0, 235.0)])
     labels = segment_colours(image, colour_table([(235.0, 235.0, 235.0)]))
     assert (labels[:, 82:118] == 1).mean() > 0.97

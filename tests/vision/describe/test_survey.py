@@ -76,7 +76,7 @@ def test_bad_pictures_are_refused_with_a_reason(damage: object) -> None:
 
 
 def test_the_same_picture_twice_is_refused() -> None:
-    assert "same picture" in str(survey(VIEW.left, VIEW.left, MADE, KNOWN))
+    assert "same image" in str(survey(VIEW.left, VIEW.left, MADE, KNOWN))
 
 
 def test_swapped_pictures_are_said() -> None:

@@ -40,7 +40,7 @@ def test_a_fix_far_from_the_prior_is_doubted_if_the_next_house_would_bring_it_ba
 def test_only_landmarks_that_look_alike_are_taken_for_each_other() -> None:
     assert not doubted(20.0, near=(HERE, LARGE))
     assert not doubted(20.0, near=(HERE,))
-    across = house("across", 0.0, 25.0, 9.0, 14.0)  # turned by a quarter, which the heading tells
+    across = house("across", 0.0, 25.0, 9.0, 14.0)  # turned by a quarter, which the heading decides
     assert not doubted(20.0, near=(HERE, across))
     assert doubted(20.0, near=(HERE, house("square", 0.0, 25.0, 11.0, 12.0)))
 

@@ -7,7 +7,7 @@ import pytest
 
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.catalogue import Beliefs, Catalogue, catalogue
+from vision.identify.catalogue import Assumptions, Catalogue, catalogue
 from vision.identify.clutter import attributes, grid, intensity
 
 NOISE = np.diag([0.01, 0.01, 0.01, 0.01]) ** 2
@@ -30,7 +30,7 @@ def street(turns: Array) -> Catalogue:
 def density(known: Catalogue, orientation: float, turns: Array = LEVEL) -> Array:
     """Of a house that lies so, by how the picture may be turned (T,)."""
     features = np.array([[math.log(8.0), math.log(11.0), 1.0, orientation]])
-    return attributes(features, NOISE[None], known, turns, LEVEL, Beliefs())[0, :, 0]
+    return attributes(features, NOISE[None], known, turns, LEVEL, Assumptions())[0, :, 0]
 
 
 def test_in_a_street_what_is_not_in_the_map_lies_as_what_is() -> None:
@@ -53,7 +53,7 @@ def test_at_the_end_of_the_map_streets_do_not_grow_thin() -> None:
     """From each of the nearest landmarks its neighbours count, the farther ones of the map as well."""
     known = street(np.zeros(144))
     arm = np.array([[0.0, 0.0, 50.0], [75.0, 50.0, 50.0]])  # three blocks and two apart
-    found = intensity(arm, np.zeros((2, 3, 3)), known, LEVEL, LEVEL, Beliefs())[1, 0, 0]
+    found = intensity(arm, np.zeros((2, 3, 3)), known, LEVEL, LEVEL, Assumptions())[1, 0, 0]
     assert found == pytest.approx(0.3 / 0.7 / math.pi, rel=0.25)  # one on nearly every place, in a circle of 1 m
 
 

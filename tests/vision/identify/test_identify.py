@@ -10,7 +10,7 @@ import pytest
 from benchmarks.identification.numbers import judge, run
 from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
 from models import so3
-from vision.identify.catalogue import Beliefs, Catalogue, Sighting, catalogue
+from vision.identify.catalogue import Assumptions, Catalogue, Sighting, catalogue
 from vision.identify.identify import NONE, Identification, Prior, identify
 
 CALM = Conditions(unmapped=0.0, gone=0.0, found=1.0, bad=0.0, height_m=(70.0, 90.0))
@@ -34,7 +34,7 @@ def names(found: Identification, landmarks: Catalogue) -> list[str]:
 
 
 @pytest.mark.parametrize("layout", ["random", "grid"])
-def test_look_alikes_are_told_apart_by_how_they_stand(layout: str) -> None:
+def test_similar_landmarks_are_distinguished_by_how_they_stand(layout: str) -> None:
     outcomes = run(Conditions(layout, 10.0), 60, seed=5)
     assert sum(o.fixed for o in outcomes) > 0.5 * len(outcomes)
     assert sum(o.wrong for o in outcomes) == 0
@@ -43,12 +43,12 @@ def test_look_alikes_are_told_apart_by_how_they_stand(layout: str) -> None:
     assert alone > 0.3  # the thesis' rule alone, in the same frames
 
 
-def test_told_probability_of_being_wrong_is_the_frequency() -> None:
+def test_reported_probability_of_being_wrong_is_the_frequency() -> None:
     outcomes = run(Conditions("grid", 20.0), 150, seed=11)
     p = 1.0 - np.concatenate([o.posterior for o in outcomes])
     wrong = ~np.concatenate([np.array(o.right, np.bool_) for o in outcomes])
-    told, sigma = p.sum(), math.sqrt(float((p * (1.0 - p)).sum()))
-    assert abs(wrong.sum() - told) < 3.0 * sigma + 1.0
+    claimed, sigma = p.sum(), math.sqrt(float((p * (1.0 - p)).sum()))
+    assert abs(wrong.sum() - claimed) < 3.0 * sigma + 1.0
     assert wrong[p > 0.05].mean() > 0.05  # not always right where it says it may be wrong
 
 
@@ -100,7 +100,7 @@ def test_reported_similarity_is_that_of_equation_5_5() -> None:
     s, d = frame.sightings[i], landmarks.description[found.landmark[i]]
     ratios = np.array([s.size_m2, s.width_m, s.length_m, s.fill_ratio]) / d
     by_hand = landmarks.weights[found.landmark[i]] @ np.minimum(ratios, 1.0 / ratios)
-    assert found.own_similarity[i] == pytest.approx(by_hand, abs=0.05)  # at the scale that suits, within 3 % of the told one
+    assert found.own_similarity[i] == pytest.approx(by_hand, abs=0.05)  # at the scale that suits, within 3 % of the given one
     assert found.own_similarity[i] >= by_hand - 1e-9
 
 
@@ -142,9 +142,9 @@ def test_unmapped_objects_on_the_grid_are_expected_there() -> None:
 
     place = np.stack([landmarks.place_n[0], landmarks.place_n[1], landmarks.place_n[2]])
     off = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
-    own, told = np.zeros((3, 3, 3)), np.zeros(1)
-    on_grid = intensity(place, own, landmarks, told, told, Beliefs())[:, 0, 0]
-    beside = intensity(off, own, landmarks, told, told, Beliefs())[:, 0, 0]
+    own, none = np.zeros((3, 3, 3)), np.zeros(1)
+    on_grid = intensity(place, own, landmarks, none, none, Assumptions())[:, 0, 0]
+    beside = intensity(off, own, landmarks, none, none, Assumptions())[:, 0, 0]
     assert on_grid[2] > 10.0 * beside[2]
     assert beside[2] == pytest.approx(0.3 / 0.7 * landmarks.density_per_m2 + 1e-4, rel=0.2)
 

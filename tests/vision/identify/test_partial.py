@@ -139,7 +139,7 @@ def test_a_row_that_was_not_measured_has_density_one() -> None:
     assert (y[2], wide[2], np.abs(A[2]).max()) == (0.0, 0.0, 0.0)
 
 
-def test_roofs_at_the_border_tell_look_alikes_apart() -> None:
+def test_roofs_at_the_border_tell_similar_landmarks_apart() -> None:
     """One whole roof among look-alikes stays open; with two more that the border cuts the place is sure, and right."""
     rng = np.random.default_rng(3)
     middle = landmark("m", place_at(320.0, 240.0))

@@ -44,7 +44,7 @@ def test_a_good_picture_has_no_flaw(image: Image) -> None:
         (repeated(LEFT), "torn: nothing below row 150"),
         (LEFT.astype(np.float32), "8 or 16 bit"),
         (LEFT[..., :2], "shape"),
-        (LEFT[:, :100], "picture is 100 x 240, the camera 320 x 240"),
+        (LEFT[:, :100], "image is 100 x 240, the camera 320 x 240"),
         (LEFT[:0], "shape"),
     ],
 )
@@ -55,5 +55,5 @@ def test_what_is_wrong_is_said(image: Image, reason: str) -> None:
 def test_pairs() -> None:
     assert pair_flaw(LEFT, RIGHT) is None
     assert "320 x 240" in (pair_flaw(LEFT, RIGHT[:100]) or "")
-    assert "same picture" in (pair_flaw(LEFT, LEFT.copy()) or "")
+    assert "same image" in (pair_flaw(LEFT, LEFT.copy()) or "")
     assert "8 bit" in (pair_flaw(LEFT, RIGHT.astype(np.uint16)) or "")

@@ -39,10 +39,10 @@ def measured(region: Region, distance_m: float, sigma: float, rig_sigma: float) 
 
 
 def seen(
-    frame: int, roof: Array, down: float, true: tuple[Array, Array], believed: Prior, rig: StereoRig, rng: np.random.Generator,
+    frame: int, roof: Array, down: float, true: tuple[Array, Array], prior: Prior, rig: StereoRig, rng: np.random.Generator,
     depth: tuple[float, float, float] | None = None,
 ) -> Look:  # fmt: skip
-    """The look at a roof (K, 2) at `down`, from the true pose through the true rig, laid out from the believed ones.
+    """The look at a roof (K, 2) at `down`, from the true pose through the true rig, laid out from the prior ones.
 
     depth: measured over true distance, and the relative errors that it claims, its own and the rig's.
     """
@@ -51,13 +51,13 @@ def seen(
     px = rig.left.project((corners - p_nc) @ R_nc) + rng.normal(0.0, CONFIG.centre_px, 2)
     seen_region, distance = region(px), float(np.linalg.norm(corners.mean(axis=0) - p_nc))
     pair = None if depth is None else measured(seen_region, depth[0] * distance, *depth[1:])
-    found = look(frame, seen_region, pair, believed, RIG, 0.0, CONFIG)
+    found = look(frame, seen_region, pair, prior, RIG, 0.0, CONFIG)
     assert found is not None
     return found
 
 
 def flight(rng: np.random.Generator, count: int, leg_m: float = 50.0) -> list[tuple[Array, Array, Prior]]:
-    """True and believed poses along a leg, heading turning: an error of the whole flight and one of each picture."""
+    """True and prior poses along a leg, heading turning: an error of the whole flight and one of each picture."""
     root, share = np.diag(POSE_SIGMA), CONFIG.fresh_share
     lasting = np.sqrt(1.0 - share) * root @ rng.standard_normal(6)
     poses = []
@@ -65,18 +65,18 @@ def flight(rng: np.random.Generator, count: int, leg_m: float = 50.0) -> list[tu
         p_n = np.array([leg_m * (k / (count - 1) - 0.5), 8.0 * np.sin(k), -HEIGHT_M])
         q = so3.from_euler(0.0, 0.0, 0.4 * k)
         error = lasting + np.sqrt(share) * root @ rng.standard_normal(6)
-        q_believed = so3.multiply(so3.quat_exp(error[3:]), q)
-        poses.append((p_n, so3.matrix(q), Prior(p_n + error[:3], q_believed, root @ root)))
+        q_prior = so3.multiply(so3.quat_exp(error[3:]), q)
+        poses.append((p_n, so3.matrix(q), Prior(p_n + error[:3], q_prior, root @ root)))
     return poses
 
 
-def test_the_covariance_is_honest() -> None:
+def test_the_covariance_is_consistent() -> None:
     """Error of the learned place over its covariance, pose and mounting drawn anew each time; not too large, not too small."""
     rng, place, squares = np.random.default_rng(1), np.array([5.0, -3.0, -6.0]), []
     for _ in range(150):
         rig, mapper = draw_rig(RIG, rng), Mapper(0.0, CONFIG)
-        for k, (p_n, R_nb, believed) in enumerate(flight(rng, 10)):
-            mapper.add([seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), believed, rig, rng)])
+        for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10)):
+            mapper.add([seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), prior, rig, rng)])
         (track,) = mapper.tracks
         found = mapper.place(track)
         error = found.place_n - place
@@ -90,8 +90,8 @@ def test_what_repeats_is_not_averaged_away() -> None:
     rng = np.random.default_rng(2)
     few, many = (Mapper(0.0, CONFIG) for _ in range(2))
     for mapper, count in ((few, 6), (many, 60)):
-        for k, (p_n, R_nb, believed) in enumerate(flight(rng, count)):
-            mapper.add([seen(k, HOUSE, -6.0, (p_n, R_nb), believed, RIG, rng)])
+        for k, (p_n, R_nb, prior) in enumerate(flight(rng, count)):
+            mapper.add([seen(k, HOUSE, -6.0, (p_n, R_nb), prior, RIG, rng)])
     a, b = few.place(few.tracks[0]), many.place(many.tracks[0])
     assert np.trace(b.own) < 0.2 * np.trace(a.own)
     floor = np.sqrt(1.0 - CONFIG.fresh_share) * POSE_SIGMA[0]
@@ -103,9 +103,9 @@ def test_rays_that_meet_tell_the_height_and_parallel_ones_do_not() -> None:
     sigmas = []
     for leg_m in (0.1, 50.0):
         mapper = Mapper(0.0, CONFIG)
-        for k, (p_n, R_nb, believed) in enumerate(flight(rng, 12, leg_m)):
+        for k, (p_n, R_nb, prior) in enumerate(flight(rng, 12, leg_m)):
             still = np.array([p_n[0], 0.0, p_n[2]]), R_nb
-            pose = Prior(believed.p_n - p_n + still[0], believed.q_nb_wxyz, believed.covariance)
+            pose = Prior(prior.p_n - p_n + still[0], prior.q_nb_wxyz, prior.covariance)
             mapper.add([seen(k, HOUSE, -9.0, still, pose, RIG, rng)])
         sigmas.append(float(np.sqrt(mapper.place(mapper.tracks[0]).own[2, 2])))
     assert sigmas[0] > 4.0, "what roofs have in general"
@@ -115,9 +115,9 @@ def test_rays_that_meet_tell_the_height_and_parallel_ones_do_not() -> None:
 def heights(leg_m: float, depth: tuple[float, float, float] | None) -> tuple[float, float]:
     """Error of a roof's height 12 m above ground, exact poses, and the standard deviation of it."""
     rng, mapper = np.random.default_rng(10), Mapper(0.0, CONFIG)
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 30, leg_m)):
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 30, leg_m)):
         place = np.array([p_n[0], 0.0, p_n[2]])
-        exact = Prior(place, so3.from_matrix(np.ascontiguousarray(R_nb)), believed.covariance)
+        exact = Prior(place, so3.from_matrix(np.ascontiguousarray(R_nb)), prior.covariance)
         mapper.add([seen(k, HOUSE, -12.0, (place, R_nb), exact, RIG, rng, depth)])
     (track,) = mapper.tracks
     found = mapper.place(track)
@@ -138,9 +138,9 @@ def test_the_rig_s_error_of_distance_counts_once_however_often_it_is_seen() -> N
 def test_neighbours_are_kept_apart_although_the_whole_picture_is_off() -> None:
     """Two equal houses 14 m apart, and poses 1 m off to one side and the other."""
     rng, mapper = np.random.default_rng(4), Mapper(0.0, CONFIG)
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 10, 30.0)):
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10, 30.0)):
         off = Prior(
-            believed.p_n + np.array([0.0, (-1.0) ** k, 0.0]), believed.q_nb_wxyz, np.diag([1.2, 1.2, 1.2, 2e-4, 2e-4, 2e-3]) ** 2
+            prior.p_n + np.array([0.0, (-1.0) ** k, 0.0]), prior.q_nb_wxyz, np.diag([1.2, 1.2, 1.2, 2e-4, 2e-4, 2e-3]) ** 2
         )
         mapper.add([seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), off, RIG, rng) for east in (-7.0, 7.0)])
     assert sorted(len(track.looks) for track in mapper.tracks) == [10, 10]
@@ -149,10 +149,10 @@ def test_neighbours_are_kept_apart_although_the_whole_picture_is_off() -> None:
 
 def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> None:
     rng, mapper = np.random.default_rng(5), Mapper(0.0, CONFIG)
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 12)):
-        looks = [seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), believed, RIG, rng) for east in (0.0, 20.0 + 0.9 * k)]
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 12)):
+        looks = [seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), prior, RIG, rng) for east in (0.0, 20.0 + 0.9 * k)]
         if k == 5:
-            looks.append(seen(k, HOUSE + np.array([0.0, -20.0]), -6.0, (p_n, R_nb), believed, RIG, rng))
+            looks.append(seen(k, HOUSE + np.array([0.0, -20.0]), -6.0, (p_n, R_nb), prior, RIG, rng))
         mapper.add(looks)
     found = learned(mapper, 0.0, KeepConfig(least_frames=3))
     assert [round(float(np.hypot(*mark.centre_n))) for mark in found.landmarks] == pytest.approx([0], abs=1)
@@ -165,8 +165,8 @@ def test_what_moves_against_the_rest_of_the_picture_is_not_followed() -> None:
     """Poses so vague that each step of a car would pass by itself; beside three houses that stand still it does not."""
     rng, mapper = np.random.default_rng(11), Mapper(0.0, CONFIG)
     vague = np.diag([2.0, 2.0, 2.0, 2e-4, 2e-4, 2e-3]) ** 2
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 10, 30.0)):
-        pose = Prior(believed.p_n, believed.q_nb_wxyz, vague)
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10, 30.0)):
+        pose = Prior(prior.p_n, prior.q_nb_wxyz, vague)
         places = [(0.0, 0.0), (0.0, -22.0), (-12.0, 0.0), (0.0, 18.0 + 2.5 * k)]
         mapper.add([seen(k, HOUSE + np.array(place), -6.0, (p_n, R_nb), pose, RIG, rng) for place in places])
     counts = sorted(len(track.looks) for track in mapper.tracks)
@@ -177,16 +177,16 @@ def test_what_moves_against_the_rest_of_the_picture_is_not_followed() -> None:
 def test_what_looks_different_from_side_to_side_is_no_roof() -> None:
     rng, mapper = np.random.default_rng(12), Mapper(0.0, CONFIG)
     triangle = np.array([[-4.0, -3.0], [-4.0, 6.0], [8.0, -3.0]])
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 10)):
-        mapper.add([seen(k, (-1.0) ** k * triangle, -6.0, (p_n, R_nb), believed, RIG, rng)])
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10)):
+        mapper.add([seen(k, (-1.0) ** k * triangle, -6.0, (p_n, R_nb), prior, RIG, rng)])
     assert [len(track.looks) for track in mapper.tracks] == [10]
     assert learned(mapper, 0.0).left_out == {"its outlines differ from side to side, as those of walls do": 1}
 
 
 def test_a_learned_landmark_has_size_height_and_colour() -> None:
     rng, mapper = np.random.default_rng(9), Mapper(0.0, CONFIG)
-    for k, (p_n, R_nb, believed) in enumerate(flight(rng, 20)):
-        looks = [seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), believed, RIG, rng) for place in ((0, 0, -8), (0, 20, 0))]
+    for k, (p_n, R_nb, prior) in enumerate(flight(rng, 20)):
+        looks = [seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), prior, RIG, rng) for place in ((0, 0, -8), (0, 20, 0))]
         mapper.add(looks)
     found = learned(mapper, 0.0)
     house, painted = sorted(found.landmarks, key=lambda mark: mark.centre_n[1])
@@ -204,10 +204,10 @@ def test_a_learned_landmark_has_size_height_and_colour() -> None:
 def test_fragments_of_one_thing_are_united() -> None:
     rng, mapper = np.random.default_rng(7), Mapper(0.0, CONFIG)
     poses = flight(rng, 12)
-    for k, (p_n, R_nb, believed) in enumerate(poses):
+    for k, (p_n, R_nb, prior) in enumerate(poses):
         if k == 6:
             mapper.tracks, first = [], mapper.tracks
-        mapper.add([seen(k, HOUSE, -6.0, (p_n, R_nb), believed, RIG, rng)])
+        mapper.add([seen(k, HOUSE, -6.0, (p_n, R_nb), prior, RIG, rng)])
     mapper.tracks += first
     assert len(mapper.tracks) == 2
     assert learned(mapper, 0.0).seen == [12]

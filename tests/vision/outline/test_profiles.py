@@ -76,7 +76,7 @@ def test_points_of_an_edge_inside_the_ground_are_not_the_roofs() -> None:
 
 @pytest.mark.parametrize("hidden", [0, 4, 8])
 def test_a_roof_keeps_its_colour_where_a_tower_hides_most_of_its_rim(hidden: int) -> None:
-    """The tower goes on beyond the rim, the roof ends there; what the tower covers tells nothing of the edge."""
+    """The tower goes on beyond the rim, the roof ends there; what the tower covers does not count."""
     values = bars((13, RED), (12, GREEN))
     values[:hidden] = bars((25, (150.0, 152.0, 150.0)))[:hidden]
     ours = beside(values, ONE)
@@ -163,18 +163,18 @@ def test_contrast_of_a_dark_wall_between_two_like_colours() -> None:
 
 
 @pytest.mark.parametrize(
-    ("between", "told"),
+    ("between", "measured"),
     [((39.0, 72.0, 62.0), True), ((150.0, 150.0, 150.0), False), ((20.0, 30.0, 110.0), False), ((70.0, 130.0, 110.0), False)],
     ids=["its shadow", "a parapet", "red gutters", "hardly darker"],
 )
-def test_contrast_beside_a_shadow_is_where_the_roof_ends(between: tuple[float, float, float], told: bool) -> None:
+def test_contrast_beside_a_shadow_is_where_the_roof_ends(between: tuple[float, float, float], measured: bool) -> None:
     """A green roof that has as little red as the shadow it casts on a meadow: by the red of both sides only this one ends."""
     roof, meadow = (60.0, 146.0, 50.0), (86.0, 160.0, 138.0)
     grey, _ = along_contrast(bars((12, roof), (3, between), (10, meadow)), ONE, ROOF, everything())
     strip, outside = abs(grey[0, 13] - grey[0, 0]), abs(grey[0, -1] - grey[0, 0])
     whole_strip, whole_outside = (np.linalg.norm(np.subtract(colour, roof)) for colour in (between, meadow))
-    assert np.isclose(strip, whole_strip) == told
-    assert np.isclose(outside, whole_outside) == (not told)
+    assert np.isclose(strip, whole_strip) == measured
+    assert np.isclose(outside, whole_outside) == (not measured)
 
 
 def test_a_dark_line_on_the_roof_is_no_shadow_beside_it() -> None:

@@ -38,7 +38,7 @@ def test_as_many_directions_as_are_seen_and_these_with_their_covariance(rank: in
     assert measured.rank == rank
     assert not measured.whole
     image, moved = measured.covariances(system, omega, 1.0)
-    directions, _ = measured.told_along(np.zeros(6), image + moved @ moved.T)
+    directions, _ = measured.reported_along(np.zeros(6), image + moved @ moved.T)
     rows = directions / DIRECTION_SCALE
     np.testing.assert_allclose(rows @ rows.T, np.eye(rank), atol=1e-12)
     # THEN in these directions the covariance is the inverse of what the pictures know there
@@ -73,12 +73,12 @@ def test_readings_with_the_prior_are_the_joint_optimum() -> None:
     P0 = np.linalg.inv(prior)
     alone = omega[:6, :6] - omega[:6, 6:] @ np.linalg.solve(omega[6:, 6:], omega[6:, :6])
     delta: Array = np.asarray(np.linalg.solve(prior + alone, alone @ np.random.default_rng(1).normal(size=6)), dtype=np.float64)
-    D, y = measured.told_along(delta, image + moved @ moved.T)
+    D, y = measured.reported_along(delta, image + moved @ moved.T)
     gain = P0 @ D.T @ np.linalg.inv(D @ (P0 + image + moved @ moved.T) @ D.T)
     np.testing.assert_allclose(gain @ (D @ delta + y), delta, rtol=1e-6, atol=1e-12)
 
 
-def test_a_well_seen_pose_is_told_as_it_was() -> None:
+def test_a_well_seen_pose_is_reported_as_it_was() -> None:
     system, omega = _system(6, 3, errors=0, sigma_px=0.001)
     measured = Measured.of(omega, 0.1 * np.eye(6))
     assert measured.rank == 6
@@ -89,7 +89,7 @@ def test_a_well_seen_pose_is_told_as_it_was() -> None:
 
 
 def test_surprise_counts_what_was_measured() -> None:
-    """The same share of honest readings stays below the limit, whatever the rank."""
+    """The same share of consistent readings stays below the limit, whatever the rank."""
     for rank in (2, 4):
         system, omega = _system(rank, rank)
         measured = Measured.of(omega, np.eye(6))
@@ -129,7 +129,7 @@ def test_two_parallel_edges_leave_the_way_along_them_open() -> None:
         assert np.linalg.norm(D @ along) < 0.02
         across = np.array([-along[1], along[0], 0.0, 0.0, 0.0, 0.0])
         assert np.linalg.norm(D @ across) > 0.3
-        # the pose told is the prior's along the edges, and the fix says that it knows nothing there
+        # the pose reported is the prior's along the edges, and the fix says that it knows nothing there
         off = difference(found.p_n, found.R_nb, view.prior.p_n, np.asarray(view.prior.q_nb_wxyz))
         assert abs(off @ along) < 0.15
         assert along @ found.covariance @ along > 100.0 * along @ view.prior.covariance @ along
@@ -154,7 +154,7 @@ def test_a_square_shows_all_of_the_pose() -> None:
 
 
 def test_one_corner_shows_at_least_four_combinations_and_seldom_all_well() -> None:
-    ranks = [len(_directions(seen("corner", seed)[1])) for seed in SEEDS]  # told along directions, every time
+    ranks = [len(_directions(seen("corner", seed)[1])) for seed in SEEDS]  # reported along directions, every time
     assert min(ranks) >= 4
     assert {4, 5} & set(ranks)
 
@@ -174,7 +174,7 @@ def test_what_was_measured_is_as_far_off_as_it_says(kind: str, low: float, high:
     assert low < np.mean(ratios) < high
 
 
-def test_weak_directions_are_told_from_the_joint_optimum() -> None:
+def test_weak_directions_are_reported_from_the_joint_optimum() -> None:
     for seed in SEEDS:
         _, found = seen("corner", seed)
         off = difference(found.p_n, found.R_nb, found.joint_p_n, so3.from_matrix(found.joint_R_nb))

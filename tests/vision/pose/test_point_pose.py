@@ -111,7 +111,7 @@ def test_what_points_share_widens_the_fix(shared: tuple[float, float, float], co
 def test_too_few_points_are_no_pose() -> None:
     x_n = _ground(5)
     prior = Prior(P_N, Q, np.eye(6))
-    told = fit_points(scene.RIG, _points(x_n, _seen(scene.RIG, x_n, P_N, so3.matrix(Q))), (P_N, so3.matrix(Q)), prior, SHARED)
-    assert told == "5 points fit"
+    answer = fit_points(scene.RIG, _points(x_n, _seen(scene.RIG, x_n, P_N, so3.matrix(Q))), (P_N, so3.matrix(Q)), prior, SHARED)
+    assert answer == "5 points fit"
     behind = fit_points(scene.RIG, _points(x_n * (1, 1, 0) - (0, 0, 200), np.zeros((5, 2))), (P_N, so3.matrix(Q)), prior, SHARED)
     assert behind == "points behind the camera"

@@ -1,4 +1,6 @@
-"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, honesty, what repeats, what is refused."""
+"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, consistency, systematic errors, what is
+refused.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -194,7 +196,7 @@ def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
     assert found.shift_m[0, 0] == pytest.approx(-0.5, abs=0.15)
 
 
-def test_ground_that_slopes_does_not_lie_about_the_place() -> None:
+def test_ground_that_slopes_does_not_bias_the_place() -> None:
     """A mark on ground of 3 degrees, known to be level to that: the attitude is the prior's, the place as sure as that."""
     level, slope = flight(1, marks=1, tilt=0.0), so3.matrix(so3.quat_exp(np.radians([3.0, 0.0, 0.0])))
     marks, pictures = _painted(level)
@@ -240,7 +242,7 @@ def test_rig_errors_are_common() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_common))[3:], 0.01, rtol=0.1)
 
 
-def test_the_common_part_is_told_apart_by_landmark_and_rig() -> None:
+def test_the_common_part_is_distinguished_by_landmark_and_rig() -> None:
     view = flight(2)
     marks = [msgspec.structs.replace(mark, sigma_m=0.5, height_sigma_m=0.2) for mark in view.landmarks]
     rig = msgspec.structs.replace(view.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)

@@ -156,15 +156,15 @@ def test_two_that_look_alike_are_none() -> None:
     np.testing.assert_allclose(shift_of(both, corners, 5), 0.0, atol=0.3)
 
 
-def test_one_side_of_a_rim_tells_no_shift() -> None:
+def test_one_side_of_a_rim_measures_no_shift() -> None:
     """As of a boulder of which the border leaves one side; three sides tell it."""
     corners, px, normal = 8.0 * CORNERS + 50.0, *rim(8.0 * CORNERS + 50.0)
     picture = drawn(corners + np.array([1.0, -2.0]), (150, 160, 170), meadow(4))
-    for n, told in ((6, False), (18, True)):
+    for n, measured in ((6, False), (18, True)):
         offsets, usable, yes = np.zeros(n), np.ones(n, np.bool_), np.ones(n, np.bool_)
         measure(picture, px[:n], normal[:n], yes, np.zeros(n, np.int64), 8, yes, offsets, usable)
-        assert usable.all() == told
-        assert np.isfinite(offsets).any() == told
+        assert usable.all() == measured
+        assert np.isfinite(offsets).any() == measured
 
 
 def test_at_the_border_and_on_plain_ground_there_is_none() -> None:
@@ -208,7 +208,7 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, leas
     once = estimate_pose(view.rig, view.pictures, used, (view.p_n, view.R_nb), view.prior)
     assert isinstance(once, PoseEstimate)
     ratio = np.linalg.det(fit.joint_covariance) / np.linalg.det(once.joint_covariance)
-    assert 0.5 < ratio < 2.0  # what the house tells is told once
+    assert 0.5 < ratio < 2.0  # the information of the house counts once
 
 
 def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:

@@ -1,4 +1,4 @@
-"""The coarse search on rendered pictures: votes, places, what moves how, and what it must not believe."""
+"""The coarse search on rendered pictures: votes, places, what moves how, and what it must reject."""
 
 from dataclasses import replace
 from functools import cache
@@ -127,8 +127,8 @@ def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
     search = Search(EYE, view.marks, moves, CoarseConfig())
     (level,) = levels(view.picture, EYE.camera, (1,))
     stage = Stage(level, EYE, view.marks, moves, 0.2, 160.0, 160)
-    as_told = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
-    true = search._again(stage, as_told, 2)
+    as_predicted = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
+    true = search._again(stage, as_predicted, 2)
     place = replace(true, error=true.error + moves.gain[:, 0] * off_px)
 
     def noted(stage: Stage, *args: Array) -> tuple[Array, Array]:

@@ -47,20 +47,20 @@ def test_one_pose_from_two_places_is_one() -> None:
     assert isinstance(decided(tried, VerifyConfig(moved_px=2.0)), Fitted)
 
 
-@pytest.mark.parametrize(("apart_m", "odds", "told"), [(0.0, 1.0, True), (5.0, 1.0, False), (5.0, -2.0, True)])
-def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, told: bool) -> None:
+@pytest.mark.parametrize(("apart_m", "odds", "accepted"), [(0.0, 1.0, True), (5.0, 1.0, False), (5.0, -2.0, True)])
+def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, accepted: bool) -> None:
     best = replace(fitted(whole(), MARKS), odds=2.0)
     outcome = decided([elsewhere(best, apart_m, odds), best], VerifyConfig())
-    assert outcome is best if told else "another place, 106 px off" in str(outcome)
+    assert outcome is best if accepted else "another position, 106 px off" in str(outcome)
 
 
 @pytest.mark.parametrize(
-    ("likelier", "odds", "told"), [(39.3, 36.3, False), (39.3, 32.0, True), (8.0, 4.9, True), (8.0, 5.1, False)]
+    ("likelier", "odds", "accepted"), [(39.3, 36.3, False), (39.3, 32.0, True), (8.0, 4.9, True), (8.0, 5.1, False)]
 )
-def test_one_landmark_does_not_decide_between_places_that_would_be_believed(likelier: float, odds: float, told: bool) -> None:
+def test_one_landmark_does_not_decide_between_places_that_would_be_accepted(likelier: float, odds: float, accepted: bool) -> None:
     """In a row of equal houses the place one house on has one more of them in view, or one less, and all of them stand."""
     best = replace(fitted(whole(), MARKS), odds=likelier)
-    assert (decided([elsewhere(best, 11.0, odds), best], VerifyConfig()) is best) is told
+    assert (decided([elsewhere(best, 11.0, odds), best], VerifyConfig()) is best) is accepted
 
 
 @pytest.mark.parametrize(("apart_m", "kept"), [(0.01, 0.6), (0.5, 0.9)])
@@ -77,27 +77,27 @@ def elsewhere(fit: Fitted, apart_m: float, odds: float) -> Fitted:
     return replace(fit, pose=pose, odds=odds, middles=fit.middles + apart_m * RIG.left.fx / 40.0)
 
 
-@pytest.mark.parametrize(("sigma_m", "told"), [(1.5, True), (0.3, False)])
-def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: float, told: bool) -> None:
+@pytest.mark.parametrize(("sigma_m", "accepted"), [(1.5, True), (0.3, False)])
+def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: float, accepted: bool) -> None:
     """4 m, 85 px apart: less than 4.1 of (2 x 1.5^2)^(1/2) m, more than that of 0.3 m."""
     best = replace(fitted(whole(), MARKS), odds=2.0)
     best = replace(best, pose=replace(best.pose, joint_covariance=np.diag([sigma_m**2] * 3 + [1e-4] * 3)))
-    assert (decided([elsewhere(best, 4.0, 1.0), best], VerifyConfig()) is best) is told
+    assert (decided([elsewhere(best, 4.0, 1.0), best], VerifyConfig()) is best) is accepted
 
 
-@pytest.mark.parametrize(("odds", "apart_m", "told"), [(5.1, 0.1, True), (4.4, 0.1, False), (5.1, 5.0, False)])
-def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, apart_m: float, told: bool) -> None:
-    """Less likely by 2.3 at most, and not elsewhere: a landmark more tells more of the pose, and is as right."""
+@pytest.mark.parametrize(("odds", "apart_m", "accepted"), [(5.1, 0.1, True), (4.4, 0.1, False), (5.1, 5.0, False)])
+def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, apart_m: float, accepted: bool) -> None:
+    """Less likely by 2.3 at most, and not elsewhere: a landmark more adds information on the pose, and is as right."""
     sure = replace(fitted(whole(), MARKS), odds=odds)
     vague = replace(elsewhere(sure, apart_m, 7.0), pose=replace(sure.pose, joint_covariance=4.0 * sure.pose.joint_covariance))
     vague = replace(vague, pose=replace(vague.pose, joint_p_n=sure.pose.joint_p_n + np.array([0.0, apart_m, 0.0])))
     outcome = decided([vague, sure], VerifyConfig(decides=2.3))
-    assert (outcome is sure) is told
+    assert (outcome is sure) is accepted
     assert isinstance(outcome, Fitted) is (apart_m < 1.0)
 
 
 def test_odds_of_a_place_by_hand() -> None:
-    """One landmark that stands, 20 to 1, one of which nothing is told, one that is gone for sure; two sigma off; 60 % found."""
+    """One landmark that stands, 20 to 1, one without evidence, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
     shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
     odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6, 0.25)
@@ -123,7 +123,7 @@ def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], le
     ("odds", "looked", "expected"),
     [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (4.9, 1.0, "weak"), (5.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
 )
-def test_how_far_a_fit_is_believed_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
+def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
     """Above 12 however little of the outlines is found."""
     fit = replace(fitted(whole(), MARKS), odds=odds, looked=looked)
     assert grade(Evidence(100.0, 0.5, 1.0, 0.0), fit, VerifyConfig())[0] == expected
@@ -206,7 +206,7 @@ def test_what_is_left_is_fitted_from_the_fit_before(found: bool, monkeypatch: py
     assert np.linalg.norm(fit.pose.joint_p_n - view.p_n) < 0.5
 
 
-def test_where_all_together_contradict_each_other_one_tells_the_place() -> None:
+def test_where_all_together_contradict_each_other_one_determines_the_position() -> None:
     """Two of three are mapped 2 m aside, each its own way."""
     view = whole()
     moved = (MARKS[0], aside(MARKS[1], (0.0, 2.0)), aside(MARKS[2], (2.0, 0.0)))

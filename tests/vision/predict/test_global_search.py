@@ -62,7 +62,7 @@ def test_what_moves_as_a_whole_has_the_votes_of_its_points(bend: float, reach: i
 
 
 def test_the_votes_of_a_turn_and_scale_are_those_of_its_own_points() -> None:
-    """Told once for many turns and scales, the score of a summit is nearly what all points aimed from there have."""
+    """Computed once for many turns and scales, the score of a summit is nearly what all points aimed from there have."""
     stage, moves, grid = prepared(seen(), np.array([3.0, -2.0, 0.5, 0.0, 0.0, 0.05]))
     scores, places = summits(stage, moves, grid)
     assert stage.own_radius() < 0.6 * moves.radius  # so that landmarks look alike in several of them
@@ -86,7 +86,7 @@ def test_the_best_summit_is_where_the_outlines_are(turn: float) -> None:
     assert np.sqrt(off @ stage.across(q) @ off) < 1.5 * SIZE
 
 
-def test_a_landmark_alone_is_told_in_every_turn_and_scale() -> None:
+def test_a_landmark_alone_is_reported_in_every_turn_and_scale() -> None:
     """Its own radius is that of all outlines: votes of one turn and scale serve no other."""
     alone = seen()._replace(marks=seen().marks[:1])
     stage, moves, _ = prepared(alone, np.zeros(6))

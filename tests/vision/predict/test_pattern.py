@@ -109,7 +109,7 @@ def test_a_row_of_equal_houses_is_no_place() -> None:
 
 
 @pytest.mark.parametrize("about", [0.0, 18.0])
-def test_where_the_same_houses_stand_twice_the_prior_tells_which(about: float) -> None:
+def test_where_the_same_houses_stand_twice_the_prior_decides_which(about: float) -> None:
     """Two equal groups, 36 px apart: the place is the one the prior is about, and the ratio says that the other is as good."""
     group = VILLAGE[:3]
     both = group + tuple((north, east + 18.0, a, b) for north, east, a, b in group)

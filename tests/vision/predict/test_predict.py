@@ -107,7 +107,7 @@ def assert_right(result: Result, view: View) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_pale_roofs_that_no_colour_tells_from_the_ground_give_a_fix(seed: int) -> None:
+def test_pale_roofs_that_no_colour_distinguishes_from_the_ground_give_a_fix(seed: int) -> None:
     view = whole()
     result = pipeline(MARKS).process(view.left, view.right, 5, drawn(view, seed))
     assert_right(result, view)
@@ -142,7 +142,9 @@ def test_other_distances_leave_one_roof_where_it_is_in_the_picture() -> None:
     np.testing.assert_allclose(np.log(farther), sigma * np.array([-2.0, -1.0, 1.0, 2.0]))
     for one in places:
         np.testing.assert_allclose(np.cross(one.p_n - middle, away), 0.0, atol=1e-9)
-    assert nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []  # where they lie apart tells how far
+    assert (
+        nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []
+    )  # their separation determines the distance
 
 
 def test_roofs_that_the_border_cuts_take_part() -> None:
@@ -176,22 +178,22 @@ def test_a_landmark_that_moved_is_left_out() -> None:
     one = pipeline((house("0", (6.0, 3.5), 0.3), *MARKS[1:]))
     result, later = (one.process(view.left, view.right, t_ns, drawn(view, 1)) for t_ns in (0, 10**8))
     assert result.fix is not None or result.report.outcome == "waiting"
-    for told in (result, later):
-        if told.fix is not None:
-            assert_right(told, view)
-            assert "0" not in told.fix.landmarks
+    for answer in (result, later):
+        if answer.fix is not None:
+            assert_right(answer, view)
+            assert "0" not in answer.fix.landmarks
     assert later.fix is not None
 
 
 def test_reported_boxes_are_where_the_fit_says() -> None:
     """Roofs off the map by up to 0.5 m, 8 px, which the search finds to a few px."""
-    rng, believed = (
+    rng, mapped = (
         np.random.default_rng(5),
         tuple(house(mark.id, PLACES[k][0], PLACES[k][1], 0.3) for k, mark in enumerate(MARKS)),
     )
-    true = tuple(msgspec.structs.replace(m, outline_n=m.outline_n + rng.normal(0.0, 0.3, 2)) for m in believed)
-    view = look_at(believed, np.array([0.0, 0.0, -40.0]), shown=true)
-    result = pipeline(believed).process(view.left, view.right, 0, drawn(view, 1))
+    true = tuple(msgspec.structs.replace(m, outline_n=m.outline_n + rng.normal(0.0, 0.3, 2)) for m in mapped)
+    view = look_at(mapped, np.array([0.0, 0.0, -40.0]), shown=true)
+    result = pipeline(mapped).process(view.left, view.right, 0, drawn(view, 1))
     assert_right(result, view)
     eye = eyes(RIG)[0]
     p_nk, R_nk = eye.pose(view.p_n, view.R_nb)

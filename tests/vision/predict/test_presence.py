@@ -32,7 +32,7 @@ def side(row: int, points: int) -> tuple[Array, Array]:
     return px, np.tile([0.0, 1.0], (points, 1))
 
 
-def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, kind: Kind = Kind.ROOF) -> float:
+def log_ratio(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, kind: Kind = Kind.ROOF) -> float:
     px, normal = (np.concatenate(ones) for ones in zip(*sides, strict=True))
     edge = np.repeat(np.arange(len(sides)), [len(one[0]) for one in sides])
     sums = across(picture, px, normal, edge, len(sides), np.ones(len(px), np.bool_))
@@ -41,7 +41,7 @@ def told(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, 
 
 def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -> None:
     picture = with_step(texture(1), 100)
-    on, off = told(picture, [side(100, 12)]), np.array([told(texture(seed), [side(100, 12)]) for seed in range(60)])
+    on, off = log_ratio(picture, [side(100, 12)]), np.array([log_ratio(texture(seed), [side(100, 12)]) for seed in range(60)])
     assert math.exp(on) == pytest.approx(0.9 / 0.1, rel=0.05)  # (1 - h) / q, no more
     assert off.mean() < -1.0
     assert (off > 1.0).mean() < 0.05  # by chance
@@ -49,20 +49,20 @@ def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -
 
 @pytest.mark.parametrize(("kind", "most"), [(Kind.BASE, 0.8 / 0.2), (Kind.UPRIGHT, 0.8 / 0.2), (Kind.SPOT, 0.85 / 0.05)])
 def test_walls_speak_less_than_roofs_and_a_whole_rim_more_than_a_side(kind: Kind, most: float) -> None:
-    assert math.exp(told(with_step(texture(1), 100), [side(100, 12)], kind=kind)) == pytest.approx(most, rel=0.05)
+    assert math.exp(log_ratio(with_step(texture(1), 100), [side(100, 12)], kind=kind)) == pytest.approx(most, rel=0.05)
 
 
 def test_a_corner_of_two_streets_is_as_likely_a_house_as_not() -> None:
     """Two sides lie on kerbs, two on nothing: with one map entry in ten gone that is not enough."""
     sides = [side(100, 12), side(100, 20), side(40, 12), side(160, 20)]
-    odds = [math.exp(told(with_step(texture(seed), 100), sides)) * 9.0 for seed in range(20)]
+    odds = [math.exp(log_ratio(with_step(texture(seed), 100), sides)) * 9.0 for seed in range(20)]
     assert np.median(odds) < 99.0
-    whole = [math.exp(told(with_step(texture(seed), 100), [side(100, n) for n in (12, 20, 12)])) * 9.0 for seed in range(20)]
+    whole = [math.exp(log_ratio(with_step(texture(seed), 100), [side(100, n) for n in (12, 20, 12)])) * 9.0 for seed in range(20)]
     assert min(whole) > 999.0
 
 
 def test_the_fewer_points_a_side_shows_the_less_it_says() -> None:
-    ratio = [told(with_step(texture(2), 100), [side(100, n)]) for n in (1, 2, 3, 6, 12)]
+    ratio = [log_ratio(with_step(texture(2), 100), [side(100, n)]) for n in (1, 2, 3, 6, 12)]
     assert ratio[0] == 0.0
     assert np.all(np.diff(ratio) > 0.0)
     assert math.exp(ratio[2]) < 7.0
@@ -70,7 +70,7 @@ def test_the_fewer_points_a_side_shows_the_less_it_says() -> None:
 
 def test_both_pictures_of_a_pair_say_it_once() -> None:
     picture = with_step(texture(3), 100)
-    assert told(picture, [side(100, 8)], pictures=2) == told(picture, [side(100, 8)])
+    assert log_ratio(picture, [side(100, 8)], pictures=2) == log_ratio(picture, [side(100, 8)])
 
 
 def test_points_outside_the_picture_do_not_count() -> None:
@@ -83,4 +83,4 @@ def test_points_outside_the_picture_do_not_count() -> None:
 
 def test_an_even_picture_has_no_edges() -> None:
     even = np.full((200, 200, 3), 90, np.uint8)
-    assert told(even, [side(100, 12)]) < -2.0
+    assert log_ratio(even, [side(100, 12)]) < -2.0

@@ -103,8 +103,8 @@ def test_edges_lie_on_the_true_polygon(height: float, psf: float) -> None:
         outward.append(edge_offsets(image, px[seen], normal[seen]) * side[seen])
     errors = np.concatenate(outward)
     assert len(errors) > 2000
-    assert abs(errors.mean()) <= 0.005  # promised 0.02
-    assert math.sqrt(np.mean(errors**2)) <= 0.025  # promised 0.05
+    assert abs(errors.mean()) <= 0.005  # documented 0.02
+    assert math.sqrt(np.mean(errors**2)) <= 0.025  # documented 0.05
 
 
 def test_motion_blur_leaves_edges_where_they_are() -> None:

@@ -1,4 +1,4 @@
-"""Worlds from a seed: what is in the map, what stands, and errors of the size that is promised."""
+"""Worlds from a seed: what is in the map, what stands, and errors of the documented size."""
 
 import math
 from dataclasses import replace
@@ -97,18 +97,18 @@ def test_growing_moves_every_edge_by_the_same_distance() -> None:
 
 def test_rigs_are_drawn_within_their_covariance() -> None:
     """Squared Mahalanobis distance of 300 rigs: 6 and 6 on average, for the pair and for the body."""
-    believed, rng = make_rig(), np.random.default_rng(1)
+    calibrated, rng = make_rig(), np.random.default_rng(1)
     squares = []
     for _ in range(300):
-        true = draw_rig(believed, rng)
+        true = draw_rig(calibrated, rng)
         for R, R_hat, t, t_hat, covariance in (
-            (true.R_bc, believed.R_bc, true.p_bc, believed.p_bc, believed.covariance_bc),
-            (true.R_rc, believed.R_rc, true.t_rc, believed.t_rc, believed.covariance_rc),
+            (true.R_bc, calibrated.R_bc, true.p_bc, calibrated.p_bc, calibrated.covariance_bc),
+            (true.R_rc, calibrated.R_rc, true.t_rc, calibrated.t_rc, calibrated.covariance_rc),
         ):
             assert covariance is not None
             error = np.concatenate([t - t_hat, so3.quat_log(so3.from_matrix(np.ascontiguousarray(R @ R_hat.T)))])
             squares.append(error @ np.linalg.solve(covariance, error))
-        assert true.left.fx != believed.left.fx
+        assert true.left.fx != calibrated.left.fx
     assert 5.5 < np.mean(squares) < 6.5
     assert draw_rig(make_rig(exact=True), rng).left.fx == 600.0
 

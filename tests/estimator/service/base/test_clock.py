@@ -1,4 +1,4 @@
-"""Clocks: one that never steps, others whose offset is found out, and stamps that are believed only where they are plausible."""
+"""Clocks: one that never steps, others whose offset is found out, and stamps that are used only where they are plausible."""
 
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ def test_a_clock_that_is_reset_is_found_again(world: World, clock: Clock) -> Non
     assert 2 < refused <= 2 * 42
 
 
-def test_a_single_wild_stamp_is_not_believed_and_changes_nothing(world: World, clock: Clock) -> None:
+def test_a_single_wild_stamp_is_rejected_and_changes_nothing(world: World, clock: Clock) -> None:
     stamps = _stamps(clock)
     for k in range(200):
         world.steady_ns += 5 * MS
@@ -119,7 +119,7 @@ def test_a_single_wild_stamp_is_not_believed_and_changes_nothing(world: World, c
         assert stamps.validity_ns("/imu", clock.now_ns() - MS, clock.now_ns()) == clock.now_ns() - MS
 
 
-def test_stamps_that_stand_still_are_never_believed(world: World, clock: Clock) -> None:
+def test_stamps_that_stand_still_are_always_rejected(world: World, clock: Clock) -> None:
     stamps = _stamps(clock)
     for _ in range(2000):
         world.steady_ns += 5 * MS

@@ -125,7 +125,7 @@ def test_oldest_logs_make_room_where_that_is_allowed(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.glob("*.mcap")) == ["another.mcap", "landfix-20250101.mcap", "landfix-20260100.mcap"]
 
 
-def test_a_full_disk_is_told_and_survived_and_nothing_is_lost(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_survived_and_nothing_is_lost(tmp_path: Path) -> None:
     """The limit on the size of files stands for the full disk: a write fails in the middle, later ones succeed again."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with _writer(tmp_path) as log:
@@ -193,7 +193,7 @@ def test_with_too_little_space_it_waits(tmp_path: Path) -> None:
         assert log.waiting_bytes == 296
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file where a folder should be")
     with _writer(tmp_path / "logs") as log:
         log.put_input(_arrival(1))

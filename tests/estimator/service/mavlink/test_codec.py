@@ -57,7 +57,7 @@ def test_odometry_for_px4_is_ned_with_velocity_in_the_body() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.5, 2.0, 10.0])
-def test_ardupilot_makes_our_sigma_of_what_it_is_told(sigma: float) -> None:
+def test_ardupilot_makes_our_sigma_of_what_it_is_reported(sigma: float) -> None:
     e = _estimate()
     covariance = np.diag(np.repeat([sigma**2, 1.0, (0.1 * sigma) ** 2, 1.0, 1.0], 3))
     e = Estimate(T0, T0, e.nav, covariance, e.gyro_b, Mode.AIDED, 1, T0)
@@ -99,20 +99,20 @@ def test_highres_imu_is_si_and_needs_both_triads() -> None:
     assert codec.imu(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *values, 63, id=1)), T0, "/imu") is None
 
 
-def test_a_pressure_is_in_pascal_and_told_once() -> None:
+def test_a_pressure_is_in_pascal_and_reported_once() -> None:
     def highres(hpa: float, fields: int = 63 | 512, number: int = 0) -> Any:
         return _over_the_wire(
             mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, hpa, 0, 0, 20.0, fields, id=number)
         )
 
     inputs = Inputs(MavlinkConfig(), Topics(baro=("/baro",)), 0.0)
-    told = [
+    heard = [
         [m for m in inputs.measured(message, T0 + k, T0, codec.PX4) if isinstance(m, Baro)]
         for k, message in enumerate(
             [highres(950.25), highres(950.25), highres(950.5, 63), highres(950.5), highres(951.0, number=1)]
         )
     ]
-    assert [[(m.t_ns - T0, m.pressure_pa, m.topic) for m in some] for some in told] == [
+    assert [[(m.t_ns - T0, m.pressure_pa, m.topic) for m in some] for some in heard] == [
         [(0, 95_025.0, "/baro")], [], [], [(3, 95_050.0, "/baro")], [],
     ]  # fmt: skip
     for off in (Inputs(MavlinkConfig(baro=False), Topics(baro=("/baro",)), 0.0), Inputs(MavlinkConfig(), Topics(), 0.0)):

@@ -183,7 +183,7 @@ def test_a_fix_goes_out_when_one_entered_and_not_what_rests_on_its_own_receiver(
     assert fix.alt == pytest.approx(alt_m - 47.5, abs=1e-3)
 
 
-def test_nothing_that_is_not_a_number_is_told_and_nothing_to_nobody() -> None:
+def test_nothing_that_is_not_a_number_is_reported_and_nothing_to_nobody() -> None:
     with _px4() as (link, _, clock, autopilot):
         torn = _estimate(clock.now_ns())
         torn.nav[0] = np.nan
@@ -387,7 +387,7 @@ def test_sending_never_waits_for_a_line_that_is_stuck() -> None:
     autopilot.close()
 
 
-def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_bytes(tmp_path: Path) -> None:
+def test_a_flight_over_mavlink_is_flown_sent_logged_and_replayed_to_the_same_bytes(tmp_path: Path) -> None:
     """Its receiver falls silent on the way: from then on the fixes from outside are news to it."""
     with closing(UdpAutopilot()) as autopilot:
         section = f'[mavlink]\nendpoint = "udpout:127.0.0.1:{autopilot.port}"\nattitude_sigma_deg = [1.0, 3.0]\n'
@@ -399,19 +399,19 @@ def test_a_flight_over_mavlink_is_flown_told_logged_and_replayed_to_the_same_byt
             # whichever aligns the estimator is trusted at once; a receiver that comes second is on probation
             flight.until(lambda: _are_active(daemon, "/gnss", "/pose_fix"), "all are fused")
             autopilot.heard.clear()
-            flight.until(lambda: len(autopilot.of("ODOMETRY")) > 20, "it is told")
+            flight.until(lambda: len(autopilot.of("ODOMETRY")) > 20, "it is reported")
             assert {m.quality for m in autopilot.of("ODOMETRY")} <= {-1, 0}  # -1: its IMU was not heard for a moment
             assert autopilot.of("GLOBAL_POSITION_SENSOR") == []
             flight.has_gnss = False
-            flight.until(lambda: len(autopilot.of("GLOBAL_POSITION_SENSOR")) > 3, "fixes from outside are told")
-        told, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
+            flight.until(lambda: len(autopilot.of("GLOBAL_POSITION_SENSOR")) > 3, "fixes from outside are sent")
+        sent, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
     (log,) = logs_of(tmp_path)
     assert errors_in_sigma(odometry(log)).max() < 5.0
     assert len(records(log, "/attitude")) > 10
-    assert max(m.quality for m in told) == 100
-    assert 20 < len(told) <= 30e-6 * (told[-1].time_usec - told[0].time_usec) + 2  # 30 a second
+    assert max(m.quality for m in sent) == 100
+    assert 20 < len(sent) <= 30e-6 * (sent[-1].time_usec - sent[0].time_usec) + 2  # 30 a second
     assert len(fixes) <= flight.samples / 20  # fixes from outside
-    for heard in told:
+    for heard in sent:
         error = np.subtract([heard.x, heard.y, heard.z], truth(heard.time_usec * 1000)[0])
         assert (np.abs(error) < 5.0 * np.sqrt([heard.pose_covariance[k] for k in (0, 6, 11)])).all()
     for fix in fixes:

@@ -42,7 +42,7 @@ def looks() -> Iterator[tuple[Sight, tuple[Picture | None, Picture | None], tupl
         layout = ("village", "lookalikes", "grid")[seed % 3]
         scene = make_world(seed, WorldSpec(layout, 160.0, painted=0.6, flat=0.3, unmapped=0.2, gone=0.1, sigma_m=0.2, rig=rig))  # type: ignore[arg-type]
         world = night(scene.world, np.random.default_rng(1)) if seed == 2 else scene.world
-        sight = Sight(scene.rig_believed, scene.map)
+        sight = Sight(scene.rig_calibrated, scene.map)
         for k, height_m in enumerate((18.0, 45.0, 90.0, 160.0)):
             pose = np.array([4.0 * k, -3.0 * k, -height_m]), so3.matrix(so3.from_euler(0.03, -0.05, 0.7 * k))
             left, right = (np.array(p) for p in render_pair(world, scene.rig, *pose, Conditions(), np.random.default_rng(k)))
@@ -90,8 +90,8 @@ def _shot(t_ns: int, picture: Picture, *, raw: bool) -> Shot:
 
 
 def _outcome(report: Encoded) -> str:
-    told: Any = STORE.deserialize_cdr(report.data, report.schema)
-    return str(told.outcome)
+    report_of: Any = STORE.deserialize_cdr(report.data, report.schema)
+    return str(report_of.outcome)
 
 
 def main() -> None:

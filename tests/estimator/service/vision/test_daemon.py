@@ -11,7 +11,7 @@ import pytest
 
 from estimator.config import Config, load
 from estimator.frontend.files import load_sight
-from estimator.frontend.replay_pictures import PictureTally, SightReplay
+from estimator.frontend.replay_pictures import ImageCounts, SightReplay
 from estimator.replay.replay import replay
 from estimator.service.daemon import Daemon
 from logs.store.reader import LogReader
@@ -77,13 +77,13 @@ def _records(path: Path, topic: str) -> list[tuple[int, bytes]]:
         return [(r.log_time_ns, r.data) for r in reader if r.topic == topic]
 
 
-def _again(log: Path, out: Path, config_file: Path, config: Config) -> PictureTally:
+def _again(log: Path, out: Path, config_file: Path, config: Config) -> ImageCounts:
     assert config.rig.file is not None
     assert config.map.landmarks is not None
     sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
     pictures = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, log)
     replay(log, out, config, sight=pictures)
-    return pictures.tally
+    return pictures.counts
 
 
 def test_pictures_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path, Path, int]) -> None:
@@ -101,19 +101,19 @@ def test_pictures_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path,
 def test_each_sample_has_its_estimate_and_nothing_is_lost_meanwhile(flown: tuple[Path, Path, int]) -> None:
     log, _, killed_ns = flown
     samples = [stamp_of(data) or 0 for _, data in _records(log, "/imu")]
-    told = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/odometry")]
-    assert told[0] < killed_ns < told[-1]
-    assert set(told) >= {t for t in samples if t > told[0]}
-    assert all(a < b for a, b in pairwise(told))
+    heard = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/odometry")]
+    assert heard[0] < killed_ns < heard[-1]
+    assert set(heard) >= {t for t in samples if t > heard[0]}
+    assert all(a < b for a, b in pairwise(heard))
     assert_sound(log)
 
 
 def test_its_log_replayed_from_pictures_gives_the_same_fixes_and_estimates(flown: tuple[Path, Path, int], tmp_path: Path) -> None:
     log, config_file, _ = flown
     config = load(config_file)
-    tally = _again(log, tmp_path / "again.mcap", config_file, config)
-    assert tally.same >= 2 * FIXES
-    assert (tally.different, tally.missing) == (0, 0)
+    counts = _again(log, tmp_path / "again.mcap", config_file, config)
+    assert counts.same >= 2 * FIXES
+    assert (counts.different, counts.missing) == (0, 0)
     for topic in ("/landfix/fix", "/landfix/vision", "/landfix/odometry"):
         assert _records(tmp_path / "again.mcap", topic) == _records(log, topic)
 

@@ -33,7 +33,7 @@ PATIENT = VisionConfig(timeout_s=60.0)  # a busy machine is no hang
 
 
 class Heard:
-    """What the worker tells."""
+    """What the worker sends."""
 
     def __init__(self) -> None:
         self.messages: list[Encoded] = []
@@ -61,7 +61,7 @@ def _until(true: Callable[[], bool], timeout_s: float = 180.0) -> None:
 
 @contextmanager
 def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[VisionWorker, Heard, Callable[[], None]]]:
-    """A worker that is seeing, what it tells, and take(): two pictures are taken now."""
+    """A worker that is seeing, what it sends, and take(): two pictures are taken now."""
     clock, track, heard = Clock(), Track(), Heard()
     worker = VisionWorker(
         (files / "rig.yaml", files / "map.geojson", None, None), config or PATIENT, SIDES, clock,
@@ -238,10 +238,10 @@ def test_it_goes_behind_the_daemon_and_never_is_real_time() -> None:
         "except PermissionError: raise SystemExit('not allowed')\n"
         "_give_way(); print(os.sched_getscheduler(0) == os.SCHED_OTHER, os.nice(0))"
     )
-    told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
-    if told.stderr == "not allowed\n":
+    process = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
+    if process.stderr == "not allowed\n":
         pytest.skip("only root may ask for real time")
-    assert told.stdout.split() == ["True", str(os.nice(0) + 5)]
+    assert process.stdout.split() == ["True", str(os.nice(0) + 5)]
 
 
 def test_a_defect_on_the_way_is_said_and_costs_one_restart(files: Path) -> None:

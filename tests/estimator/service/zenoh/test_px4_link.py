@@ -143,7 +143,7 @@ class _Px4:
 
 
 @pytest.mark.parametrize("release", ["1.17", "1.18"])
-def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
+def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
     port = free_port()
     text = toml(tmp_path, port) + f'[px4]\nenabled = true\nrelease = "{release}"\nslot = 2\n[autopilot]\ngnss_quiet_s = 1.5\n'
     wanted = px4.AUX_GLOBAL_POSITION if release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
@@ -168,7 +168,7 @@ def test_px4_is_told_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path
         autopilot.heard.clear()
         fly(vehicle, 0.5, gnss_hz=0.0)
         rebooted = list(autopilot.heard)
-        until(lambda: "px4 fixes" in status(session), "the status tells of PX4")
+        until(lambda: "px4 fixes" in status(session), "the status reports PX4")
     assert {schema for schema, _, _ in without} == {px4.VEHICLE_ODOMETRY, wanted}
     odometry = [m for schema, m, _ in without if schema == px4.VEHICLE_ODOMETRY and m.quality >= 0]
     fixes = [m for schema, m, _ in without if schema == wanted]

@@ -172,7 +172,7 @@ def _as(user: str, password: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("interface", "heard"), [("lo", True), ("eth77", False)])
-def test_links_without_names_are_told_apart_by_their_interface(tmp_path: Path, interface: str, heard: bool) -> None:
+def test_links_without_names_are_distinguished_by_their_interface(tmp_path: Path, interface: str, heard: bool) -> None:
     port = free_port()
     names = f'names_are = "interfaces"\nfeeders = ["{interface}"]\nlisteners = ["{interface}"]\n'
     with in_thread(parse(toml(tmp_path, port) + "[zenoh.security]\n" + names), tmp_path), client(port) as session:

@@ -130,7 +130,7 @@ def test_a_clock_that_is_off_shows_in_the_delay(simulation: Simulation, tmp_path
     assert named(checks, "/imu delay").state is State.OK
 
 
-def test_torn_bytes_and_a_torn_file_are_told(flight: Path, tmp_path: Path) -> None:
+def test_torn_bytes_and_a_torn_file_are_reported(flight: Path, tmp_path: Path) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
     assert named(doctor_log.log(torn, Config()), "log").state is State.WARN

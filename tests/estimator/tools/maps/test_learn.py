@@ -101,7 +101,7 @@ def test_what_is_learned_is_there_as_exactly_as_it_says(flown: Path) -> None:
     assert np.median(np.abs(sides)) < 0.15
 
 
-def test_the_summary_tells_what_became_of_the_pictures(flown: Path) -> None:
+def test_the_summary_reports_what_became_of_the_pictures(flown: Path) -> None:
     summary = json.loads((flown / "learned.json").read_text())
     assert summary["pictures"] + sum(summary["skipped"].values()) == 53
     assert summary["pictures"] > 40

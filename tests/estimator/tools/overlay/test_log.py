@@ -99,7 +99,7 @@ def test_the_residual_is_the_error_of_the_estimate(tmp_path: Path, east_m: float
 
 @pytest.mark.parametrize("sigma_m", [0.2, 1.0])
 def test_edges_are_looked_for_as_far_as_the_estimate_may_be_off(tmp_path: Path, sigma_m: float) -> None:
-    """1.5 m are 14 px: beyond 3 sigma of a filter that is too sure of itself, found where it is honest."""
+    """1.5 m are 14 px: beyond 3 sigma of an overconfident filter, found where it is consistent."""
     residual = _numbers(_write(tmp_path / "a.mcap", 1.5, sigma_m))["residual_px"]
     shift_px = village().rig.left.fx * 1.5 / 75.0
     found = residual["median"] if isinstance(residual, dict) else 0.0
@@ -217,7 +217,7 @@ def test_pictures_of_another_camera_are_refused(tmp_path: Path) -> None:
     assert "not the same camera" in _run(log, "--rig", text).stderr
 
 
-def test_the_exposure_is_what_vision_was_told(tmp_path: Path) -> None:
+def test_the_exposure_is_what_vision_was_reported(tmp_path: Path) -> None:
     """A picture vision was not asked about is as late as the one before it; the first one as the rig says."""
     path = tmp_path / "a.mcap"
     stamps = [round(s * SECOND) for s in SEEN_S]

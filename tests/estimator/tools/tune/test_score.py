@@ -111,13 +111,13 @@ def test_gnss_is_compared_at_its_antenna() -> None:
     assert said.dof == 3
 
 
-def test_a_lie_and_a_silence_cost_a_bounded_amount() -> None:
+def test_a_false_fix_and_a_silence_cost_a_bounded_amount() -> None:
     config, P = parse(""), np.eye(15) * 1e-4
     lie = PoseFix(0, 0, (30.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.eye(6) * 1e-4)
-    told = _compare(lie, _estimate(0, P), config)
-    assert told.score == pytest.approx(FLOOR6)
-    assert told.false, "and is not taken for an error of the estimate"
-    assert told.nis == told.p_sq_m2 == 0.0
+    compared = _compare(lie, _estimate(0, P), config)
+    assert compared.score == pytest.approx(FLOOR6)
+    assert compared.false, "and is not taken for an error of the estimate"
+    assert compared.nis == compared.p_sq_m2 == 0.0
     silence = _compare(lie, None, config)
     assert silence.score == pytest.approx(FLOOR6)
     assert silence.dof == silence.covered == 0
@@ -173,7 +173,7 @@ def test_against_a_truth_the_whole_flight_counts(flight: tuple[str, str]) -> Non
     held = score(Job(log, config, {}))
     assert len(windows) == 2 * len(held)
     good = summary(windows)
-    assert 0.2 < good.nis_per_dof < 1.2  # a truth that tells no covariance is taken for good to 0.01 m and 0.1 degrees
+    assert 0.2 < good.nis_per_dof < 1.2  # a truth without covariance is taken for good to 0.01 m and 0.1 degrees
     noise = parse(config).imu
     bad = summary(score(Job(log, config, {"imu.accel_noise": noise.accel_noise * 0.1}, truth="/truth")))
     assert bad.score < good.score
