@@ -12,11 +12,8 @@ from estimator.filter.eskf import Eskf
 from estimator.filter.history import Entry, History
 from estimator.filter.initialise import InitialiseConfig
 from estimator.filter.tracker import Tracker, TrackerConfig
-from estimator.sources.aids import aid_of
-from estimator.sources.baro import BaroConfig
-from estimator.sources.gnss import GnssConfig
+from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.imu import sample_refusal
-from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.sources.source import Aid, Refusal
 from models import so3, state
 from models.frames import Origin
@@ -61,15 +58,11 @@ class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 5.0
 
 
-class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
+class FusionConfig(SourcesConfig, frozen=True, kw_only=True):
     """All parameters of the estimator; origin is (lat_deg, lon_deg, alt_m) or None."""
 
     imu: ImuNoise = ImuNoise()
     coast: Coast = Coast()
-    gnss: GnssConfig = GnssConfig()
-    pose_fix: PoseConfig = PoseConfig()
-    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
-    baro: BaroConfig = BaroConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()

@@ -22,7 +22,7 @@ from numba import njit
 from estimator.sources.gating import cusum
 from models.frames import Origin
 from models.measurements import Measurement
-from models.messages import Array, Reason
+from models.messages import Array, Reading, Reason
 
 _NEVER = -(2**62)
 _FLOAT = struct.Struct("=d")
@@ -95,6 +95,14 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     def witness(self) -> str:
         """The topic of its receiver's positions, which cannot vouch for it, or its own."""
         return self.receiver or self.topic
+
+
+class SensorRules(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
+
+    def aid(self, reading: Reading) -> "Aid | Refusal":
+        """The reading, whose values are finite, as a measurement, or why it is none."""
+        raise NotImplementedError
 
 
 class SlowError(msgspec.Struct, frozen=True, eq=False):
