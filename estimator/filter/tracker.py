@@ -22,6 +22,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import NO_EXCESS
+from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
 from estimator.sources.source import Aid, Phase, SourceState
@@ -48,6 +49,15 @@ _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
+
+
+class FilterConfig(SourcesConfig, frozen=True, kw_only=True):
+    """What filter and smoother are configured with; origin is (lat_deg, lon_deg, alt_m) or None."""
+
+    imu: ImuNoise = ImuNoise()
+    coast: Coast = Coast()
+    initialise: InitialiseConfig = InitialiseConfig()
+    origin: tuple[float, float, float] | None = None
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
