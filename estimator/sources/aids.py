@@ -13,6 +13,7 @@ from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.landmark import landmark_aid
+from estimator.sources.magnetometer import MagnetometerConfig
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
 from estimator.sources.source import Aid, Refusal, SensorRules
 from models.messages import AttitudePrior, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, Reason
@@ -25,6 +26,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     pose_fix: PoseConfig = PoseConfig()
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
+    magnetometer: MagnetometerConfig = MagnetometerConfig()
 
     def sources(self) -> dict[str, Any]:
         """All of them by name."""

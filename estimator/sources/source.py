@@ -64,10 +64,11 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Aid(msgspec.Struct, frozen=True, eq=False):
     """A message that passed its checks, as a measurement.
 
-    order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
+    order: the place among all measurements; measurement(origin) builds z, None without an origin; absolute: fixes the position
     on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
     there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
-    accuracy that the message does not give.
+    accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
+    whose considered errors are larger than the rest: the next one says the same.
     """
 
     t_ns: int
@@ -78,13 +79,14 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     rules: SourceRules
     absolute: bool
     log_false: float
-    measurement: Callable[[Origin | None], Measurement | None]
+    measurement: "Callable[[Origin | None], Measurement | Refusal | None]"
     slow_errors: "tuple[SlowError, ...]" = ()
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
     detail: str = ""
     alignment_only: bool = False
     assumed: str = ""
+    weighs: bool = True
 
     @property
     def resembles(self) -> bool:
