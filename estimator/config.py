@@ -22,9 +22,7 @@ from estimator.service.daemon import ServiceConfig
 from estimator.service.log.writer import LogConfig
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.zenoh.config import ZenohConfig
-from estimator.sources.baro import BaroConfig
-from estimator.sources.gnss import GnssConfig
-from estimator.sources.pose import LandmarkFixConfig, PoseConfig
+from estimator.sources.aids import SourcesConfig
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
 from models import toml_text
@@ -58,9 +56,6 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
-    )
-    baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = (
-        _TOPICS.baro
     )
     attitude: Annotated[
         _Topics, Meta(description="topics of PoseWithCovarianceStamped of which the attitude helps to align; none: none is used")
@@ -106,15 +101,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str | None, Meta(description="calibration file of the cameras, relative to the configuration")] = None
 
 
-class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All sections."""
 
     imu: Imu = Imu()
     inputs: Inputs = Inputs()
-    gnss: GnssConfig = GnssConfig()
-    pose_fix: PoseConfig = PoseConfig()
-    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
-    baro: BaroConfig = BaroConfig()
     map: Map = Map()
     rig: Rig = Rig()
     vision: VisionConfig = VisionConfig()
@@ -136,10 +127,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return FusionConfig(
             imu=self.imu,
             coast=self.coast,
-            gnss=self.gnss,
-            pose_fix=self.pose_fix,
-            landmark_fix=self.landmark_fix,
-            baro=self.baro,
+            **self.sources(),
             initialise=self.initialise,
             estimator=self.estimator,
             bounds=self.bounds,

@@ -10,17 +10,12 @@ from msgspec import Meta
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf
 from estimator.filter.history import Entry, History
-from estimator.filter.initialise import InitialiseConfig
-from estimator.filter.tracker import Tracker, TrackerConfig
+from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
 from estimator.sources.aids import aid_of
-from estimator.sources.baro import BaroConfig
-from estimator.sources.gnss import GnssConfig
 from estimator.sources.imu import sample_refusal
-from estimator.sources.pose import LandmarkFixConfig, PoseConfig
 from estimator.sources.source import Aid, Refusal
 from models import so3, state
 from models.frames import Origin
-from models.imu import Coast, ImuNoise
 from models.messages import (
     AidStatus,
     Array,
@@ -61,19 +56,11 @@ class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 5.0
 
 
-class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """All parameters of the estimator; origin is (lat_deg, lon_deg, alt_m) or None."""
+class FusionConfig(FilterConfig, frozen=True, kw_only=True):
+    """All parameters of the estimator."""
 
-    imu: ImuNoise = ImuNoise()
-    coast: Coast = Coast()
-    gnss: GnssConfig = GnssConfig()
-    pose_fix: PoseConfig = PoseConfig()
-    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
-    baro: BaroConfig = BaroConfig()
-    initialise: InitialiseConfig = InitialiseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()
-    origin: tuple[float, float, float] | None = None
 
 
 class Fusion:

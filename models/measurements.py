@@ -6,6 +6,7 @@ A `Measurement` is a value made once from a message; `evaluate(x, gyro_b)` gives
 components that were given have a row. Attitude noise is about the axes of n: R_true = exp(dtheta_n) R_measured.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,6 +24,7 @@ _XP, _XV, _XQ, _XG = X.P.start, X.V.start, X.Q.start, X.BG.start
 _XA = X.BA.start
 
 _XYZ, _FIRST = np.arange(3), np.arange(1)
+_STEEPEST, _TINY = math.radians(84.0), 1e-30  # rad: what points up or down more shows no heading
 DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D / this has orthonormal rows
 
 
@@ -151,6 +153,62 @@ class Height:
         h = np.zeros((1, _N))
         h[0, E.P.stop - 1] = -1.0
         return np.array([self.z_m + x[X.P][2]]), h
+
+
+class Conditional:
+    """A measurement that makes sense at some states only."""
+
+    __slots__ = ()
+
+    def objection(self, x: Array) -> str:
+        """Why it is not to be used at the state x (16,); '' where it may be."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heading(Conditional):
+    """alpha = atan2(d_e, d_n), d_n = R_nb d_b: the azimuth of a direction of the body is known; rad, noise (1, 1).
+
+    direction_b: (3,), of any length: the magnetic field as it was measured, or the line from one antenna to another; elevation:
+    the angle at which it points above the horizon, +- elevation_within [rad], None: not known.
+    """
+
+    direction_b: Array
+    azimuth: float
+    noise: Array
+    elevation: float | None = None
+    elevation_within: float = math.pi
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _FIRST
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """nu = wrap(alpha - atan2(d_e, d_n));  H_theta = (d_n e_e - d_e e_n)^T (-R [d_b]x) / (d_n^2 + d_e^2). See Measurement."""
+        nu, by_direction = self._off(x)
+        h = np.zeros((1, _N))
+        h[0, E.THETA] = by_direction @ -so3.skew(self.direction_b)
+        return nu, h
+
+    def by_direction(self, x: Array) -> Array:
+        """d alpha / d d_b, (1, 3)."""
+        return self._off(x)[1][np.newaxis]
+
+    def _off(self, x: Array) -> tuple[Array, Array]:
+        r = so3.matrix(x[X.Q])
+        north, east = (r[:2] @ self.direction_b).tolist()
+        level = max(north * north + east * east, _TINY)
+        off = self.azimuth - math.atan2(east, north)
+        return np.array([math.atan2(math.sin(off), math.cos(off))]), (north * r[1] - east * r[0]) / level
+
+    def objection(self, x: Array) -> str:
+        """See Conditional."""
+        up = -float(so3.matrix(x[X.Q])[2] @ self.direction_b) / float(np.linalg.norm(self.direction_b))
+        elevation = math.asin(min(max(up, -1.0), 1.0))
+        if self.elevation is not None and abs(elevation - self.elevation) > self.elevation_within:
+            return f"points {math.degrees(elevation):.0f} deg above the horizon, {math.degrees(self.elevation):.0f} expected"
+        return "points up or down, which shows no heading" if abs(elevation) > _STEEPEST else ""
 
 
 @njit(cache=True, error_model="numpy")

@@ -133,14 +133,19 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
     run: int = 0
 
 
-class Baro(msgspec.Struct, frozen=True, eq=False):
-    """Static pressure, Pa, and its variance (0 where unknown)."""
+class Reading(msgspec.Struct, frozen=True, eq=False):
+    """What one of the optional sensors read.
+
+    kind: which sensor, the name of its section and of its key in [inputs]; values: (k,), SI and body axes (FRD), in the order of
+    its entry in logs/wire/sensors.py; covariance: (k, k) or None where the sensor gives none.
+    """
 
     t_ns: int
     arrived_ns: int
-    pressure_pa: float
-    variance_pa2: float
-    topic: str = "/baro"
+    topic: str
+    kind: str
+    values: tuple[float, ...]
+    covariance: Array | None = None
 
 
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
@@ -191,7 +196,7 @@ class Unusable(msgspec.Struct, frozen=True, eq=False):
 
 
 Input: TypeAlias = (
-    ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Baro | AttitudePrior | Tick | Checkpoint | Unusable
+    ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Reading | AttitudePrior | Tick | Checkpoint | Unusable
 )
 
 

@@ -22,7 +22,7 @@ from logs.evaluation.trajectory import nearest
 from logs.importers import csv_folder
 from logs.importers.recording import Recording, Truth
 from models.frames import Origin
-from models.messages import AidStatus, Array, Baro, Estimate, GnssFix, GnssVelocity, Input, Reason
+from models.messages import AidStatus, Array, Estimate, GnssFix, GnssVelocity, Input, Reading, Reason
 from models.state import E, X
 
 FLIGHTS = {
@@ -182,9 +182,9 @@ def glitch_table(out: Path) -> Table:
     before = [s for s in last.values() if fault_ns - MINUTE_NS <= s.t_ns < fault_ns]
     later = [s for s in last.values() if s.t_ns >= fault_ns]
     refused = [s.t_ns for s in later if s.reason is not Reason.FUSED]
-    baro = [m for m in messages if isinstance(m, Baro)]
+    baro = [m for m in messages if isinstance(m, Reading) and m.kind == "baro"]
     t_ns = np.array([m.t_ns for m in baro], np.int64)
-    height = 44330.8 * (1.0 - (np.array([m.pressure_pa for m in baro]) / 101325.0) ** 0.190263)  # standard atmosphere
+    height = 44330.8 * (1.0 - (np.array([m.values[0] for m in baro]) / 101325.0) ** 0.190263)  # standard atmosphere
     row, near = nearest(track.t_ns, t_ns, 50_000_000)
     t_s, row, height = (t_ns[near] - start_ns) * 1e-9, row[near], height[near]
     error = -track.p_n[row, 2] - height

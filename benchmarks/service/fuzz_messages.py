@@ -16,7 +16,6 @@ from models.measurements import DIRECTION_SCALE
 from models.messages import (
     Array,
     AttitudePrior,
-    Baro,
     Checkpoint,
     GnssFix,
     GnssVelocity,
@@ -24,6 +23,7 @@ from models.messages import (
     Input,
     LandmarkFix,
     PoseFix,
+    Reading,
     Tick,
     Unusable,
 )
@@ -105,7 +105,16 @@ def _measured(kind: str, t_ns: int, rng: Rng) -> list[Input]:
     if kind == "tick":
         return [Tick(t_ns, t_ns)]
     if kind == "baro":
-        return [Baro(t_ns, t_ns, 101_325.0 * (1.0 - 2.25577e-5 * (ORIGIN.alt_m + 40.0)) ** 5.25588 + rng.normal(0.0, 2.0), 4.0)]
+        return [
+            Reading(
+                t_ns,
+                t_ns,
+                "/baro",
+                "baro",
+                (101_325.0 * (1.0 - 2.25577e-5 * (ORIGIN.alt_m + 40.0)) ** 5.25588 + rng.normal(0.0, 2.0),),
+                4.0 * np.eye(1),
+            )
+        ]
     if kind == "gnss":
         return gnss(t_ns, rng)
     fix = pose_fix(t_ns, rng)

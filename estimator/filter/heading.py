@@ -21,6 +21,7 @@ import numpy as np
 from estimator.filter import initialise
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.initialise import InitialiseConfig, Level
+from estimator.filter.relinearise import Stretch
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models import so3
@@ -29,9 +30,10 @@ from models.measurements import Measurement, Pose, Velocity
 from models.messages import Array
 from models.state import E, X
 
+_WRONG_SENSORS = 0.02  # share of magnetometers and antennas whose heading is false
+_MARGIN = 3.0  # ln: by which the headings without the sensor must be better
 _REFUTED = 3  # positions in a row that nobody at rest foresees
 _SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
-_NO_HEADING = math.pi / math.sqrt(3.0)  # rad: sigma of a heading that may be any
 _SHARPEST = 0.35  # rad: a course that is less well known than this is none
 
 
@@ -40,7 +42,7 @@ def covariance(bank: Hypotheses, config: InitialiseConfig) -> Array:
     cov = bank.covariance()
     down_b = so3.matrix(bank.lead.x[X.Q])[2]
     heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
-    most = max(_NO_HEADING**2 - heading, 0.0)
+    most = max(initialise.NO_HEADING**2 - heading, 0.0)
     cov[E.THETA, E.THETA] += min(3.0 * heading, most) * np.outer(down_b, down_b)
     cov[E.THETA, E.THETA] += math.atan(config.accel_bias_sigma / GRAVITY) ** 2 * np.eye(3)
     cov[E.BG, E.BG] *= 4.0
@@ -73,6 +75,41 @@ class Resting:
             self.unforeseen = 0 if foreseen else self.unforeseen + 1
         for member in self.bank.members:
             member.weight = 0.0
+
+
+@dataclass(slots=True)
+class WithoutSensor:
+    """The headings of the circle, weighed by all but the sensor that measures one, until motion has shown that it is right.
+
+    A magnetometer whose axes are wrong, or beside steel, is found out by nothing at rest. odds: ln of P(without) / P(with), which
+    begins with the share e of sensors that are wrong:
+
+        odds <- max(odds + ln p(z | without) - ln p(z | with), ln e)
+
+    A bank that has just begun knows less of the velocity; that is no evidence for the sensor, so odds are never below ln e.
+    """
+
+    bank: Hypotheses
+    stretch: Stretch | None
+    topic: str
+    began_ns: int
+    odds: float = math.log(_WRONG_SENSORS)
+
+    def copy(self) -> "WithoutSensor":
+        """An independent one in the same state."""
+        return WithoutSensor(self.bank.copy(), self.stretch, self.topic, self.began_ns, self.odds)
+
+    def take(self, aid: Aid, z: Measurement, gyro_b: Array, trusting: Hypotheses) -> None:
+        """Fuse a measurement of another sensor, which those who trust this one have not fused yet."""
+        gained = initialise.evidence(self.bank, aid, z, gyro_b) - initialise.evidence(trusting, aid, z, gyro_b)
+        self.odds = max(self.odds + gained, math.log(_WRONG_SENSORS))
+        initialise.weigh(self.bank, aid, z, gyro_b)
+        self.stretch = self.stretch.also(aid, z, gyro_b) if self.stretch is not None else None
+
+    @property
+    def is_shown(self) -> bool:
+        """The sensor is wrong."""
+        return self.odds > _MARGIN
 
 
 def from_course(z: Velocity, at: Level, config: InitialiseConfig) -> Pose | None:

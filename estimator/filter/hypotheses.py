@@ -199,6 +199,11 @@ class Hypotheses:
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
             return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
+        if not aid.weighs:
+            for member, by_member, fits in zip(self.members, seen, passed, strict=True):
+                if fits:
+                    member.filter.update(by_member)
+            return Verdict(seen[0], limit, passed[0], passed[0], foreseen=any(passed))
         if vouched and passed[0] and self._leave_out(aid):
             seen.append(seen[0])
             passed.append(True)
@@ -329,7 +334,7 @@ class Hypotheses:
         if not by:
             return -math.inf
         weights = [self.members[j].weight for j in by]
-        return _ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - _ln_sum(weights)
+        return ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - ln_sum(weights)
 
     def _answer(
         self,
@@ -453,7 +458,7 @@ def _scaled(cov: Array, factor: float) -> Array:
     return scaled
 
 
-def _ln_sum(terms: list[float]) -> float:
+def ln_sum(terms: list[float]) -> float:
     """ln of the sum of exp(terms)."""
     top = max(terms)
     return top + math.log(sum(math.exp(term - top) for term in terms))

@@ -21,17 +21,18 @@ import numpy as np
 from msgspec import Meta
 
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation
+from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation, ln_sum
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models import so3
 from models.frames import GRAVITY
-from models.measurements import Measurement, Pose, Position
+from models.measurements import Heading, Measurement, Pose, Position
 from models.messages import Array
 from models.state import E, NavState, X
 
 _HEADINGS = 8
 _LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
+NO_HEADING = math.pi / math.sqrt(3.0)  # rad: sigma of a heading that may be any
 _ANY_HEADING_DEG = 90.0  # a sigma beyond this (104 is that of no knowledge at all) tells nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
@@ -56,6 +57,9 @@ class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: Annotated[
         float, Meta(ge=0.01, le=180, description="deg: attitude sigma below which the estimate is aligned")
     ] = 5.0
+    sensed_heading_deg: Annotated[
+        float, Meta(ge=0.01, le=180, description="deg: the same of a heading that a magnetometer or two antennas measure")
+    ] = 15.0
     velocity_m_s: Annotated[
         float, Meta(ge=1e-3, le=1000, description="m/s: velocity sigma below which the estimate is aligned")
     ] = 3.0
@@ -143,6 +147,22 @@ def start_from_attitude(
     return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
 
 
+def start_from_heading(
+    t_ns: int, z: Position | Pose, at: Level, aid: Aid, seen: Heading, constants: Array, config: InitialiseConfig
+) -> Hypotheses | None:
+    """One filter at a position fix, levelled, with the heading that is measured; None where that contradicts gravity.
+
+    It begins with the measured heading and no knowledge of it, and fuses the measurement, which moves nothing but makes the
+    correlations with the tilt and with the errors that the next reading repeats.
+    """
+    north, east = (so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0)) @ seen.direction_b).tolist()[:2]
+    begun = _levelled(t_ns, z, at, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
+    if seen.objection(begun.x):
+        return None
+    begun.update(innovation(begun, aid, seen, np.zeros(3)))
+    return Hypotheses([Hypothesis(begun, fused_ns=t_ns, established_ns=t_ns)])
+
+
 def agrees(bank: Hypotheses, prior: Pose) -> bool:
     """Whether the attitude that somebody else believes is within reach of a heading that is left, as likely as that one is."""
     for member in bank.members:
@@ -189,6 +209,13 @@ def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
     return x, cov
 
 
+def evidence(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> float:
+    """ln of a reading's density to the bank: sum of w_k max(N(nu_k; 0, S_k), e u) / sum of w_k."""
+    weights = [m.weight for m in bank.members]
+    found = [max(innovation(m.filter, aid, z, gyro_b).log_likelihood, aid.log_false) for m in bank.members]
+    return ln_sum([w + ll for w, ll in zip(weights, found, strict=True)]) - ln_sum(weights)
+
+
 def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
     """Every heading fuses the measurement and is weighed by how well it foresaw it; what the one saw that foresaw it best."""
     best_seen: Innovation | None = None
@@ -209,10 +236,18 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovati
     return best_seen
 
 
-def aligned(bank: Hypotheses, config: InitialiseConfig) -> bool:
-    """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough."""
+def aligned(bank: Hypotheses, config: InitialiseConfig, *, sensed: bool = False) -> bool:
+    """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough.
+
+    sensed: a sensor measures the heading. That is what its sigma says, whereas one that accelerations show, and a bank of filters
+    that are linearised elsewhere, is claimed too early.
+    """
     attitude, velocity = _sigmas(bank)
-    return attitude < math.radians(config.heading_deg) and velocity < config.velocity_m_s
+    known = attitude < math.radians(config.heading_deg)
+    if sensed and not known:
+        tilt, heading = _tilt_and_heading(bank)
+        known = tilt < math.radians(config.heading_deg) and heading < math.radians(config.sensed_heading_deg)
+    return known and velocity < config.velocity_m_s
 
 
 def lacks_attitude_alone(bank: Hypotheses, config: InitialiseConfig) -> bool:
@@ -241,6 +276,13 @@ def _sigmas(bank: Hypotheses) -> tuple[float, float]:
     cov = np.diag(bank.lead.cov)
     attitude = math.sqrt(float(cov[E.THETA].max()) + _heading_spread(bank) ** 2)
     return attitude, math.sqrt(float(cov[E.V].max()))
+
+
+def _tilt_and_heading(bank: Hypotheses) -> tuple[float, float]:
+    """Standard deviations of the tilt, about its worse axis, and of the heading, rad."""
+    r_nb = so3.matrix(bank.lead.x[X.Q])
+    about_n = np.diag(r_nb @ bank.lead.cov[E.THETA, E.THETA] @ r_nb.T)
+    return math.sqrt(float(about_n[:2].max())), math.sqrt(float(about_n[2]) + _heading_spread(bank) ** 2)
 
 
 def _heading_spread(bank: Hypotheses) -> float:

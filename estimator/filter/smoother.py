@@ -18,39 +18,23 @@ the best possible, and while fixes share a slow error its covariance may be too 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.initialise import InitialiseConfig
-from estimator.filter.tracker import Tracker, TrackerConfig
-from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
+from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
 from estimator.sources.source import Aid
 from models import imu, so3
 from models.frames import Origin
-from models.imu import Coast, ImuNoise
 from models.messages import Array, ImuSample, Input
 from models.state import E, X, carried, local, retract
 
 _SPACING_NS = 100_000_000  # between nodes where there is no aid
 _FUTURE_NS = 1_000_000_000  # a stamp further ahead of its stream's clock is a broken one
-
-
-class SmootherConfig(SourcesConfig, Protocol):
-    """What the smoother needs of the configuration (estimator.fusion.FusionConfig has it)."""
-
-    @property
-    def imu(self) -> ImuNoise: ...  # noqa: D102
-    @property
-    def coast(self) -> Coast: ...  # noqa: D102
-    @property
-    def initialise(self) -> InitialiseConfig: ...  # noqa: D102
-    @property
-    def origin(self) -> tuple[float, float, float] | None: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +73,7 @@ class Link:
     cov: Array
 
 
-def smooth(messages: Iterable[Input], config: SmootherConfig, progress: Callable[[float], None] | None = None) -> Smoothed:
+def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[float], None] | None = None) -> Smoothed:
     """Smooth a flight; messages in the order of their arrival, of any lateness; progress is told the fraction done."""
     samples, aids = sort(messages, config)
     tracker = Tracker(
@@ -131,7 +115,7 @@ def backward(nodes: Sequence[Node]) -> tuple[Array, Array]:
     return nav, covariance
 
 
-def sort(messages: Iterable[Input], config: SmootherConfig) -> tuple[ImuBuffer, list[Aid]]:
+def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, list[Aid]]:
     """The usable messages: IMU samples, and aids in the order of their validity, each once."""
     samples, aids = ImuBuffer(), dict[tuple[int, str, str, bytes], Aid]()
     newest_ns = arrived_ns = None

@@ -5,6 +5,7 @@ A tracker takes measurements in the order of their validity and changes by nothi
 
 import math
 from dataclasses import dataclass
+from dataclasses import replace as replace_in
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -16,27 +17,30 @@ from estimator.filter import contradiction, heading, initialise
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.heading import Resting
+from estimator.filter.heading import Resting, WithoutSensor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import NO_EXCESS
+from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
-from estimator.sources.source import Aid, Phase, SourceState
-from models import imu
+from estimator.sources.source import Aid, Phase, Refusal, SourceState
+from models import imu, so3
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
-from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
+from models.measurements import Conditional, Heading, Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
 _NEVER = -(2**62)
 _AT_REST = "at rest: the heading shows when the vehicle moves"
 _NO_POSITION = "waiting for a position"
+_NO_PLACE = "give [map] origin to use GNSS or a magnetometer beside fixes on a local map"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _NO_START = f"waiting for a position with {_FEWEST_SAMPLES} IMU samples or more in the second before it"
 _BEFORE_IMU = "before the first IMU sample"
@@ -44,11 +48,22 @@ _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
+_BESIDE_NS = 5_000_000_000
+_WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
+
+
+class FilterConfig(SourcesConfig, frozen=True, kw_only=True):
+    """What filter and smoother are configured with; origin is (lat_deg, lon_deg, alt_m) or None."""
+
+    imu: ImuNoise = ImuNoise()
+    coast: Coast = Coast()
+    initialise: InitialiseConfig = InitialiseConfig()
+    origin: tuple[float, float, float] | None = None
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -110,6 +125,9 @@ class Tracker:
         self.is_aligned = False
         self.still: Still | None = None
         self.prior: tuple[int, Pose] | None = None
+        self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
+        self.without_sensor: WithoutSensor | None = None
+        self.wrong_sensors: frozenset[str] = frozenset()  # topics whose heading motion has refuted
         self.resting: Resting | None = None
         self.waits_since_ns: int | None = None  # for its heading
         self.shows_unaligned = False
@@ -130,6 +148,7 @@ class Tracker:
         other.__dict__.update(self.__dict__)
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.resting = self.resting.copy() if self.resting else None
+        other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
         other.sources = self.sources.copy()
         return other
 
@@ -204,6 +223,8 @@ class Tracker:
             return found
         if self.hypotheses is not None and (conflict := self.hypotheses.conflict) is not None:
             found.append(f"{conflict[0]} and the estimate disagree by {conflict[1]:.1f} m: the covariance covers both")
+        if self.is_aligned and self.without_sensor is not None:
+            found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
         if (f := self.variance_factor.value) >= _WORTH_SAYING:
             found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
         return found
@@ -211,17 +232,19 @@ class Tracker:
     @property
     def needs_from_ns(self) -> int:
         """The oldest IMU sample that may be gone through again."""
-        return self.stretch.t_ns if self.stretch is not None else 2**62
+        beside = self.without_sensor.stretch if self.without_sensor is not None else None
+        return min((s.t_ns for s in (self.stretch, beside) if s is not None), default=2**62)
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
         if to_ns - self.t_ns > _LOST_NS:
-            self.hypotheses, self.stretch, self.is_aligned = None, None, False
+            self.hypotheses, self.stretch, self.is_aligned, self.without_sensor = None, None, False, None
             self.resting, self.waits_since_ns, self.shows_unaligned = None, None, False
         bank = self.bank
         if bank is not None and self.t_ns < to_ns:
             index = samples.first_after(self.t_ns)
-            for member in bank.members:
+            beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
+            for member in (*bank.members, *beside):
                 member.filter.propagate(samples, index, to_ns)
         self.t_ns = to_ns
 
@@ -242,9 +265,18 @@ class Tracker:
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
         z = aid.measurement(self.origin)
         if z is None:
-            return Decision(Reason.NO_ORIGIN, detail="give [map] origin to use GNSS beside fixes on a local map")
+            waits = self.hypotheses is None and not aid.geodetic
+            return Decision(Reason.ALIGNING, detail=_NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
+        if isinstance(z, Refusal):
+            return Decision(z.reason, detail=z.detail)
+        if isinstance(z, Conditional) and (bank := self.bank) is not None and (why := z.objection(bank.lead.x)):
+            return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._believe(aid, z)
+        if isinstance(z, Heading) and not self.is_aligned:
+            if aid.topic in self.wrong_sensors:
+                return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
+            self.sensed = (aid, z)
         state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
@@ -253,6 +285,7 @@ class Tracker:
         if aid.absolute:
             self.absolute |= {aid.topic}
         gyro_b = self._gyro(samples) if isinstance(z, Velocity) else _NO_RATE  # no other measurement asks for it
+        self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):
                 self._note_course(z, samples)
@@ -349,10 +382,10 @@ class Tracker:
         """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
         if self.is_aligned or self.hypotheses is not None or self.still is None:
             self.resting = None
-        elif self.resting is not None:
+        elif self.resting is not None and not isinstance(z, Heading):
             self.resting.take(aid, z, gyro_b)
             self.resting = None if self.resting.is_refuted else self.resting
-        elif self.still.level.t_ns == self.t_ns:
+        elif self.resting is None and self.still.level.t_ns == self.t_ns:
             begun = initialise.start_from_position(
                 self.t_ns, self.still.z, self.still.level, self.constants, self.config.initialise
             )
@@ -385,7 +418,7 @@ class Tracker:
             return
         if self.stretch is not None:
             self.stretch = self.stretch.also(aid, z, gyro_b)
-        known = self._is_proven() and initialise.aligned(self.hypotheses, self.config.initialise)
+        known = self._is_proven() and self._is_known()
         if known:
             del self.hypotheses.members[1:]
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
@@ -393,7 +426,7 @@ class Tracker:
             self.is_aligned = known
         elif len(self.hypotheses.members) == 1 and self.stretch.has_grown:
             confirmed = self._relinearise(self.stretch, samples).is_confirmed
-            self.is_aligned = known and confirmed and initialise.aligned(self.hypotheses, self.config.initialise)
+            self.is_aligned = known and confirmed and self._is_known()
 
     def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
         """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
@@ -401,7 +434,7 @@ class Tracker:
             return
         self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
         if self.contradiction.is_shown:
-            self.hypotheses, self.stretch, self.still, self.is_aligned = None, None, None, False
+            self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
             self.contradiction, self.given_up = NO_CONTRADICTION, self.given_up + 1
 
     def _note_variance(self, aid: Aid, seen: Innovation) -> None:
@@ -410,6 +443,11 @@ class Tracker:
         distance2 = seen.distance2 * self.variance_factor.value
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu))
         self.hypotheses.scale(self.variance_factor.value, aid.topic)
+
+    def _is_known(self) -> bool:
+        """Attitude and velocity are known well enough."""
+        assert self.hypotheses is not None
+        return initialise.aligned(self.hypotheses, self.config.initialise, sensed=self._senses_heading)
 
     def _is_proven(self) -> bool:
         """The newest position was foreseen, by a filter that has gone on for a while."""
@@ -446,14 +484,13 @@ class Tracker:
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
         config = self.config.initialise
-        if self._start_from_prior(z, at, samples):
+        if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
             return Decision(Reason.ALIGNING)
         if at.still:
             self.still = Still(at, z, self.still.since if self.still else z)
             return Decision(Reason.ALIGNING, detail=_AT_REST)
         if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
-            self.hypotheses = initialise.start_from_position(self.t_ns, z, at, self.constants, config)
-            self.stretch = Stretch.of(initialise.heading_unknown(self.t_ns, z, at, self.constants, config))
+            self.hypotheses, self.stretch = self._all_headings(z, at)
             return Decision(Reason.ALIGNING)
         rest = self.still
         self.hypotheses = initialise.start_from_position(rest.level.t_ns, rest.z, rest.level, self.constants, config)
@@ -488,6 +525,58 @@ class Tracker:
         if begun is not None:
             self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
         return begun is not None
+
+    def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
+        """Whether it began at rest with the heading that is measured now; in motion, that weighs the headings of the bank."""
+        if not at.still or not self._senses_heading or self.sensed is None:
+            return False
+        aid, seen = self.sensed
+        turn = so3.matrix(samples.turned(_NO_TURN, aid.t_ns, self.t_ns))
+        now = replace_in(seen, direction_b=turn.T @ seen.direction_b)
+        config = self.config.initialise
+        begun = initialise.start_from_heading(self.t_ns, z, at, aid, now, self.constants, config)
+        if begun is not None:
+            self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
+            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, self.t_ns)
+        return begun is not None
+
+    def _check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
+        """Go on without the sensor that measures the heading, too, until motion has shown it to be right or wrong."""
+        beside, config = self.without_sensor, self.config.initialise
+        if self.hypotheses is None:
+            self.without_sensor = None
+        elif isinstance(z, Heading):
+            if beside is None and not self.is_aligned:
+                self.without_sensor = WithoutSensor(self.hypotheses.copy(), self.stretch, aid.topic, self.t_ns)
+        elif beside is not None and isinstance(z, Position | Pose | Velocity):
+            beside.take(aid, z, gyro_b, self.hypotheses)
+            if beside.is_shown:
+                self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
+                self.stretch, self.sensed, self.without_sensor = beside.stretch, None, None
+                self.wrong_sensors |= {beside.topic}
+            elif self.is_aligned and initialise.aligned(beside.bank, config):
+                self.without_sensor = None
+            elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:
+                self._begin_beside(beside, z, samples)
+
+    def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
+        """At rest the headings begin anew, before they blur."""
+        beside.began_ns, stretch = self.t_ns, self._stretch(samples)
+        if stretch is None:
+            return
+        at = initialise.level(self.t_ns, stretch, self.config.initialise)
+        if at.still:
+            beside.bank, beside.stretch = self._all_headings(z, at)
+
+    def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
+        """The bank of headings at a position fix, and the stretch that will confirm one of them."""
+        start = self.t_ns, z, at, self.constants, self.config.initialise
+        return initialise.start_from_position(*start), Stretch.of(initialise.heading_unknown(*start))
+
+    @property
+    def _senses_heading(self) -> bool:
+        """A magnetometer or two antennas gave a heading just now."""
+        return self.sensed is not None and self.t_ns - self.sensed[0].t_ns <= _FRESH_NS
 
     def _has_moved(self, z: Measurement) -> bool:
         """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""

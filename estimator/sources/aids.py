@@ -1,27 +1,36 @@
-"""Which source makes a measurement of which message."""
+"""The registry: the section of every source, and which of them makes a measurement of a message.
 
-from typing import Protocol
+A sensor of one's own is a subclass of SensorRules in a file here, one line in SourcesConfig, and an entry in logs/wire/sensors.py
+(docs/own_sensor.md).
+"""
+
+import math
+from typing import Any
+
+import msgspec
 
 from estimator.sources.attitude import attitude_aid
-from estimator.sources.baro import BaroConfig, baro_aid
+from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.landmark import landmark_aid
-from estimator.sources.pose import PoseConfig, pose_aid
-from estimator.sources.source import Aid, Refusal
-from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix
+from estimator.sources.magnetometer import MagnetometerConfig
+from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
+from estimator.sources.source import Aid, Refusal, SensorRules
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, Reason
 
 
-class SourcesConfig(Protocol):
-    """The sections that configure the sources (estimator.fusion.FusionConfig has them)."""
+class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The section of each source; that of an optional sensor is called as its readings' kind."""
 
-    @property
-    def gnss(self) -> GnssConfig: ...  # noqa: D102
-    @property
-    def pose_fix(self) -> PoseConfig: ...  # noqa: D102
-    @property
-    def landmark_fix(self) -> PoseConfig: ...  # noqa: D102
-    @property
-    def baro(self) -> BaroConfig: ...  # noqa: D102
+    gnss: GnssConfig = GnssConfig()
+    pose_fix: PoseConfig = PoseConfig()
+    landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
+    baro: BaroConfig = BaroConfig()
+    magnetometer: MagnetometerConfig = MagnetometerConfig()
+
+    def sources(self) -> dict[str, Any]:
+        """All of them by name."""
+        return {name: getattr(self, name) for name in SourcesConfig.__struct_fields__}
 
 
 def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
@@ -35,9 +44,18 @@ def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
             return position_aid(message, config.gnss)
         case GnssVelocity():
             return velocity_aid(message, config.gnss)
-        case Baro():
-            return baro_aid(message, config.baro)
+        case Reading():
+            return _sensor_aid(message, config)
         case AttitudePrior():
             return attitude_aid(message)
         case _:
             return None
+
+
+def _sensor_aid(reading: Reading, config: SourcesConfig) -> Aid | Refusal | None:
+    rules = getattr(config, reading.kind, None)
+    if not isinstance(rules, SensorRules):
+        return None
+    if not all(map(math.isfinite, reading.values)):
+        return Refusal(Reason.NOT_FINITE, f"{reading.kind}: its reading")
+    return rules.aid(reading)

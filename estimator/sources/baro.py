@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import Aid, Refusal, SlowError, SourceRules, log_false, order
+from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
 from models.measurements import Height
-from models.messages import Array, Baro, Reason
+from models.messages import Array, Reading, Reason
 from models.state import X
 
 _LOWEST_PA, _HIGHEST_PA = 1_000.0, 120_000.0  # 31 km up; 1.4 km below the sea
@@ -22,7 +22,7 @@ _SEA_LEVEL_PA, _EXPONENT, _SCALE_M = 101_325.0, 0.190263, 44_330.8
 _FALSE_HEIGHT_M = 50.0
 
 
-class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class BaroConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
@@ -45,6 +45,29 @@ class BaroConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=100, description="K: how far the air is from the standard atmosphere")
     ] = 15.0
 
+    def aid(self, reading: Reading) -> Aid | Refusal:
+        """A pressure [Pa] as a measurement of height."""
+        pressure, variance = reading.values[0], 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
+        if not _LOWEST_PA < pressure < _HIGHEST_PA:
+            return Refusal(Reason.IMPLAUSIBLE, f"{pressure:.4g} Pa is no air pressure: pascal are expected")
+        metres_per_pa = _SCALE_M * _EXPONENT / pressure * (pressure / _SEA_LEVEL_PA) ** _EXPONENT
+        given = variance * metres_per_pa**2 if math.isfinite(variance) and variance > 0 else 0.0
+        z = Height(height_m(pressure), np.array([[self.sigma_m**2 + given]]))
+        walk = np.array([self.drift_m_sqrt_s**2, 0.0])
+        slow = np.diag([0.0, (self.temperature_sigma_k / 288.15) ** 2])
+        return Aid(
+            t_ns=reading.t_ns,
+            arrived_ns=reading.arrived_ns,
+            topic=reading.topic,
+            kind="baro",
+            order=order(reading.t_ns, "baro", reading.topic, pressure, variance),
+            rules=self,
+            absolute=False,
+            log_false=log_false(self, [_FALSE_HEIGHT_M]),
+            measurement=lambda _: z,
+            slow_errors=(SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),),
+        )
+
 
 def height_m(pressure_pa: float) -> float:
     """h = 44330.8 (1 - (p / 101325 Pa)^0.190263), m: pressure height in the standard atmosphere."""
@@ -54,29 +77,3 @@ def height_m(pressure_pa: float) -> float:
 def _slow_jacobian(x: Array) -> Array:
     """Of (s_0, s_1), (1, 2)."""
     return np.array([[1.0, -x[X.P][2]]])
-
-
-def baro_aid(reading: Baro, config: BaroConfig) -> Aid | Refusal:
-    """A pressure as a measurement of height."""
-    pressure, variance = reading.pressure_pa, reading.variance_pa2
-    if not math.isfinite(pressure):
-        return Refusal(Reason.NOT_FINITE, "pressure")
-    if not _LOWEST_PA < pressure < _HIGHEST_PA:
-        return Refusal(Reason.IMPLAUSIBLE, f"{pressure:.4g} Pa is no air pressure: pascal are expected")
-    metres_per_pa = _SCALE_M * _EXPONENT / pressure * (pressure / _SEA_LEVEL_PA) ** _EXPONENT
-    given = variance * metres_per_pa**2 if math.isfinite(variance) and variance > 0 else 0.0
-    z = Height(height_m(pressure), np.array([[config.sigma_m**2 + given]]))
-    walk = np.array([config.drift_m_sqrt_s**2, 0.0])
-    slow = np.diag([0.0, (config.temperature_sigma_k / 288.15) ** 2])
-    return Aid(
-        t_ns=reading.t_ns,
-        arrived_ns=reading.arrived_ns,
-        topic=reading.topic,
-        kind="baro",
-        order=order(reading.t_ns, "baro", reading.topic, pressure, variance),
-        rules=config,
-        absolute=False,
-        log_false=log_false(config, [_FALSE_HEIGHT_M]),
-        measurement=lambda _: z,
-        slow_errors=(SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),),
-    )

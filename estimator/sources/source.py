@@ -22,7 +22,7 @@ from numba import njit
 from estimator.sources.gating import cusum
 from models.frames import Origin
 from models.measurements import Measurement
-from models.messages import Array, Reason
+from models.messages import Array, Reading, Reason
 
 _NEVER = -(2**62)
 _FLOAT = struct.Struct("=d")
@@ -62,10 +62,11 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Aid(msgspec.Struct, frozen=True, eq=False):
     """A message that passed its checks, as a measurement.
 
-    order: the place among all measurements; measurement(origin) builds z, or None without an origin; absolute: fixes the position
+    order: the place among all measurements; measurement(origin) builds z, None without an origin; absolute: fixes the position
     on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
     there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
-    accuracy that the message does not give.
+    accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
+    whose considered errors are larger than the rest: the next one says the same.
     """
 
     t_ns: int
@@ -76,7 +77,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     rules: SourceRules
     absolute: bool
     log_false: float
-    measurement: Callable[[Origin | None], Measurement | None]
+    measurement: "Callable[[Origin | None], Measurement | Refusal | None]"
     slow_errors: "tuple[SlowError, ...]" = ()
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
@@ -84,6 +85,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     alignment_only: bool = False
     assumed: str = ""
     log_misled: float | None = None
+    weighs: bool = True
 
     @property
     def resembles(self) -> bool:
@@ -94,6 +96,14 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     def witness(self) -> str:
         """The topic of its receiver's positions, which is no independent source, or its own."""
         return self.receiver or self.topic
+
+
+class SensorRules(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
+
+    def aid(self, reading: Reading) -> "Aid | Refusal":
+        """The reading, whose values are finite, as a measurement, or why it is none."""
+        raise NotImplementedError
 
 
 class SlowError(msgspec.Struct, frozen=True, eq=False):

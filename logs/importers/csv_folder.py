@@ -193,7 +193,7 @@ def _baro(reader: _Reader) -> list[Stream]:
         reader.notes.append(f"{table.file}: heights written as the pressure of the standard atmosphere")
     if pressure is None:
         raise LogError(f"{table.file}: needs pressure_pa or baro_alt_m; it has {', '.join(table.names)}")
-    return [recording.baro(table.t_ns, arrived(table), pressure)]
+    return [recording.sensor("baro", table.t_ns, arrived(table), pressure[:, np.newaxis])]
 
 
 def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:

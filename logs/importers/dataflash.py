@@ -207,7 +207,7 @@ def _baro(tables: Tables, timebase_us: int) -> list[Stream]:
     if table is None or np.isnan(table["Press"]).all():
         return []
     t_ns = _t_ns(table[_TIME], timebase_us)
-    return [recording.baro(t_ns, recording.arrival(t_ns), table["Press"])]
+    return [recording.sensor("baro", t_ns, recording.arrival(t_ns), _vector(table, "Press"))]
 
 
 def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:

@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
+from logs.wire.sensors import SENSORS
 from models.messages import (
     ATTITUDE_TOPIC,
     Array,
     AttitudePrior,
-    Baro,
     GnssFix,
     GnssVelocity,
     ImuSample,
     Input,
     PoseFix,
     Quat,
+    Reading,
     Vec3,
 )
 
@@ -181,13 +182,14 @@ def gnss_velocity(t_ns: Times, arrived_ns: Times, v_n: Array, variance_n: Array,
     return Stream(topic, t_ns, arrived_ns, (v_n, variance_n), make)
 
 
-def baro(t_ns: Times, arrived_ns: Times, pressure_pa: Array, topic: str = "/baro") -> Stream:
-    """Baros of unknown variance; pressure_pa (n,)."""
+def sensor(kind: str, t_ns: Times, arrived_ns: Times, values: Array) -> Stream:
+    """Readings of one of logs.wire.sensors, of unknown variance; values (n, k)."""
+    topic = SENSORS[kind].topic
 
-    def make(t: int, arrived: int, pressure: float) -> Baro:
-        return Baro(t, arrived, pressure, 0.0, topic)
+    def make(t: int, arrived: int, row: list[float]) -> Reading:
+        return Reading(t, arrived, topic, kind, tuple(row))
 
-    return Stream(topic, t_ns, arrived_ns, (pressure_pa,), make)
+    return Stream(topic, t_ns, arrived_ns, (values,), make)
 
 
 def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, variance: Array, topic: str = "/pose_fix") -> Stream:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from logs.wire.sensors import SENSORS
 from models.imu import ImuNoise
 from models.messages import ATTITUDE_TOPIC, Vec3
 
@@ -42,7 +43,7 @@ class Settings(msgspec.Struct, frozen=True):
             "gnss": [t for t in topics if t.startswith("/gnss") and not t.endswith("/velocity")],
             "gnss_velocity": [t for t in topics if t.startswith("/gnss") and t.endswith("/velocity")],
             "pose_fix": [t for t in topics if t.startswith("/pose_fix")],
-            "baro": [t for t in topics if t.startswith("/baro")],
+            **{kind: [t for t in topics if t == sensor.topic] for kind, sensor in SENSORS.items()},
             "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
         lines = [

@@ -221,7 +221,7 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
     table = tables.get("SCALED_PRESSURE")
     if table is None:
         return []
-    return [recording.baro(table.t_ns, table.arrived_ns, table["press_abs"] * 100.0)]
+    return [recording.sensor("baro", table.t_ns, table.arrived_ns, table.vector("press_abs") * 100.0)]
 
 
 def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:

@@ -201,7 +201,7 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
     if topic is None or "baro_pressure_pa" not in topic:
         return []
     t_ns, arrived_ns = _times(topic, clock_us)
-    return [recording.baro(t_ns, arrived_ns, topic["baro_pressure_pa"].astype(np.float64))]
+    return [recording.sensor("baro", t_ns, arrived_ns, _vector(topic, "baro_pressure_pa"))]
 
 
 def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:

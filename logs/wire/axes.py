@@ -61,8 +61,9 @@ def world_columns(d: Array) -> Array:
 
 
 def body_covariance(p: Array) -> Array:
-    """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes."""
-    turned: Array = p * np.outer(_BODY_SIGN6, _BODY_SIGN6)
+    """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes, or of a (3, 3) one."""
+    sign = _BODY_SIGN6[: len(p)]
+    turned: Array = p * np.outer(sign, sign)
     return turned
 
 

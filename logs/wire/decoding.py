@@ -1,6 +1,7 @@
 """Wire -> records: what arrives under the configured topics, turned into NED / FRD."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, Self, TypeAlias
 
 import msgspec
@@ -9,13 +10,13 @@ import numpy as np
 from logs.wire import axes, cdr_fast, schemas
 from logs.wire.axes import ImuMounting
 from logs.wire.schemas import STORE
+from logs.wire.sensors import SENSORS, Sensor, SensorTopics
 from models import so3
 from models.messages import (
     ATTITUDE_TOPIC,
     AidStatus,
     Array,
     AttitudePrior,
-    Baro,
     Checkpoint,
     GnssFix,
     GnssVelocity,
@@ -26,6 +27,7 @@ from models.messages import (
     PictureName,
     PoseFix,
     Quat,
+    Reading,
     Reason,
     Tick,
     Unusable,
@@ -43,13 +45,12 @@ _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
 _SECOND_NS: Final = 1_000_000_000
 
 
-class Topics(msgspec.Struct, frozen=True):
-    """Which topics feed which input."""
+class Topics(SensorTopics, frozen=True):
+    """Which topics feed which input; of the optional sensors see SensorTopics."""
 
     imu: tuple[str, ...] = ("/imu",)
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
-    baro: tuple[str, ...] = ()  # off until configured
     attitude: tuple[str, ...] = (ATTITUDE_TOPIC,)
     pose_fix: tuple[str, ...] = ("/pose_fix",)
     left_image: tuple[str, ...] = ("/left/image",)
@@ -91,7 +92,8 @@ class Decoder:
         self._route(topics.imu, schemas.IMU, self._general_imu)
         self._route(topics.gnss, schemas.NAV_SAT_FIX, _gnss)
         self._route(topics.gnss_velocity, schemas.TWIST, _gnss_velocity)
-        self._route(topics.baro, schemas.PRESSURE, _baro)
+        for kind, sensor in SENSORS.items():
+            self._route(getattr(topics, kind), sensor.schema, partial(_reading, kind, sensor))
         self._route(topics.attitude, schemas.POSE_FIX, _attitude)
         self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
         self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)
@@ -223,8 +225,8 @@ def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
     )
 
 
-def _baro(topic: str, message: Any, arrived_ns: int) -> Baro:
-    return Baro(_t_ns(message.header.stamp), arrived_ns, message.fluid_pressure, message.variance, topic)
+def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: int) -> Reading:
+    return Reading(_t_ns(message.header.stamp), arrived_ns, topic, kind, *sensor.values(message))
 
 
 def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:

@@ -8,12 +8,12 @@ import numpy as np
 from logs.wire import axes, cdr_fast, schemas
 from logs.wire.axes import ImuMounting
 from logs.wire.schemas import STORE
+from logs.wire.sensors import SENSORS
 from models.frames import Origin
 from models.messages import (
     AidStatus,
     Array,
     AttitudePrior,
-    Baro,
     Checkpoint,
     Estimate,
     GnssFix,
@@ -27,6 +27,7 @@ from models.messages import (
     PictureName,
     PoseFix,
     Quat,
+    Reading,
     Reason,
     Reset,
     Tick,
@@ -130,9 +131,9 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
             return packed(message.topic, schemas.POSE_FIX, header=header_of(message.t_ns, _MAP), pose=pose)
         case LandmarkFix():
             return packed(message.topic, schemas.LANDMARK_FIX, **_landmark_fix(message))
-        case Baro():
-            pressure, header = message.pressure_pa, header_of(message.t_ns, _BODY)
-            return packed(message.topic, schemas.PRESSURE, header=header, fluid_pressure=pressure, variance=message.variance_pa2)
+        case Reading():
+            sensor = SENSORS[message.kind]
+            return packed(message.topic, sensor.schema, header=header_of(message.t_ns, _BODY), **sensor.fields(message))
         case AttitudePrior():
             covariance = np.diag([_NOT_GIVEN_M2] * 3 + [0.0] * 3)
             covariance[3:, 3:] = message.covariance

@@ -77,7 +77,7 @@ def test_everything_survives_writing_and_reading() -> None:
     ("text", "expected"),
     [
         ('[imu]\naxis = "flu"\n', "v.toml: unknown key 'axis' in [imu]; did you mean 'axes'?"),
-        ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: imu, inputs, gnss, pose_fix, "),
+        ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: gnss, pose_fix, landmark_fix, "),
         ('[imu]\naxes = "ned"\n', 'v.toml: imu.axes = "ned": must be one of '),
         ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float >= 1e-09"),
         ("[imu]\ngyro_noise = nan\n", "v.toml: imu.gyro_noise = nan: must be a finite number"),

@@ -18,7 +18,7 @@ from estimator.service.autopilot.output_policy import Handover
 from estimator.service.base.clock import Clock, Stamps
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.zenoh.config import session_config
-from models.messages import AidStatus, Baro, Estimate, Input, LandmarkFix, Reason, Tick
+from models.messages import AidStatus, Estimate, Input, LandmarkFix, Reading, Reason, Tick
 from models.sim.scenario_file import ScenarioError, loads
 
 SECOND = 1_000_000_000
@@ -112,7 +112,7 @@ def _flight() -> tuple[Input, ...]:
             messages.append(imu(t_ns, rng))
         if k % 10 == 3:
             messages += gnss(t_ns, rng)
-            messages.append(Baro(t_ns, t_ns, 95_000.0 + rng.normal(), 1.0))
+            messages.append(Reading(t_ns, t_ns, "/baro", "baro", (95_000.0 + rng.normal(),)))
         if k % 25 == 7:
             fix = pose_fix(t_ns, rng)
             messages.append(fix)

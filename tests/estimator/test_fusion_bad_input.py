@@ -15,7 +15,6 @@ from models.messages import (
     AidStatus,
     Array,
     AttitudePrior,
-    Baro,
     Estimate,
     GnssFix,
     GnssVelocity,
@@ -25,6 +24,7 @@ from models.messages import (
     LandmarkFix,
     Mode,
     PoseFix,
+    Reading,
     Reason,
     Tick,
     Unusable,
@@ -69,9 +69,9 @@ def _asymmetric(n: int) -> Array:
 
 BAD: dict[str, tuple[Input, Reason]] = {
     "torn message": (Unusable(NOW, NOW, "/pose_fix", "12 bytes are missing"), Reason.MALFORMED),
-    "pressure NaN": (Baro(NOW, NOW, math.nan, 4.0), Reason.NOT_FINITE),
-    "pressure in hPa": (Baro(NOW, NOW, 1013.25 / 2, 4.0), Reason.IMPLAUSIBLE),
-    "pressure negative": (Baro(NOW, NOW, -101325.0, 4.0), Reason.IMPLAUSIBLE),
+    "pressure NaN": (Reading(NOW, NOW, "/baro", "baro", (math.nan,)), Reason.NOT_FINITE),
+    "pressure in hPa": (Reading(NOW, NOW, "/baro", "baro", (1013.25 / 2,)), Reason.IMPLAUSIBLE),
+    "pressure negative": (Reading(NOW, NOW, "/baro", "baro", (-101325.0,)), Reason.IMPLAUSIBLE),
     "IMU NaN": (_imu(gyro_b=(math.nan, 0.0, 0.0)), Reason.NOT_FINITE),
     "IMU Inf": (_imu(accel_b=(0.0, 0.0, math.inf)), Reason.NOT_FINITE),
     "IMU huge": (_imu(accel_b=(0.0, 1e308, 0.0)), Reason.IMPLAUSIBLE),
@@ -256,7 +256,7 @@ anything: st.SearchStrategy[Input] = st.one_of(
     ),
     st.builds(lambda t, v, c: GnssVelocity(t[0], t[1], v, c), times, triples, covariances),
     st.builds(lambda t: Tick(t[0], t[1]), times),
-    st.builds(lambda t, p: Baro(t[0], t[1], p, p), times, numbers),
+    st.builds(lambda t, p: Reading(t[0], t[1], "/baro", "baro", (p,), np.array([[p]])), times, numbers),
     st.builds(lambda t: Unusable(t[0], t[1], "/left/image", "torn"), times),
 )
 

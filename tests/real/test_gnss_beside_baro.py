@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import gnss
-from models.messages import Baro, Reason
+from models.messages import Reading, Reason
 
 
 @pytest.fixture(autouse=True)
@@ -29,8 +29,10 @@ def test_a_receiver_that_walks_off_does_not_outvote_the_barometer(tmp_path: Path
     messages = gnss.inputs(recording)
     start_ns = messages[0].t_ns
     track, _ = gnss.run(messages, config)
-    baro = [m for m in messages if isinstance(m, Baro) and (m.t_ns - start_ns) * 1e-9 > gnss.GLITCH_S - 30.0]
-    height = 44330.8 * (1.0 - (np.array([m.pressure_pa for m in baro]) / 101325.0) ** 0.190263)
+    baro = [
+        m for m in messages if isinstance(m, Reading) and m.kind == "baro" and (m.t_ns - start_ns) * 1e-9 > gnss.GLITCH_S - 30.0
+    ]
+    height = 44330.8 * (1.0 - (np.array([m.values[0] for m in baro]) / 101325.0) ** 0.190263)
     row = np.searchsorted(track.t_ns, [m.t_ns for m in baro]).clip(max=len(track.t_ns) - 1)
     t_s = (np.array([m.t_ns for m in baro]) - start_ns) * 1e-9
     error = -track.p_n[row, 2] - height

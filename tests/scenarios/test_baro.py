@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.messages import Baro, Estimate, Input, Reason
+from models.messages import Estimate, Input, Reading, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
 from tests.estimator.scenes import Run, by_arrival, config_of, error, fly, simulated, within
@@ -37,7 +37,7 @@ def _barometer(simulation: Simulation) -> list[Input]:
     for k in range(0, len(truth.t_ns), 20):
         t_ns = int(truth.t_ns[k])
         height = -truth.p_n[k, 2] / WARM + gust[(t_ns - EPOCH_NS) // 10**9] + ZERO_M
-        readings.append(Baro(t_ns, t_ns, _pressure_pa(height), 0.0))
+        readings.append(Reading(t_ns, t_ns, "/baro", "baro", (_pressure_pa(height),)))
     return readings
 
 
@@ -86,7 +86,9 @@ def test_given_readings_ten_times_a_second_then_one_of_them_is_news(flight: Simu
 def test_given_a_barometer_whose_pressure_jumps_then_it_is_refused_and_the_height_stays(flight: Simulation) -> None:
     jump_ns = EPOCH_NS + 80 * 10**9
     readings = [
-        Baro(m.t_ns, m.t_ns, m.pressure_pa - 3000.0 * (m.t_ns > jump_ns), 0.0) for m in _barometer(flight) if isinstance(m, Baro)
+        Reading(m.t_ns, m.t_ns, "/baro", "baro", (m.values[0] - 3000.0 * (m.t_ns > jump_ns),))
+        for m in _barometer(flight)
+        if isinstance(m, Reading) and m.kind == "baro"
     ]
     run = fly(flight, config_of(flight), by_arrival([*flight.messages, *readings]))
     late = within(run.estimates, 85.0, 150.0)

@@ -18,7 +18,7 @@ from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Baro, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
+from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
 from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
@@ -82,13 +82,6 @@ def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
     if message.fields_updated & _ACCEL_AND_GYRO != _ACCEL_AND_GYRO:
         return None
     return ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel), topic)
-
-
-def baro(message: Any, t_ns: int, topic: str) -> Baro | None:
-    """The pressure in a HIGHRES_IMU, hPa; None where it is not a new one."""
-    if message.id != 0 or not message.fields_updated & _PRESSURE:
-        return None
-    return Baro(t_ns, t_ns, _HPA_PA * message.abs_pressure, 0.0, topic)
 
 
 def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str) -> AttitudePrior:
@@ -203,3 +196,16 @@ def _position_covariance(message: Any) -> Array | None:
     hdop, vdop = (math.nan if x == _UNKNOWN else 1e-2 * x for x in (message.eph, message.epv))
     variance = variance_from_dop(np.array([hdop]), np.array([vdop]))[0]
     return np.diag(variance) if np.isfinite(variance).all() and (variance > 0.0).all() else None
+
+
+def _pressure(message: Any) -> tuple[float, ...] | None:
+    """Of a HIGHRES_IMU, hPa."""
+    if message.id != 0 or not message.fields_updated & _PRESSURE:
+        return None
+    return (_HPA_PA * message.abs_pressure,)
+
+
+# Message -> the sensors whose readings it carries: kind, and values as logs/wire/sensors.py has them, None where there are none.
+SENSORS: Final[dict[str, dict[str, Callable[[Any], tuple[float, ...] | None]]]] = {
+    "HIGHRES_IMU": {"baro": _pressure},
+}

@@ -13,7 +13,7 @@ from estimator.service.base.clock import SECOND_NS
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
 from logs.wire.codec import Topics
-from models.messages import Input
+from models.messages import Input, Reading
 
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
@@ -25,6 +25,7 @@ _RAW: Final[int] = mavlink.MAVLINK_MSG_ID_RAW_IMU
 _SCALED: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _IMUS: Final = {"HIGHRES_IMU": _IMU, "RAW_IMU": _RAW, "SCALED_IMU": _SCALED}
 _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
+_NUMBERS: Final = _IMUS
 _NEVER: Final = -(2**62)
 
 
@@ -36,14 +37,18 @@ class Inputs:
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
-        self._baro_topic = topics.baro[0] if config.baro and topics.baro else None
-        self._pressure_pa = 0.0  # the last
+        kinds = {kind for sensors in codec.SENSORS.values() for kind in sensors if getattr(config, kind)}
+        self._sensor_topics = {kind: named[0] for kind in sorted(kinds) if (named := getattr(topics, kind))}
+        self._readings: dict[str, tuple[float, ...]] = {}  # the last of each kind
         self._positions = dict(zip(_RECEIVERS, topics.gnss if config.gnss else (), strict=False))
         self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
         self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
-        imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset({_IMU} if self._baro_topic else ())
+        imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset()
         attitudes = frozenset({_ATTITUDE} if self._attitude_topic else ())
-        self.wanted = imus | attitudes | self._positions.keys() | self._velocities.keys()
+        self._carriers = frozenset(
+            _NUMBERS[name] for name, sensors in codec.SENSORS.items() if sensors.keys() & self._sensor_topics.keys()
+        )
+        self.wanted = imus | attitudes | self._carriers | self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -70,15 +75,13 @@ class Inputs:
     def measured(self, message: Any, t_ns: int, now_ns: int, autopilot: int | None) -> Iterator[Input]:
         """The measurements in a message that was valid at t_ns."""
         number, kind = message.get_msgId(), message.get_type()
-        if kind in _IMUS:
-            if self._imu_topic and self._is_best(kind, now_ns, autopilot):
-                sample = codec.imu(message, t_ns, self._imu_topic)
-                if sample is not None:
-                    self.imu_kind = kind
-                    yield sample
-            if kind == "HIGHRES_IMU" and self._baro_topic:
-                yield from self._pressure(message, t_ns, self._baro_topic)
-            return
+        if kind in _IMUS and self._imu_topic and self._is_best(kind, now_ns, autopilot):
+            sample = codec.imu(message, t_ns, self._imu_topic)
+            if sample is not None:
+                self.imu_kind = kind
+                yield sample
+        if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
+            yield from self._sensors(message, kind, t_ns)
         if number == _ATTITUDE and self._attitude_topic:
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
@@ -88,12 +91,13 @@ class Inputs:
             if velocity is not None:
                 yield velocity
 
-    def _pressure(self, message: Any, t_ns: int, topic: str) -> Iterator[Input]:
+    def _sensors(self, message: Any, name: str, t_ns: int) -> Iterator[Input]:
         """A reading that is repeated with every IMU sample is one reading."""
-        reading = codec.baro(message, t_ns, topic)
-        if reading is not None and reading.pressure_pa != self._pressure_pa:
-            self._pressure_pa = reading.pressure_pa
-            yield reading
+        for kind, read in codec.SENSORS[name].items():
+            topic, values = self._sensor_topics.get(kind), read(message)
+            if topic is not None and values is not None and values != self._readings.get(kind):
+                self._readings[kind] = values
+                yield Reading(t_ns, t_ns, topic, kind, values)
 
     def report(self) -> dict[str, Any]:
         """For the status."""
@@ -106,13 +110,14 @@ class Inputs:
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
         if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
-        if self._baro_topic:
-            wanted[_IMU] = self._gnss_us
+        wanted |= dict.fromkeys(self._carriers - {_RAW, _SCALED}, self._gnss_us)
+        coarse = _coarse_of(autopilot)
         if self._imu_topic:
             wanted[_IMU] = self._imu_us
+        if _IMU in wanted:
             self._began_ns = now_ns if self._began_ns is None else self._began_ns
-            if self._is_gone(_IMU, now_ns):
-                wanted[_coarse_of(autopilot)] = self._imu_us
+            if self._is_gone(_IMU, now_ns) and (self._imu_topic or coarse in self._carriers):
+                wanted[coarse] = wanted[_IMU]
         return wanted
 
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:

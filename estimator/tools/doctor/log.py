@@ -13,6 +13,7 @@ from estimator.sources.source import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
+from logs.wire.sensors import SENSORS
 from models.frames import GRAVITY
 from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Reason, Unusable
 
@@ -21,7 +22,7 @@ _SCHEMAS = {  # what a topic must carry to feed an input
     "gnss": "sensor_msgs/msg/NavSatFix",
     "gnss_velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
     "pose_fix": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "baro": "sensor_msgs/msg/FluidPressure",
+    **{kind: sensor.schema for kind, sensor in SENSORS.items()},
 }
 _LOWEST_IMU_RATE_HZ = 40.0
 _IMU_GAP_S = 0.1

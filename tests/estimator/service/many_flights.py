@@ -14,7 +14,7 @@ from estimator.filter.smoother import smooth
 from estimator.publish import OutputConfig, Publisher
 from estimator.service.base import compilation
 from models.measurements import DIRECTION_SCALE
-from models.messages import AidStatus, Array, Baro, Estimate, Input, LandmarkFix, PoseFix
+from models.messages import AidStatus, Array, Estimate, Input, LandmarkFix, PoseFix, Reading
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.partial import in_part
 from tests.estimator.scenes import SECOND, Run, by_arrival, config_of, hover, simulated
@@ -58,10 +58,11 @@ def flights() -> list[tuple[str, list[Input]]]:
         simulation, turns = simulated(text, seed), itertools.cycle(range(7))
         messages = [_with_less(m, next(turns)) if isinstance(m, PoseFix) and seed != 2 else m for m in simulation.messages]
         messages += [
-            Baro(t, t, 95_000.0 + 10.0 * np.sin(t * 1e-10), 0.0) for t in range(EPOCH_NS + SECOND, EPOCH_NS + 59 * SECOND, SECOND)
+            Reading(t, t, "/baro", "baro", (95_000.0 + 10.0 * np.sin(t * 1e-10),))
+            for t in range(EPOCH_NS + SECOND, EPOCH_NS + 59 * SECOND, SECOND)
         ]
         gap = EPOCH_NS + 50 * SECOND, EPOCH_NS + 52 * SECOND
-        messages = [m for m in messages if isinstance(m, Baro | PoseFix | LandmarkFix) or not gap[0] < m.t_ns < gap[1]]
+        messages = [m for m in messages if isinstance(m, Reading | PoseFix | LandmarkFix) or not gap[0] < m.t_ns < gap[1]]
         found.append((text, by_arrival(messages)))
     return found
 

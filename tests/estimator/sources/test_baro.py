@@ -5,16 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from estimator.sources.baro import BaroConfig, baro_aid, height_m
+from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.baro import BaroConfig, height_m
 from estimator.sources.source import Aid, Refusal
 from models.measurements import Height
-from models.messages import Baro, Reason
+from models.messages import Reading, Reason
 
 STANDARD = [(101325.0, 0.0), (89874.6, 1000.0), (54019.9, 5000.0), (26436.3, 10000.0)]  # Pa, m: ICAO standard atmosphere
 
 
 def _aid(pressure_pa: float = 95_000.0, variance_pa2: float = 0.0, config: BaroConfig | None = None) -> Aid:
-    made = baro_aid(Baro(10**9, 2 * 10**9, pressure_pa, variance_pa2), config or BaroConfig())
+    reading = Reading(10**9, 2 * 10**9, "/baro", "baro", (pressure_pa,), np.array([[variance_pa2]]))
+    made = aid_of(reading, SourcesConfig(baro=config or BaroConfig()))
     assert isinstance(made, Aid), made
     return made
 
@@ -70,7 +72,7 @@ def test_its_zero_drifts_and_a_climb_is_mistaken_by_what_the_temperature_is_off(
     ],
 )
 def test_what_is_no_pressure_is_refused(pressure_pa: float, reason: Reason) -> None:
-    made = baro_aid(Baro(0, 0, pressure_pa, 1.0), BaroConfig())
+    made = aid_of(Reading(0, 0, "/baro", "baro", (pressure_pa,)), SourcesConfig())
     assert isinstance(made, Refusal)
     assert made.reason is reason
 

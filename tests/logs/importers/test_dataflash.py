@@ -12,7 +12,7 @@ from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
 from models.frames import Origin
-from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_fixes_are_as_regular_as_the_receiver_made_them(recording: Recording) ->
 
 
 def test_pressure_and_reference(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
-    assert [m.pressure_pa for m in recording if isinstance(m, Baro)] == [r.Press for r in rows["BARO"]]
+    assert [m.values[0] for m in recording if isinstance(m, Reading) and m.kind == "baro"] == [r.Press for r in rows["BARO"]]
     truths = [m for m in recording if isinstance(m, Truth)]
     assert [m.p_n for m in truths] == [(r.PN, r.PE, r.PD) for r in rows["EKF1"]]
     assert [m.v_n for m in truths] == [(r.VN, r.VE, r.VD) for r in rows["EKF1"]]

@@ -15,7 +15,7 @@ from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
-from models.messages import AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,9 @@ def test_velocity_of_fixes_says_nothing_about_the_vertical(recording: Recording,
 
 
 def test_pressure_and_reference(recording: Recording, rows: dict[str, list[Any]]) -> None:
-    assert [m.pressure_pa for m in recording if isinstance(m, Baro)] == [r.press_abs * 100.0 for r in rows["SCALED_PRESSURE"]]
+    assert [m.values[0] for m in recording if isinstance(m, Reading) and m.kind == "baro"] == [
+        r.press_abs * 100.0 for r in rows["SCALED_PRESSURE"]
+    ]
     truths = [m for m in recording if isinstance(m, Truth)]
     assert [m.p_n for m in truths] == [(r.x, r.y, r.z) for r in rows["LOCAL_POSITION_NED"]]
     assert [m.v_n for m in truths] == [(r.vx, r.vy, r.vz) for r in rows["LOCAL_POSITION_NED"]]

@@ -15,7 +15,7 @@ from pyulog import ULog
 from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
 from logs.store.reader import LogError
-from models.messages import Array, AttitudePrior, Baro, GnssFix, GnssVelocity, ImuSample
+from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
 
@@ -96,8 +96,8 @@ def test_every_velocity_of_a_fix_that_has_one(case: Case) -> None:
 
 def test_every_pressure(case: Case) -> None:
     topic = case.topic("vehicle_air_data")
-    got = [m for m in case.messages if isinstance(m, Baro)]
-    np.testing.assert_array_equal([m.pressure_pa for m in got], topic["baro_pressure_pa"].astype(np.float64))
+    got = [m for m in case.messages if isinstance(m, Reading) and m.kind == "baro"]
+    np.testing.assert_array_equal([m.values[0] for m in got], topic["baro_pressure_pa"].astype(np.float64))
     np.testing.assert_array_equal([m.arrived_ns for m in got], case.t_ns("vehicle_air_data"))
     if "timestamp_sample" in topic:
         np.testing.assert_array_equal([m.t_ns for m in got], case.t_ns("vehicle_air_data", "timestamp_sample"))

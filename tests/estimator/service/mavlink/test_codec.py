@@ -13,7 +13,7 @@ from estimator.service.mavlink.inputs import Inputs
 from logs.wire.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Baro, Estimate, GnssFix, GnssVelocity, Mode
+from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, Mode, Reading
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -107,16 +107,16 @@ def test_a_pressure_is_in_pascal_and_reported_once() -> None:
 
     inputs = Inputs(MavlinkConfig(), Topics(baro=("/baro",)), 0.0)
     heard = [
-        [m for m in inputs.measured(message, T0 + k, T0, codec.PX4) if isinstance(m, Baro)]
+        [m for m in inputs.measured(message, T0 + k, T0, codec.PX4) if isinstance(m, Reading) and m.kind == "baro"]
         for k, message in enumerate(
             [highres(950.25), highres(950.25), highres(950.5, 63), highres(950.5), highres(951.0, number=1)]
         )
     ]
-    assert [[(m.t_ns - T0, m.pressure_pa, m.topic) for m in some] for some in heard] == [
+    assert [[(m.t_ns - T0, m.values[0], m.topic) for m in some] for some in heard] == [
         [(0, 95_025.0, "/baro")], [], [], [(3, 95_050.0, "/baro")], [],
     ]  # fmt: skip
     for off in (Inputs(MavlinkConfig(baro=False), Topics(baro=("/baro",)), 0.0), Inputs(MavlinkConfig(), Topics(), 0.0)):
-        assert not any(isinstance(m, Baro) for m in off.measured(highres(950.25), T0, T0, codec.PX4))
+        assert not any(isinstance(m, Reading) and m.kind == "baro" for m in off.measured(highres(950.25), T0, T0, codec.PX4))
 
 
 def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:

@@ -1,0 +1,125 @@
+"""A magnetometer: heading from the Earth's field, whose direction and strength at the origin the World Magnetic Model gives.
+
+    m_b = S (z_b - o),   azimuth of R_nb m_b = declination + e + v
+
+Its errors repeat: iron on the vehicle adds a field h_b that turns with it; the place, or iron that bends the field, turns it by
+e_0. Both are considered, so that a thousand readings weigh no more than their common error allows:
+
+    e = e_0 - (d azimuth / d m_b) h_b
+
+A reading whose strength or inclination is not the Earth's is refused.
+"""
+
+import math
+from functools import cache
+from typing import Annotated, Final, TypeAlias
+
+import numpy as np
+from msgspec import Meta
+
+from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from models import so3
+from models.earth_field import field_n, year_of
+from models.frames import Origin
+from models.measurements import Heading
+from models.messages import Array, Reading, Reason
+
+_WEAKEST_T, _STRONGEST_T = 5e-6, 5e-4  # no field of the Earth, 22 to 67 microtesla, even through iron
+_FALSE_RAD: Final = math.pi
+_UT: Final = 1e-6
+_Degrees: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
+_Offset: TypeAlias = Annotated[float, Meta(ge=-1000, le=1000)]
+_Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
+
+
+class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+    """[magnetometer]: how it sits, its calibration and its errors; it is used where [inputs] magnetometer names a topic."""
+
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
+    lie_s: Annotated[
+        float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last (iron, currents)")
+    ] = 60.0
+    spacing_s: Annotated[
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 0.5
+    mounting_rpy_deg: Annotated[
+        tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the magnetometer in the body, as FRD")
+    ] = (0.0, 0.0, 0.0)
+    offset_ut: Annotated[
+        tuple[_Offset, _Offset, _Offset], Meta(description="uT: hard iron, taken from its readings, in its own axes as FRD")
+    ] = (0.0, 0.0, 0.0)
+    scale: Annotated[
+        tuple[_Scale, _Scale, _Scale], Meta(description="factors of its axes, once the offset is taken from them")
+    ] = (1.0, 1.0, 1.0)
+    declination_deg: Annotated[
+        float | None, Meta(ge=-180, le=180, description="deg: east positive; none: of the World Magnetic Model at the origin")
+    ] = None
+    sigma_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: error that is new with each reading")] = 3.0
+    hard_iron_sigma_ut: Annotated[
+        float, Meta(ge=0, le=100, description="uT: of the hard iron that is left, per axis; 20 uT are the horizontal field")
+    ] = 2.5
+    slow_sigma_deg: Annotated[
+        float, Meta(ge=0, le=90, description="deg: of soft iron, the mounting and the place, which stays for slow_s")
+    ] = 3.0
+    slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of the slow part")] = 300.0
+    strength_within: Annotated[
+        float, Meta(ge=0.01, le=10, description="share of the field's strength by which a reading may be off")
+    ] = 0.3
+    inclination_within_deg: Annotated[float, Meta(ge=1, le=180, description="deg: by which its inclination may be off")] = 15.0
+
+    def aid(self, reading: Reading) -> Aid | Refusal:
+        """A field [T] as a measurement of heading."""
+        z_b = np.array(reading.values)
+        strength = float(np.linalg.norm(z_b))
+        if not _WEAKEST_T < strength < _STRONGEST_T:
+            return Refusal(Reason.IMPLAUSIBLE, f"a field of {strength:.3g} T: tesla are expected, the Earth's is 2e-5 to 7e-5")
+        m_b = _turned(self.mounting_rpy_deg) @ (np.array(self.scale) * (z_b - _UT * np.array(self.offset_ut)))
+        year = round(year_of(reading.t_ns), 1)
+
+        @cache  # a measurement that comes late has others done again
+        def measurement(origin: Origin | None) -> Heading | Refusal | None:
+            return self._heading(m_b, origin, year)
+
+        seen = Heading(m_b, 0.0, np.zeros((1, 1)))
+        iron = SlowError(
+            f"{reading.topic}.iron",
+            self.hard_iron_sigma_ut**2 * np.eye(3),
+            math.inf,
+            lambda x: -_UT * seen.by_direction(x),
+        )
+        place = SlowError(f"{reading.topic}.slow", np.array([[math.radians(self.slow_sigma_deg) ** 2]]), self.slow_s)
+        return Aid(
+            t_ns=reading.t_ns,
+            arrived_ns=reading.arrived_ns,
+            topic=reading.topic,
+            kind=reading.kind,
+            order=order(reading.t_ns, reading.kind, reading.topic, *reading.values),
+            rules=self,
+            absolute=False,
+            log_false=log_false(self, [_FALSE_RAD]),
+            measurement=measurement,
+            slow_errors=(iron,) * (self.hard_iron_sigma_ut > 0) + (place,) * (self.slow_sigma_deg > 0),
+            weighs=False,
+        )
+
+    def _heading(self, m_b: Array, origin: Origin | None, year: float) -> Heading | Refusal | None:
+        """The field in the body's axes against the one that is expected; None: neither origin nor declination is known."""
+        noise, given = np.array([[math.radians(self.sigma_deg) ** 2]]), self.declination_deg
+        if origin is None:
+            return None if given is None else Heading(m_b, math.radians(given), noise)
+        north, east, down = field_n(origin, year)
+        strength, expected = float(np.linalg.norm(m_b)), math.hypot(north, east, down)
+        if abs(strength / expected - 1.0) > self.strength_within:
+            found = f"a field of {strength / _UT:.0f} uT, {expected / _UT:.0f} expected"
+            return Refusal(
+                Reason.IMPLAUSIBLE, f"{found}: iron or currents near it, or [magnetometer] offset_ut and scale are missing"
+            )
+        azimuth = math.atan2(east, north) if given is None else math.radians(given)
+        elevation = -math.atan2(down, math.hypot(north, east))
+        return Heading(m_b, azimuth, noise, elevation, math.radians(self.inclination_within_deg))
+
+
+@cache
+def _turned(rpy_deg: tuple[float, float, float]) -> Array:
+    """R_bm of a mounting."""
+    return so3.matrix(so3.from_euler(*np.deg2rad(rpy_deg)))

@@ -1,0 +1,70 @@
+"""The optional sensors on the wire: topic and ROS 2 type of each, and what of the type's fields is its reading.
+
+An entry is a line in SensorTopics and one in SENSORS. Values are SI; a vector is turned from the body's FLU axes to FRD and back.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from logs.wire import axes, schemas
+from models.messages import Array, Reading
+
+_Topics: TypeAlias = tuple[str, ...]
+_Values: TypeAlias = tuple[tuple[float, ...], Array | None]
+
+
+class SensorTopics(msgspec.Struct, frozen=True):
+    """[inputs] of the optional sensors: off until a topic is named."""
+
+    baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = ()
+    magnetometer: Annotated[
+        _Topics, Meta(description="topics of sensor_msgs/msg/MagneticField; none: no magnetometer is used")
+    ] = ()
+
+
+class Sensor(NamedTuple):
+    """topic: where importers and simulation write it; values: of a message, with covariance; fields: of a reading's message."""
+
+    topic: str
+    schema: str
+    values: Callable[[Any], _Values]
+    fields: Callable[[Reading], dict[str, Any]]
+
+
+def _known(covariance: Any, size: int) -> Array | None:
+    """The leading (size, size) of a ROS covariance; None: all zero, or -1 in its first element."""
+    full = np.asarray(covariance).reshape(math.isqrt(len(covariance)), -1)[:size, :size]
+    return full if full.any() and full[0, 0] != -1.0 else None
+
+
+def vector(v: tuple[float, ...]) -> Any:
+    """A geometry_msgs/msg/Vector3."""
+    make: Any = schemas.STORE.types["geometry_msgs/msg/Vector3"]
+    return make(x=v[0], y=v[1], z=v[2])
+
+
+def _field(message: Any) -> _Values:
+    m, covariance = message.magnetic_field, _known(message.magnetic_field_covariance, 3)
+    return axes.body((m.x, m.y, m.z)), None if covariance is None else axes.body_covariance(covariance)
+
+
+def _field_message(reading: Reading) -> dict[str, Any]:
+    x, y, z = reading.values
+    covariance = np.zeros((3, 3)) if reading.covariance is None else axes.body_covariance(reading.covariance)
+    return {"magnetic_field": vector(axes.body((x, y, z))), "magnetic_field_covariance": covariance.ravel()}
+
+
+def _pressure(reading: Reading) -> dict[str, Any]:
+    variance = 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
+    return {"fluid_pressure": reading.values[0], "variance": variance}
+
+
+SENSORS: Final = {  # kind -> its message
+    "baro": Sensor("/baro", schemas.PRESSURE, lambda m: ((m.fluid_pressure,), np.array([[m.variance]])), _pressure),
+    "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla
+}

@@ -1,0 +1,102 @@
+"""Vehicles that rest and then move, and what the optional sensors read on board, with their faults."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from models.earth_field import field_n, year_of
+from models.frames import Origin
+from models.messages import Array, ImuSample, Input, Reading, vec3
+from models.sim.aids import Gnss, receive_gnss
+from models.sim.scenario import EPOCH_NS, Truth
+from models.sim.sensors import Imu, measure
+from models.sim.trajectory import Trajectory
+
+HOME = Origin(47.3977, 8.5456, 488.0)
+_KNOT_S, _DEGREE = 0.5, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """What GNSS and IMU say on board, in order of arrival, and the truth."""
+
+    messages: list[Input]
+    truth: Truth
+
+
+def ride(
+    rest_s: float,
+    moving_s: float,
+    *,
+    seed: int = 0,
+    yaw: float | None = None,
+    path: Callable[[Array], Array] | None = None,
+    imu: Imu | None = None,
+    gnss: Gnss | None = None,
+) -> Ride:
+    """At rest, then along `path`: t (n,) since it moves -> n, e, d, yaw less the first (n, 4); default: loops of 10 m/s."""
+    rng = np.random.default_rng(seed)
+    yaw = rng.uniform(-math.pi, math.pi) if yaw is None else yaw
+    imu = imu or Imu(grade="flight_controller", rate_hz=50.0)
+    total = rest_s + moving_s
+    knots = (np.arange(math.ceil(total / _KNOT_S) + 2 * (_DEGREE + 1)) - _DEGREE) * _KNOT_S
+    at = np.maximum(knots[: -_DEGREE - 1] + 0.5 * (_DEGREE + 1) * _KNOT_S - rest_s, 0.0)
+    points = (path or loops)(at) + np.array([0.0, 0.0, 0.0, yaw])
+    course = Trajectory(
+        BSpline(knots, points[:, :3], _DEGREE, extrapolate=False), BSpline(knots, points[:, 3], _DEGREE, extrapolate=False), total
+    )
+    t_ns = EPOCH_NS + np.arange(0, round(total * 1e9), round(1e9 / imu.rate_hz))
+    motion = course.at((t_ns - EPOCH_NS) * 1e-9)
+    record = measure(imu, motion, HOME, 1.0 / imu.rate_hz, rng)
+    samples: list[Input] = [
+        ImuSample(int(t), int(t), vec3(g), vec3(a)) for t, g, a in zip(t_ns, record.gyro_b, record.accel_b, strict=True)
+    ]
+    fixes = receive_gnss(gnss or Gnss(rate_hz=5.0), course, HOME, EPOCH_NS, rng)
+    truth = Truth(
+        t_ns, motion.p_n, motion.v_n, motion.q_nb_wxyz, motion.R_nb, motion.omega_b,
+        record.true_gyro_b, record.true_accel_b, record.gyro_bias, record.accel_bias,
+    )  # fmt: skip
+    return Ride(sorted([*samples, *fixes], key=lambda m: m.arrived_ns), truth)
+
+
+def loops(t: Array) -> Array:
+    """Loops of 20 s, 30 m across, the nose turning on its own."""
+    w = 2.0 * math.pi / 20.0
+    ramp = np.minimum(t / 5.0, 1.0) ** 2
+    return np.column_stack(
+        [30.0 * ramp * np.sin(w * t), 30.0 * ramp * (1.0 - np.cos(w * t)), -2.0 * ramp, 0.8 * ramp * np.sin(0.2 * t)]
+    )
+
+
+def magnetometer(
+    truth: Truth,
+    *,
+    seed: int = 0,
+    rate_hz: float = 10.0,
+    iron_ut: float = 1.5,
+    turned: Array | None = None,
+    bias_ut: Array | None = None,
+    stuck_after_s: float = math.inf,
+    late_s: float = 0.0,
+) -> list[Input]:
+    """The Earth's field on board: hard iron of iron_ut per axis, soft iron of 2 %, noise of 0.3 uT."""
+    rng = np.random.default_rng(seed)
+    field = np.array(field_n(HOME, round(year_of(EPOCH_NS), 1)))
+    iron = iron_ut * 1e-6 * rng.standard_normal(3) if bias_ut is None else 1e-6 * bias_ut
+    soft = np.eye(3) + 0.02 * rng.standard_normal((3, 3))
+    step = max(1, round(1e9 / rate_hz / float(truth.t_ns[1] - truth.t_ns[0])))
+    readings: list[Input] = []
+    held: Array | None = None
+    for k in range(0, len(truth.t_ns), step):
+        t = int(truth.t_ns[k])
+        m_b = soft @ truth.R_nb[k].T @ field + iron + 0.3e-6 * rng.standard_normal(3)
+        m_b = m_b if turned is None else turned @ m_b
+        if (t - EPOCH_NS) * 1e-9 > stuck_after_s:
+            m_b = m_b if held is None else held
+        held = m_b
+        stamp = t + round(late_s * 1e9)
+        readings.append(Reading(stamp, stamp, "/mag", "magnetometer", vec3(m_b)))
+    return readings
