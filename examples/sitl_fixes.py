@@ -8,6 +8,7 @@ Listens on a second MAVLink port of PX4 SITL (HIL_STATE_QUATERNION) or ArduPilot
 import argparse
 import secrets
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from models import so3
 from models.frames import Origin
 from models.messages import PoseFix, vec3
 
-TRUTHS = {"HIL_STATE_QUATERNION": 115, "SIM_STATE": 108}  # PX4, ArduPilot
+TRUTHS = {12: ("HIL_STATE_QUATERNION", 115), 3: ("SIM_STATE", 108)}  # by autopilot: PX4, ArduPilot
+SET_MESSAGE_INTERVAL, ACCEPTED, IN_PROGRESS = 511, 0, 5
 ASK_EVERY_S = 5.0
 SIGMA = np.repeat([0.3, np.deg2rad(1.0)], 3)  # m, rad: of the fixes that are made
 
@@ -44,37 +46,64 @@ def fix(message: Any, config: Config, t_ns: int, rng: np.random.Generator) -> Po
     return PoseFix(t_ns, t_ns, vec3(p_n), (q[0], q[1], q[2], q[3]), np.diag(SIGMA**2))
 
 
+class Truth:
+    """What the simulator knows: asked for once we know which one it is, again while it does not come, never after a refusal."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._link = mavutil.mavlink_connection(endpoint)
+        self._wanted: tuple[str, int] | None = None
+        self._asked_s = -ASK_EVERY_S
+
+    def next(self) -> Any:
+        """The next message with it; None: nothing yet. Raises SystemExit where the simulator refuses to send it."""
+        message = self._link.recv_match(blocking=True, timeout=0.1)
+        kind = "" if message is None else message.get_type()
+        if kind == "HEARTBEAT" and message.autopilot in TRUTHS:
+            self._wanted = TRUTHS[message.autopilot]
+        if self._wanted is None:
+            return None
+        name, number = self._wanted
+        if kind == "COMMAND_ACK" and message.command == SET_MESSAGE_INTERVAL and message.result not in {ACCEPTED, IN_PROGRESS}:
+            raise SystemExit(f"the simulator does not send {name} ({number}): MAV_RESULT {message.result}")
+        now_s = time.monotonic()
+        if kind == name:
+            self._asked_s = now_s
+            return message
+        if now_s - self._asked_s >= ASK_EVERY_S:
+            self._asked_s = now_s
+            command = SET_MESSAGE_INTERVAL
+            self._link.mav.command_long_send(self._link.target_system, 1, command, 0, number, 100_000, 0, 0, 0, 0, 0)
+        return None
+
+
 def main() -> None:
     """Send fixes until somebody presses Ctrl-C."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("-c", "--config", type=Path, required=True, help="that of landfix run; it must have [map] origin")
     parser.add_argument("--from", dest="endpoint", required=True, help="where the simulator sends, such as udpin:127.0.0.1:14030")
     parser.add_argument("--every", type=float, default=1.0, metavar="SECONDS", help="between fixes")
+    parser.add_argument("--late", type=float, default=0.0, metavar="SECONDS", help="from a fix's stamp to when it is sent")
     given = parser.parse_args()
     config, rng = load(given.config), np.random.default_rng()
     if config.map.origin is None:
         parser.error(f"{given.config}: [map] origin is missing")
-    link = mavutil.mavlink_connection(given.endpoint)
+    truth = Truth(given.endpoint)
     settings = zenoh.Config()
     settings.insert_json5("mode", '"client"')
     settings.insert_json5("connect/endpoints", f'["{config.zenoh.listen[0]}"]')
     with zenoh.open(settings) as session:
-        schema, gid, sent, asked = "geometry_msgs/msg/PoseWithCovarianceStamped", secrets.token_bytes(16), 0, -ASK_EVERY_S
+        schema, gid, sent = "geometry_msgs/msg/PoseWithCovarianceStamped", secrets.token_bytes(16), 0
         publisher = session.declare_publisher(zenoh_keys.rmw_key(config.zenoh.domain, "/pose_fix", schema, type_hash(schema)))
         print(f"fixes go to {config.zenoh.listen[0]}, one every {given.every:g} s", flush=True)
-        last = 0.0
+        last, waiting = 0.0, deque[tuple[float, bytes]]()
         while True:
-            message = link.recv_match(blocking=True, timeout=0.5)
-            now = time.monotonic()
-            if link.target_system and now - asked >= ASK_EVERY_S:
-                asked = now
-                for number in TRUTHS.values():
-                    link.mav.command_long_send(link.target_system, 1, 511, 0, number, 100_000, 0, 0, 0, 0, 0)
-            if message is None or message.get_type() not in TRUTHS or now - last < given.every:
-                continue
-            last, sent, t_ns = now, sent + 1, time.time_ns()
-            data = encode_input(fix(message, config, t_ns, rng)).data
-            publisher.put(data, attachment=zenoh_keys.attachment(sent, t_ns, gid))
+            message, now = truth.next(), time.monotonic()
+            if message is not None and now - last >= given.every:
+                last = now
+                waiting.append((now + given.late, encode_input(fix(message, config, time.time_ns(), rng)).data))
+            while waiting and waiting[0][0] <= now:
+                sent += 1
+                publisher.put(waiting.popleft()[1], attachment=zenoh_keys.attachment(sent, time.time_ns(), gid))
 
 
 if __name__ == "__main__":

@@ -52,6 +52,13 @@ class Origin:
         return self.lat_deg, self.lon_deg, self.alt_m
 
     @property
+    def axes_e(self) -> Array:
+        """C_ne (3, 3): north, east and down at the place, as rows in ECEF (Groves 2013, eq. 2.150)."""
+        lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
+        slat, clat, slon, clon = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+        return np.array([[-slat * clon, -slat * slon, clat], [-slon, clon, 0.0], [-clat * clon, -clat * slon, -slat]])
+
+    @property
     def earth_rate_n(self) -> Array:
         """Rotation rate of the Earth in n's axes, rad/s (Groves 2013, eq. 5.41)."""
         lat = math.radians(self.lat_deg)

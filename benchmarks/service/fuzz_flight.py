@@ -121,7 +121,7 @@ class _Flight:
         self.now_ns = BEGIN_NS
         self.fusion, self.decoder, self.publisher = _Watched(config.fusion()), config.decoder(), Publisher(config.output)
         clock = Clock(0, wall=lambda: self.now_ns, steady=lambda: self.now_ns)
-        handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+        handover = Handover(config.autopilot)
         self.link = MavlinkLink(config.mavlink, Path(), config.inputs, clock, handover, config.autopilot.odometry_hz, 47.5)
         self.link.close()
         self.line = _Line()

@@ -21,9 +21,13 @@ def command(
     keys: Annotated[
         bool, typer.Option("--config", help="Print a configuration with every key, its default, unit and meaning.")
     ] = False,
+    autopilot: Annotated[
+        bool,
+        typer.Option("--autopilot", help="Ask the autopilot for its parameters, and check them, while landfix does not run."),
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Check machine, configuration and log.
+    """Check machine, configuration, autopilot and log.
 
     Every finding comes with what to do about it. Exit code 1 if something fails.
 
@@ -31,6 +35,7 @@ def command(
     Examples:
       landfix doctor                              this machine
       landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
+      landfix doctor -c vehicle.toml --autopilot  and the parameters of the autopilot, over [mavlink] endpoint
       landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
       landfix doctor --config > vehicle.toml      every key of the configuration, with its default, unit and meaning
     """
@@ -39,6 +44,8 @@ def command(
             raise typer.BadParameter("--config lists all keys and takes no file; check a file with -c FILE")
         _print_keys(json)
         return
+    if autopilot and file is None:
+        raise typer.BadParameter("--autopilot needs -c FILE: [mavlink] endpoint says where it is")
     from estimator.tools.doctor import machine
 
     checks = machine.machine()
@@ -48,6 +55,10 @@ def command(
         from estimator.tools.doctor import flight as doctor_flight
 
         checks += doctor_flight.flight(config, file.parent)
+    if autopilot and file and config:
+        from estimator.tools.doctor import autopilot as doctor_autopilot
+
+        checks += doctor_autopilot.autopilot(config, file.parent)
     if log and config:
         from estimator.tools.doctor import log as doctor_log
 

@@ -280,7 +280,7 @@ def _bus(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, images
 
 
 def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
-    handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+    handover = Handover(config.autopilot)
     rate_hz = config.autopilot.odometry_hz
     return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, handover, rate_hz, config.geoid_m)
 
@@ -290,7 +290,7 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) ->
         return None
     from estimator.service.mavlink.link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
 
-    handover = Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+    handover = Handover(config.autopilot)
     link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, config.autopilot.odometry_hz, config.geoid_m)
     stack.callback(link.close)
     return link

@@ -17,7 +17,7 @@ from logs.wire.codec import Decoder
 from models import so3
 from models.frames import Origin
 from models.messages import PoseFix
-from tests.estimator.service.autopilots import UdpAutopilot
+from tests.estimator.service.autopilots import ARDUPILOT, UdpAutopilot
 from tests.estimator.service.flying import free_port, until
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -69,10 +69,11 @@ def test_fixes_arrive_over_zenoh(tmp_path: Path) -> None:
             def flies() -> bool:
                 assert script.poll() is None
                 simulator.heartbeat()
-                simulator.say(_px4(47.397742, 8.545594, 518.0))
                 simulator.listen(0.05)
-                asked = [m for m in simulator.heard if m.get_type() == "COMMAND_LONG" and m.command == 511]
-                return len(heard) >= 3 and {m.param1 for m in asked} == {108.0, 115.0}
+                asked = {m.param1 for m in simulator.heard if m.get_type() == "COMMAND_LONG" and m.command == 511}
+                if asked:
+                    simulator.say(_px4(47.397742, 8.545594, 518.0))
+                return len(heard) >= 3 and asked == {115.0}
 
             until(flies, "three fixes, and that the simulator is asked for its truth")
         finally:
@@ -83,3 +84,29 @@ def test_fixes_arrive_over_zenoh(tmp_path: Path) -> None:
     fix = Decoder().decode("/pose_fix", SCHEMA, heard[-1], 0)
     assert isinstance(fix, PoseFix)
     assert np.linalg.norm(np.array(fix.p_n) - (0.0, 0.0, -30.0)) < 3.0  # ten standard deviations
+
+
+def test_a_simulator_that_refuses_is_not_asked_again(tmp_path: Path) -> None:
+    """ArduPilot says "No ap_message for mavlink id (115)" each time."""
+    port, mavlink_port = free_port(), free_port()
+    text = (EXAMPLES / "ardupilot_sitl.toml").read_text().replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{port}")
+    (tmp_path / "sitl.toml").write_text(text)
+    settings = zenoh.Config()
+    settings.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    options = ["-c", str(tmp_path / "sitl.toml"), "--from", f"udpin:127.0.0.1:{mavlink_port}"]
+    environment = os.environ | {"PYTHONPATH": str(EXAMPLES.parent)}
+    with zenoh.open(settings):
+        simulator = UdpAutopilot(ARDUPILOT, to=mavlink_port)
+        script = subprocess.Popen([sys.executable, str(SCRIPT), *options], env=environment, stderr=subprocess.PIPE, text=True)
+
+        def asked() -> list[Any]:
+            return [m for m in simulator.heard if m.get_type() == "COMMAND_LONG" and m.command == 511]
+
+        simulator.until(asked, "it is asked")
+        simulator.say(mavlink.MAVLink_command_ack_message(511, mavlink.MAV_RESULT_DENIED))
+        _, complaint = script.communicate(timeout=60.0)
+        simulator.listen(0.1)
+        assert [m.param1 for m in asked()] == [108.0]
+        assert script.returncode == 1
+        assert "does not send SIM_STATE (108)" in complaint
+        simulator.close()

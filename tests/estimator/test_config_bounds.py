@@ -157,7 +157,7 @@ def test_every_number_flies_at_its_extremes(number: tuple[str, int, int, mi.Floa
         if key.partition(".")[0] not in _NOT_OF_THE_ESTIMATOR:
             _fly(config)
         Stamps(Clock(), config.clock)
-        Handover(config.autopilot, config.estimator.dead_reckoning_after_s)
+        Handover(config.autopilot)
         assert len(list(Inputs(config.mavlink, config.inputs, config.geoid_m).requests(T0, None))) > 0
         session_config(config.zenoh, tmp_path, [], [])
 

@@ -1,13 +1,15 @@
 """What an autopilot is sent, and when: "odometry" all the time, a "fix" only when something new to it entered.
 
-The autopilot has an IMU and, often, the GNSS receiver that we listen to as well. Sent an estimate that rests on these alone, it
-would count them twice. So a fix goes out only when a landmark or another fix from outside was fused while its own GNSS was not,
-and the quality of the odometry says what it rests on:
+The autopilot has an IMU and, often, the GNSS receiver that we listen to as well. A fix that rests on these alone would be counted
+twice, so a fix goes out only when a landmark or another fix from outside was fused while its own GNSS was not. The quality of the
+odometry is its accuracy, with r the 95 % radius of the horizontal position and r_max = most_radius_m:
 
-    100         a fix from outside was fused within dead_reckoning_after_s
-    99 ... 1    dead reckoning since then: 100 * 2^(-age / 10 s)
-      0         nothing but the autopilot's own GNSS and IMU
-     -1         no IMU, or not aligned: do not use
+    100 ... 1   100 (1 - r / r_max): an autopilot may switch to it at any time, and VISO_QUAL_MIN or EKF2_EV_QMIN is a radius
+      0         nothing but the autopilot's own GNSS and IMU, where own_gnss_quality says that this is not for it
+     -1         r >= r_max, no IMU, or not aligned: do not use. Both autopilots refuse it with their default parameters
+
+The reset counter counts every step of what was sent, not the estimator's resets alone: after a long dead reckoning the first fix
+is an ordinary update to the estimator, and metres to an autopilot that followed it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,10 +19,13 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from models.messages import AidStatus, Estimate, Mode, Output, Reason
-from models.state import X
+from models.messages import AidStatus, Estimate, Mode, Output, Reason, Vec3
+from models.radius import horizontal_radius
+from models.state import E, X
 
-_HALVING_S: Final = 10.0
+_BYTE: Final = 256
+_STEP_M, _STEP_SIGMAS = 1.0, 3.0  # a step is larger than both
+_GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be told from the way flown
 _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
 _SECOND_NS: Final = 1_000_000_000
@@ -32,6 +37,17 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[autopilot]: its own sensors, and the output that it is sent."""
 
     own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
+    own_gnss_quality: Annotated[
+        Literal["auto", "radius", "zero"],
+        Meta(
+            description="quality of odometry that rests on its own GNSS; zero: PX4, which fuses both at once; "
+            "radius: ArduPilot, which takes one source at a time; auto: by autopilot"
+        ),
+    ] = "auto"
+    most_radius_m: Annotated[
+        float,
+        Meta(ge=0.1, le=1e6, description="m: 95 % radius r from which on odometry has quality -1; below 100 (1 - r / this)"),
+    ] = 15.0
     gnss_quiet_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: its own GNSS must not have been fused for so long before a fix goes out")
     ] = 5.0
@@ -53,13 +69,14 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Handover:
-    """Listens to everything the estimator says; answers for the estimate at hand."""
+    """Notes what the estimator puts out; answers for the estimate at hand. One for each link: it knows what was sent last."""
 
-    def __init__(self, config: AutopilotConfig, fixed_for_s: float) -> None:
-        """fixed_for_s: [estimator] dead_reckoning_after_s."""
-        self._own_gnss, self._fixed_for_s = config.own_gnss, fixed_for_s
+    def __init__(self, config: AutopilotConfig) -> None:
+        self._config = config
         self._quiet_ns = round(config.gnss_quiet_s * _SECOND_NS)
         self._gnss_ns = self._outside_ns = _NEVER
+        self._steps = 0
+        self._last: tuple[Estimate, Vec3, bool] | None = None
 
     def note(self, outputs: Iterable[Output]) -> bool:
         """Take notice; whether a fix from outside is among what was just fused."""
@@ -67,7 +84,7 @@ class Handover:
         for output in outputs:
             if not isinstance(output, AidStatus) or output.reason is not Reason.FUSED:
                 continue
-            if output.kind in _GNSS_KINDS and self._own_gnss:
+            if output.kind in _GNSS_KINDS and self._config.own_gnss:
                 self._gnss_ns = max(self._gnss_ns, output.t_ns)
             elif output.kind in {"pose", "gnss_position"}:
                 self._outside_ns = max(self._outside_ns, output.t_ns)
@@ -78,14 +95,45 @@ class Handover:
         """Whether the estimate, into which a fix has just entered, may be sent as one."""
         return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns
 
-    def quality(self, estimate: Estimate) -> int:
-        """-1 to 100, as above."""
+    def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> int:
+        """-1 to 100, as above; one_source_at_a_time: of the autopilot, for own_gnss_quality = "auto"."""
         if estimate.mode not in {Mode.AIDED, Mode.DEAD_RECKONING}:
             return -1
-        if self._outside_ns == _NEVER or estimate.t_ns - self._gnss_ns <= self._quiet_ns or self._gnss_ns > self._outside_ns:
+        share = float(horizontal_radius(estimate.covariance[None, :2, :2])[0]) / self._config.most_radius_m
+        if not share < 1.0:
+            return -1
+        rests_on_its_own = (
+            self._outside_ns == _NEVER or estimate.t_ns - self._gnss_ns <= self._quiet_ns or self._gnss_ns > self._outside_ns
+        )
+        policy = self._config.own_gnss_quality
+        if rests_on_its_own and (policy == "zero" or (policy == "auto" and not one_source_at_a_time)):
             return 0
-        age_s = (estimate.t_ns - self._outside_ns) / _SECOND_NS
-        return 100 if age_s <= self._fixed_for_s else max(1, min(99, round(100 * 2 ** (-age_s / _HALVING_S))))
+        return max(1, round(100.0 * (1.0 - share)))
+
+    def reset_counter(self, estimate: Estimate, p_n: Vec3, quality: int) -> int:
+        """0 to 255, for an estimate that is sent now at p_n, m, in the autopilot's frame.
+
+        It has counted on when p_n is not where the last one has gone since, |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), the
+        estimator was reset, or what was not to be used is of use again: the autopilot followed something else meanwhile.
+        """
+        usable, last = quality >= 0, self._last
+        self._last = estimate, p_n, usable
+        if last is not None:
+            before, p_before, was_usable = last
+            step = _has_stepped(before, p_before, estimate, p_n)
+            again = usable and not was_usable
+            self._steps += (step or again) and before.reset_counter == estimate.reset_counter
+        return (estimate.reset_counter + self._steps) % _BYTE
+
+
+def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> bool:
+    """Horizontally: heights come from a barometer in most set-ups, and an origin's height may drift."""
+    dt_ns = now.t_ns - before.t_ns
+    if not 0 < dt_ns <= _GAP_NS:
+        return False
+    way = 0.5 * (before.nav[X.V] + now.nav[X.V]) * (dt_ns / _SECOND_NS)
+    off = np.hypot(*(np.subtract(p_n, p_before) - way)[:2])
+    return bool(off > max(_STEP_M, _STEP_SIGMAS * np.sqrt(np.linalg.eigvalsh(now.covariance[E.P, E.P][:2, :2])[-1])))
 
 
 def newest(outputs: Sequence[Output]) -> Estimate | None:

@@ -101,13 +101,12 @@ def type_hash(schema: str) -> str:
     return store.hash_rihs01(schema)
 
 
-def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, quality: int) -> bytes | None:
+def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, counter: int, quality: int) -> bytes | None:
     """The estimate in NED; attitude variances about the body's axes, as ours are. None, here and below: a number does not fit."""
     q = so3.normalise(e.nav[X.Q])
     v = np.diag(e.covariance)
     numbers = vec3(e.nav[X.P]), tuple(q.tolist()), vec3(e.nav[X.V]), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
     p, q_nb, velocity, gyro, var_p, var_theta, var_v = numbers
-    counter = e.reset_counter % _BYTE
     return _packed(
         _ODOMETRY, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality
     )

@@ -4,7 +4,8 @@ PX4 and ArduPilot read ODOMETRY differently:
 
     PX4        LOCAL_NED, BODY_FRD; covariances are covariances
     ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
-               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma
+               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma;
+               position and attitude in its own frame (ardupilot_frame.py)
 """
 
 import math
@@ -33,13 +34,14 @@ _HPA_PA: Final = 100.0
 _UNKNOWN: Final = 65535
 _SPEED_SIGMA_M_S: Final = 0.5  # where the receiver reports none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
-_BYTE: Final = 256
 _FIX_3D: Final = 3
 _GPS_EPOCH_NS: Final = 315_964_800_000_000_000  # 1980-01-06
 _LEAP_NS: Final = 18_000_000_000  # GPS time is ahead of UTC by this much, since 2017
 _WEEK_MS: Final = 604_800_000
 _DATES_NS: Final = (1_483_228_800_000_000_000, 4_102_444_800_000_000_000)  # 2017 to 2100: whoever is outside has no date
 _TURN: Final = 2.0 * math.pi
+_SAME_HEIGHT_MM: Final = 10  # two heights closer than this are one: ArduPilot counts in cm
+_NOT_USABLE: Final = np.repeat([100.0, 1.5], 3)  # m, rad: ArduPilot's largest sigmas
 _POSE: Final = np.r_[0:3, 6:9]  # position and attitude in the error state
 _UPPER: Final = np.triu_indices(6)
 _DIAGONAL: Final = np.flatnonzero(_UPPER[0] == _UPPER[1])  # of the 21 numbers of a 6x6 upper triangle
@@ -53,6 +55,7 @@ _IGNORED: Final = (
 _NOT_COUNTED: Final = 255  # satellites: there are none
 
 Stamp = Callable[[int], int | None]  # ns since boot -> ns on our clock
+Pose = tuple[Vec3, Array]  # position, m, and attitude (w, x, y, z)
 
 
 class Place(NamedTuple):
@@ -98,8 +101,12 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:
-    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where there is none above the ellipsoid."""
-    height_m = 1e-3 * message.alt_ellipsoid if message.alt_ellipsoid else 1e-3 * message.alt + geoid_m
+    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where there is none above the ellipsoid.
+
+    alt_ellipsoid of 0 is none; so is one that is alt: the receiver, such as that of ArduPilot's simulator, has no geoid.
+    """
+    has_ellipsoid = message.alt_ellipsoid and abs(message.alt_ellipsoid - message.alt) > _SAME_HEIGHT_MM
+    height_m = 1e-3 * message.alt_ellipsoid if has_ellipsoid else 1e-3 * message.alt + geoid_m
     status = int(navsat_status(np.array(message.fix_type)))
     return GnssFix(t_ns, t_ns, 1e-7 * message.lat, 1e-7 * message.lon, height_m, _position_covariance(message), status, topic)
 
@@ -114,29 +121,33 @@ def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
     return GnssVelocity(t_ns, t_ns, v_n, np.diag([variance, variance, _NO_VERTICAL_VARIANCE]), topic)
 
 
-def odometry(e: Estimate, time_usec: int, quality: int, autopilot: int) -> Any:
-    """ODOMETRY in the convention of the autopilot: velocity in the body's axes, attitude variances about them."""
-    q_nb = so3.normalise(e.nav[X.Q])
-    R_bn = so3.matrix(q_nb).T
-    pose = e.covariance[np.ix_(_POSE, _POSE)][_UPPER]
+def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int, autopilot: int) -> Any:
+    """ODOMETRY in the convention of the autopilot: velocity in the body's axes, attitude variances about them.
+
+    pose: position, m, and q_nb in its frame. With quality -1 ArduPilot is sent its largest sigmas: VISO_QUAL_MIN -1 takes all.
+    """
+    R_bn = so3.matrix(so3.normalise(e.nav[X.Q])).T
+    p_n, q_nb = pose
+    covariance = e.covariance[np.ix_(_POSE, _POSE)][_UPPER]
     frame = mavlink.MAV_FRAME_LOCAL_NED
     if autopilot == ARDUPILOT:
-        frame, variances = mavlink.MAV_FRAME_LOCAL_FRD, pose[_DIAGONAL]
-        pose = np.zeros(len(pose))
-        pose[_DIAGONAL] = np.sqrt(variances**1.5 / 3.0)
+        frame, sigmas = mavlink.MAV_FRAME_LOCAL_FRD, np.sqrt(covariance[_DIAGONAL])
+        sigmas = np.maximum(sigmas, _NOT_USABLE) if quality < 0 else sigmas
+        covariance = np.zeros(len(covariance))
+        covariance[_DIAGONAL] = np.sqrt(sigmas**3 / 3.0)
     velocity = np.zeros((6, 6))
     velocity[:3, :3] = R_bn @ e.covariance[E.V, E.V] @ R_bn.T
     return mavlink.MAVLink_odometry_message(
         time_usec,
         frame,
         mavlink.MAV_FRAME_BODY_FRD,
-        *vec3(e.nav[X.P]),
+        *p_n,
         q_nb.tolist(),
         *vec3(R_bn @ e.nav[X.V]),
         *e.gyro_b,
-        pose.tolist(),
+        covariance.tolist(),
         velocity[_UPPER].tolist(),
-        reset_counter=e.reset_counter % _BYTE,
+        reset_counter=counter,
         estimator_type=mavlink.MAV_ESTIMATOR_TYPE_VISION,
         quality=quality,
     )

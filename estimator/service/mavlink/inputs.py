@@ -19,6 +19,8 @@ _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
 _SYSTEM_TIME_HZ: Final = 1.0
 _ATTITUDE_HZ: Final = 2.0
+_ORIGIN_HZ: Final = 1.0
+_ORIGIN: Final[int] = mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
 _ATTITUDE: Final[int] = mavlink.MAVLINK_MSG_ID_ATTITUDE
 _IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
 _RAW: Final[int] = mavlink.MAVLINK_MSG_ID_RAW_IMU
@@ -36,6 +38,7 @@ class Inputs:
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
+        self._needs_origin = config.odometry  # ArduPilot's: ODOMETRY counts from there
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
         kinds = {kind for sensors in codec.SENSORS.values() for kind in sensors if getattr(config, kind)}
         self._sensor_topics = {kind: named[0] for kind in sorted(kinds) if (named := getattr(topics, kind))}
@@ -107,6 +110,8 @@ class Inputs:
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
         """What is wanted, and how often."""
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
+        if self._needs_origin and autopilot == codec.ARDUPILOT:
+            wanted[_ORIGIN] = round(_MICRO / _ORIGIN_HZ)
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
         if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)

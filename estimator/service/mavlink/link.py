@@ -16,13 +16,15 @@ from estimator.service.autopilot.output_policy import Handover, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
 from estimator.service.mavlink import codec
+from estimator.service.mavlink.ardupilot_frame import Ekf3Origin
 from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
 from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Encoded, Topics
+from models import so3
 from models.frames import Origin
-from models.messages import Estimate, Output
+from models.messages import Estimate, Output, vec3
 from models.state import X
 
 _HEARTBEAT_NS: Final = SECOND_NS
@@ -39,6 +41,7 @@ _OF_THE_LINK: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     }
 )
 
@@ -64,7 +67,8 @@ class MavlinkLink:
             Wire(config.system, config.component, heard, wanted, key, clock.now_ns()) for _ in ("what it parses", "what it packs")
         )
         self._pace, self._fix_waits = Pace(odometry_hz), False
-        self._boot = AutopilotClock()
+        self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
+        self._map_origin: tuple[float, float, float] | None = None
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -83,7 +87,7 @@ class MavlinkLink:
         self._thread.start()
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
-        """Tell the autopilot what it may know."""
+        """Send the autopilot what is for it."""
         self._fix_waits |= self._handover.note(outputs)
         estimate = newest(outputs)
         autopilot = self._autopilot
@@ -99,8 +103,7 @@ class MavlinkLink:
             return
         time_usec = estimate.t_ns // _US_NS
         if self._config.odometry and self._pace.due(estimate.t_ns):
-            quality = self._handover.quality(estimate)
-            self.sent_odometry += self._tell(codec.odometry(estimate, time_usec, quality, autopilot))
+            self.sent_odometry += self._tell(self._odometry(estimate, time_usec, autopilot))
         if self._fix_waits:
             self._fix_waits = False
             self._tell_fix(estimate, time_usec)
@@ -127,6 +130,7 @@ class MavlinkLink:
             "reboots": self._boot.reboots,
             "wild_stamps": self._boot.wild,
             **self._inputs.report(),
+            **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
             "odometry": self.sent_odometry,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
@@ -142,6 +146,17 @@ class MavlinkLink:
             "defects": self.defects,
             **({"defect": self._defect} if self._defect else {}),
         }
+
+    def _odometry(self, estimate: Estimate, time_usec: int, autopilot: int) -> Any:
+        """In the frame of the autopilot; not to be used while that is not known."""
+        is_ardupilot = autopilot == codec.ARDUPILOT
+        self._map_origin = estimate.origin
+        ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
+        pose = self._ekf3.pose(estimate, self._geoid_m) if is_ardupilot else ours
+        quality = self._handover.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
+        pose = pose or ours
+        counter = self._handover.reset_counter(estimate, pose[0], quality)
+        return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
     def _tell_fix(self, estimate: Estimate, time_usec: int) -> None:
         origin = Origin.of(estimate.origin)
@@ -209,6 +224,8 @@ class MavlinkLink:
             self._hear_timesync(message, now_ns)
         elif kind == "SYSTEM_TIME":
             self._hear_system_time(message, now_ns)
+        elif kind == "GPS_GLOBAL_ORIGIN":
+            self._ekf3.hear(message)
         elif kind == "COMMAND_ACK":
             asked = message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
             self.commands_refused += asked and message.result not in _IN_PROGRESS
@@ -216,16 +233,21 @@ class MavlinkLink:
             before = self._boot.reboots
             t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)
             if self._boot.reboots != before:
-                self._inputs.ask_again()
+                self._ask_again()
             if t_ns is not None:
                 for measurement in self._inputs.measured(message, t_ns, now_ns, self._autopilot):
                     inbox.put(measurement)
+
+    def _ask_again(self) -> None:
+        """The autopilot may be another one, or have begun again."""
+        self._inputs.ask_again()
+        self._ekf3.forget()
 
     def _hear_heartbeat(self, message: Any, now_ns: int) -> None:
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return
         if now_ns - self._heartbeat_ns > _GONE_NS:
-            self._inputs.ask_again()
+            self._ask_again()
         self._heartbeat_ns = now_ns
         if self._config.autopilot == "auto":
             self._autopilot = message.autopilot
@@ -240,7 +262,7 @@ class MavlinkLink:
         before = self._boot.reboots
         self._boot.hear(codec.stamp_ns(message), now_ns)
         if self._boot.reboots != before:
-            self._inputs.ask_again()
+            self._ask_again()
         unix_ns = message.time_unix_usec * _US_NS
         dated = codec.is_date(unix_ns)
         self.impossible_dates += unix_ns > 0 and not dated

@@ -14,6 +14,8 @@ _TICK_NS: Final = 10_000
 _SIGNATURE: Final = 6  # bytes at the end of a signed frame
 _KEPT: Final = 4096  # bytes already parsed that are kept at most
 _V1: Final = 0xFE
+_STARTS: Final = frozenset({_V1, 0xFD})
+_NO_FRAME: Final = frozenset({"Bad prefix", "Invalid signature"})  # skipped already; a whole frame, of somebody else
 _HEADER_V1, _HEADER_V2 = 6, 10
 
 
@@ -42,7 +44,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
     def messages(self, data: bytes, *, whole: bool) -> Iterator[Any]:
         """The wanted messages in what has come. whole: frames do not go on in the next data."""
         try:
-            found = self.parse_buffer(data) or []
+            found = list(self._found(data))
         except Exception:  # IndexError, MAVError ... of the parser itself: what has come is counted as damaged
             self.damaged += 1
             self._forget()
@@ -64,6 +66,22 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             else:
                 yield message
 
+    def _found(self, data: bytes) -> Iterator[Any]:
+        """Frames, and what is none: after a false start the search goes on at the next byte, for true frames may be in it."""
+        message = self.parse_char(data)
+        while message is not None:
+            if self._is_false_start(message):
+                self.buf, self.buf_index = bytearray(message.data[1:]) + self.buf[self.buf_index :], 0
+                message = mavlink.MAVLink_bad_data(message.data[:1], "false start")
+            yield message
+            message = self.parse_char(b"")
+
+    def _is_false_start(self, message: Any) -> bool:
+        """A frame with a wrong checksum; one that is passed over unchecked, and that neither a frame nor the end follows."""
+        if isinstance(message, mavlink.MAVLink_bad_data):
+            return message.reason not in _NO_FRAME
+        return isinstance(message, mavlink.MAVLink_unknown) and self.buf_len() > 0 and self.buf[self.buf_index] not in _STARTS
+
     def packed(self, message: Any) -> bytes | None:
         """The frame to send; None: a number does not fit its field, or is none."""
         try:
@@ -84,7 +102,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         else:
             raise mavlink.MAVError("short frame")
         if system != self._system or component not in self._listen_to or number not in self._wanted:
-            return mavlink.MAVLink_unknown(number, b"")
+            return mavlink.MAVLink_unknown(number, frame)
         try:
             return super().decode(frame)
         except mavlink.MAVError:

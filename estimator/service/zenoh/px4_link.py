@@ -18,7 +18,7 @@ from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.zenoh.keys import rmw_key
 from logs.wire.codec import Encoded
 from models.frames import Origin
-from models.messages import Estimate, Output
+from models.messages import Estimate, Output, vec3
 from models.state import X
 
 _TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
@@ -55,7 +55,7 @@ class Px4Link:
         self._subscriber = session.declare_subscriber(f"{domain}/fmu/out/**", self._hear)
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
-        """Tell PX4 what it may know."""
+        """Send PX4 what is for it."""
         self._fix_waits |= self._handover.note(outputs)
         estimate = newest(outputs)
         if estimate is None:
@@ -70,8 +70,9 @@ class Px4Link:
             return
         try:
             if self._config.odometry and self._pace.due(estimate.t_ns):
-                quality = self._handover.quality(estimate)
-                data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, quality)
+                quality = self._handover.quality(estimate, one_source_at_a_time=False)
+                counter = self._handover.reset_counter(estimate, vec3(estimate.nav[X.P]), quality)
+                data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, counter, quality)
                 self.sent_odometry += self._put(self._odometry, data)
             if self._fix_waits:
                 self._fix_waits = False

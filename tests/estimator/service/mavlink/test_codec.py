@@ -13,7 +13,7 @@ from estimator.service.mavlink.inputs import Inputs
 from logs.wire.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, Mode, Reading
+from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, Mode, Reading, vec3
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -32,6 +32,10 @@ def _estimate() -> Estimate:
     return Estimate(T0, T0, nav, root @ root.T, (0.1, 0.2, 0.3), Mode.AIDED, 258, T0)
 
 
+def _pose(e: Estimate) -> codec.Pose:
+    return vec3(e.nav[X.P]), np.array(e.nav[X.Q])
+
+
 def _full(upper: list[float]) -> Array:
     full = np.zeros((6, 6))
     full[np.triu_indices(6)] = upper
@@ -40,7 +44,7 @@ def _full(upper: list[float]) -> Array:
 
 def test_odometry_for_px4_is_ned_with_velocity_in_the_body() -> None:
     e = _estimate()
-    read = _over_the_wire(codec.odometry(e, 123_456, 87, codec.PX4))
+    read = _over_the_wire(codec.odometry(e, _pose(e), 123_456, 2, 87, codec.PX4))
     assert (read.time_usec, read.frame_id, read.child_frame_id, read.estimator_type) == (123_456, 1, 12, 2)
     assert (read.reset_counter, read.quality) == (2, 87)
     R_nb = so3.matrix(np.array(e.nav[X.Q]))
@@ -61,12 +65,20 @@ def test_ardupilot_makes_our_sigma_of_what_it_is_reported(sigma: float) -> None:
     e = _estimate()
     covariance = np.diag(np.repeat([sigma**2, 1.0, (0.1 * sigma) ** 2, 1.0, 1.0], 3))
     e = Estimate(T0, T0, e.nav, covariance, e.gyro_b, Mode.AIDED, 1, T0)
-    read = _over_the_wire(codec.odometry(e, 1, -1, codec.ARDUPILOT))
-    assert (read.frame_id, read.child_frame_id, read.quality) == (20, 12, -1)
+    read = _over_the_wire(codec.odometry(e, _pose(e), 1, 7, 50, codec.ARDUPILOT))
+    assert (read.frame_id, read.child_frame_id, read.quality, read.reset_counter) == (20, 12, 50, 7)
     np.testing.assert_allclose([read.x, read.y, read.z], e.nav[X.P], rtol=1e-6)
     c = read.pose_covariance
     assert math.cbrt(c[0] ** 2 + c[6] ** 2 + c[11] ** 2) == pytest.approx(sigma, rel=1e-5)
     assert math.cbrt(c[15] ** 2 + c[18] ** 2 + c[20] ** 2) == pytest.approx(0.1 * sigma, rel=1e-5)
+
+
+def test_what_is_not_to_be_used_has_ardupilots_largest_sigmas() -> None:
+    """VISO_QUAL_MIN -1 takes all."""
+    e = _estimate()
+    c = _over_the_wire(codec.odometry(e, _pose(e), 1, 7, -1, codec.ARDUPILOT)).pose_covariance
+    assert math.cbrt(c[0] ** 2 + c[6] ** 2 + c[11] ** 2) == pytest.approx(100.0, rel=1e-5)
+    assert math.cbrt(c[15] ** 2 + c[18] ** 2 + c[20] ** 2) >= 1.5
 
 
 def test_fixes_are_read_as_they_were_meant() -> None:
@@ -185,6 +197,14 @@ def test_a_receiver_that_knows_only_its_geometry_and_the_sea() -> None:
     assert fix.covariance_n is not None
     assert np.trace(fix.covariance_n[:2, :2]) == pytest.approx((1.2 * 3.0) ** 2)  # HDOP, not metres
     assert 3.0 < math.sqrt(fix.covariance_n[2, 2]) < 9.0
+
+
+@pytest.mark.parametrize(
+    ("ellipsoid_mm", "height_m"), [(0, 535.5), (488_000, 535.5), (488_010, 535.5), (535_500, 535.5), (487_000, 487.0)]
+)
+def test_a_height_above_the_ellipsoid_that_is_that_above_the_sea_is_none(ellipsoid_mm: int, height_m: float) -> None:
+    """ArduPilot's simulator: its receiver has no geoid, and says 488 m for both."""
+    assert codec.gnss_fix(_gps(alt_ellipsoid=ellipsoid_mm), T0, 47.5, "/gnss").alt_m == pytest.approx(height_m)
 
 
 @pytest.mark.parametrize(("fix_type", "status"), [(0, -1), (2, -1), (3, 0), (4, 1), (6, 2)])

@@ -12,7 +12,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from benchmarks.service.vehicle import ORIGIN, RADIUS_M
 from estimator.config import parse
 from estimator.service.autopilot import px4_messages as px4
-from estimator.service.autopilot.output_policy import AutopilotConfig, Handover
 from estimator.service.zenoh.keys import attachment
 from models import so3
 from models.messages import AidStatus, Estimate, Mode, Reason
@@ -50,7 +49,7 @@ def test_definitions_have_the_hashes_that_px4_has_in_its_keys(schema: str) -> No
 
 def test_vehicle_odometry_is_read_as_it_was_meant() -> None:
     e = _estimate()
-    data = px4.vehicle_odometry(e, 5_000_000, 4_990_000, 87)
+    data = px4.vehicle_odometry(e, 5_000_000, 4_990_000, 2, 87)
     assert data is not None
     assert len(data) == 118
     read: Any = STORE.deserialize_cdr(data, px4.VEHICLE_ODOMETRY)
@@ -84,33 +83,6 @@ def test_both_kinds_of_fixes_are_read_as_they_were_meant() -> None:
 
 def _fused(kind: str, t_ns: int, reason: Reason = Reason.FUSED) -> AidStatus:
     return AidStatus(t_ns, t_ns, f"/{kind}", kind, reason)
-
-
-def test_nothing_is_a_fix_and_the_quality_is_0_while_it_rests_on_the_autopilots_own_gnss() -> None:
-    handover = Handover(AutopilotConfig(), 3.0)
-    assert handover.quality(_estimate()) == 0
-    assert not handover.note([_fused("gnss_position", T0), _fused("pose", T0, Reason.GATED)])
-    assert handover.note([_fused("pose", T0 + SECOND)])
-    early, late = _estimate(T0 + 2 * SECOND), _estimate(T0 + 6 * SECOND)
-    assert (handover.is_fix(early), handover.quality(early)) == (False, 0)
-    assert handover.note([_fused("pose", T0 + 6 * SECOND)])
-    assert (handover.is_fix(late), handover.quality(late)) == (True, 100)
-    assert not handover.note([_fused("gnss_velocity", T0 + 7 * SECOND)])
-    assert handover.quality(_estimate(T0 + 20 * SECOND)) == 0  # nothing from outside since
-
-
-def test_a_second_receiver_is_news_to_the_autopilot() -> None:
-    handover = Handover(AutopilotConfig(own_gnss=False), 3.0)
-    assert handover.note([_fused("gnss_position", T0)])
-    assert (handover.is_fix(_estimate()), handover.quality(_estimate())) == (True, 100)
-
-
-@pytest.mark.parametrize(("age_s", "quality"), [(0, 100), (3, 100), (3.1, 81), (10, 50), (20, 25), (100, 1), (3600, 1)])
-def test_the_quality_of_dead_reckoning_falls_with_its_age(age_s: float, quality: int) -> None:
-    handover = Handover(AutopilotConfig(), 3.0)
-    handover.note([_fused("pose", T0)])
-    assert handover.quality(_estimate(T0 + round(age_s * SECOND), Mode.DEAD_RECKONING)) == quality
-    assert handover.quality(_estimate(T0 + round(age_s * SECOND), Mode.COASTING)) == -1
 
 
 class _Px4:
@@ -173,7 +145,7 @@ def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: 
     odometry = [m for schema, m, _ in without if schema == px4.VEHICLE_ODOMETRY and m.quality >= 0]
     fixes = [m for schema, m, _ in without if schema == wanted]
     assert 50 <= len(odometry) <= 110
-    assert max(m.quality for m in odometry) == 100
+    assert max(m.quality for m in odometry) > 80
     assert 5 <= len(fixes) <= 15
     for group in (without, rebooted):
         ages_us = [heard_us - m.timestamp_sample for _, m, heard_us in group]
