@@ -26,6 +26,7 @@ from models.messages import Array
 _ITERATIONS: Final = 20
 _CONVERGED: Final = 0.03  # of the step's own standard deviation
 _CAUCHY: Final = 2.5  # sigma, of three values
+_ABOVE: Final = 0.5  # the same of the plane, for points above it
 _MEDIAN_CHI2: Final = 2.366  # of three values
 _NOTHING_PX2: Final = 1e8  # variance of what was not measured
 _LEAST_DISPARITY_PX: Final = 0.05  # that a point may have
@@ -242,12 +243,15 @@ def _linearised(
 def _with_plane(
     geometry: Geometry, y: Array, pi: Array, plane: Plane, rows: tuple[Array, Array, Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y) behind."""
+    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y) behind.
+
+    Robust, and not the same on both sides: roofs and crowns stand above the ground, and most corners are on them.
+    """
     e, C, G, noise = rows
     d, D_pi = geometry.plane_disparity(y, pi)
     off = d - geometry.disparity(y)
     sigma = d * d * plane.roughness_m / (geometry.f * geometry.b)
-    variance = sigma**2 + (off / _CAUCHY) ** 2  # Cauchy: what stands high above the plane says little about it
+    variance = sigma**2 + (off / np.where(off < 0.0, _ABOVE, _CAUCHY)) ** 2
     row = np.array([1.0 - geometry.b * pi[0], -geometry.b * pi[1], -1.0])
     wide = np.zeros((len(y), 4, 10))
     wide[:, :3, :7] = C

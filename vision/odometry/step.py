@@ -23,13 +23,14 @@ from vision.odometry.tracks import coarse_columns, stereo, temporal
 from vision.records.pictures import usable
 
 _MEAN, _SPREAD, _MOST_GAIN = 128.0, 45.0, 10.0  # grey levels of a normalised image
+_EVERY: Final = 4  # px: of these alone mean and spread are computed
 _BORDER_PX: Final = 12  # corners stay so far from the border of what the camera has seen
 _MOST_DISPARITY: Final = 0.2  # of the image's width
 _PLANE_FACTOR: Final = 1.6  # points are no nearer and no further than this, in units of the plane's distance
 _SIGMA_PX: Final = 0.25  # of a track, in each coordinate
 _INLIER: Final = 16.27  # chi-square of 3, 99.9 %
 _LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.4
-_MOST_SCALE: Final = 5.0  # residuals in units of _SIGMA_PX
+_MOST_SCALE: Final = 2.0  # residuals in units of _SIGMA_PX
 _SECOND_POINTS, _SECOND_SHARE, _SECOND_AGREE = 10, 0.12, 0.6  # another motion: points, of all, and of those that do not fit
 _NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
 _INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
@@ -44,7 +45,7 @@ class OdometrySettings:
 
     points: int = 140
     relief_m: float = 1.5
-    roughness_m: float = 1.5
+    roughness_m: float = 0.7
     slope_deg: float = 3.0
     disparity_sigma_px: float = 0.1
 
@@ -135,7 +136,7 @@ class StereoOdometry:
         tracks = self._tracks(first, second, px.astype(np.float64), prediction, plane)
         if len(tracks.y0) < _LEAST_POINTS:
             return Step(f"too few tracks: {len(tracks.y0)} of {len(px)} corners", points=len(tracks.y0), tracks=tracks)
-        return self._solved(tracks, prediction, plane)
+        return self.motion_of(tracks, prediction)
 
     def _plane(self, prediction: Prediction) -> Plane | None:
         """The ground as the first camera sees it."""
@@ -191,8 +192,9 @@ class StereoOdometry:
         H: Array = K @ (g.R_bc.T @ motion.R @ g.R_bc) @ np.linalg.inv(K)
         return H
 
-    def _solved(self, tracks: Tracks, prediction: Prediction, plane: Plane | None) -> Step:
-        """The solution, checked."""
+    def motion_of(self, tracks: Tracks, prediction: Prediction) -> Step:
+        """The motion that tracks show, checked."""
+        plane = self._plane(prediction)
         start = Motion(prediction.p, so3.matrix(prediction.q))
         solution = solve(self._geometry, tracks.y0, tracks.y1, _SIGMA_PX, self._disparity_sigma_px, start, plane)
         n = len(tracks.y0)
@@ -267,7 +269,9 @@ def _normalised(image: Image, maps: Maps | None) -> Image:
     """Rectified, grey, of mean 128 and spread 45: thresholds and brightness then mean the same in all four images."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     rectified = rectify(grey, maps)
-    mean, spread = cv2.meanStdDev(rectified, mask=None if maps is None else maps.valid)
+    sample = np.ascontiguousarray(rectified[::_EVERY, ::_EVERY])
+    seen = None if maps is None else np.ascontiguousarray(maps.valid[::_EVERY, ::_EVERY])
+    mean, spread = cv2.meanStdDev(sample, mask=seen)
     gain = float(np.clip(_SPREAD / max(float(spread[0, 0]), 1e-3), 0.2, _MOST_GAIN))
     table = np.clip(np.rint(_MEAN + gain * (np.arange(256.0) - float(mean[0, 0]))), 0.0, 255.0).astype(np.uint8)
     return cv2.LUT(rectified, table)

@@ -21,6 +21,7 @@ _ROW_PX: Final = 1.5  # of rectified images; calibration leaves some tenths
 _MARGIN_PX: Final = 8.0  # half a window
 _HALF: Final = 5  # of a window of the coarse search, px of the half image
 _ALIKE: Final = 0.7  # least correlation there
+_PEAK, _DISTINCT = 3, 0.04  # no place further off than this many px correlates nearly as well: fences, windows
 
 
 def stereo(left: Image, right: Image, px: Array, column: Array) -> Array:
@@ -31,7 +32,7 @@ def stereo(left: Image, right: Image, px: Array, column: Array) -> Array:
 
 
 def coarse_columns(left: Image, right: Image, px: Array, low: Array, high: Array) -> Array:
-    """u_r (N,) of left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing like it there.
+    """u_r (N,) of left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing like it there, or twice.
 
     Normalised cross-correlation along the row, in images of half the size: near points lie too far off for Lucas-Kanade.
     """
@@ -49,7 +50,9 @@ def coarse_columns(left: Image, right: Image, px: Array, low: Array, high: Array
             b[rows, first[k] - _HALF : last[k] + _HALF + 1], a[rows, u - _HALF : u + _HALF + 1], cv2.TM_CCOEFF_NORMED
         )
         best = int(score.argmax())
-        if score[0, best] >= _ALIKE:
+        peak = float(score[0, best])
+        score[0, max(best - _PEAK, 0) : best + _PEAK + 1] = -1.0
+        if peak >= _ALIKE and float(score.max()) <= peak - _DISTINCT:
             columns[k] = 2.0 * (first[k] + best) + px[k, 0] - 2.0 * u
     return columns
 
