@@ -30,8 +30,9 @@ _PLANE_FACTOR: Final = 1.6  # points are no nearer and no further than this, in 
 _SIGMA_PX: Final = 0.25  # of a track, in each coordinate
 _INLIER: Final = 16.27  # chi-square of 3, 99.9 %
 _LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.4
-_MOST_SCALE: Final = 2.0  # residuals in units of _SIGMA_PX
+_MOST_SCALE: Final = 3.0  # residuals in units of _SIGMA_PX
 _SECOND_POINTS, _SECOND_SHARE, _SECOND_AGREE = 10, 0.12, 0.6  # another motion: points, of all, and of those that do not fit
+_TURN_CHI2: Final = 50.0  # of 3: further from the predicted rotation, which is the gyro's, no rotation can be
 _NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
 _INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
 _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
@@ -199,7 +200,7 @@ class StereoOdometry:
         solution = solve(self._geometry, tracks.y0, tracks.y1, _SIGMA_PX, self._disparity_sigma_px, start, plane)
         n = len(tracks.y0)
         inliers = solution.distances <= _INLIER * solution.scale**2
-        lost = self._flaw(solution, inliers)
+        lost = self._flaw(solution, inliers) or _turn_flaw(solution, prediction)
         if lost:
             return Step(lost, points=n, residual_scale=solution.scale, tracks=tracks, inliers=inliers)
         reason, remark = self._second_motion(tracks, inliers, solution, prediction, plane)
@@ -247,14 +248,27 @@ class StereoOdometry:
         return ("", what) if of_first < _NEAR_CHI2 and of_second > _FAR_CHI2 else (what, "")
 
 
+def _turn_flaw(solution: Solution, prediction: Prediction) -> str:
+    """Whether the rotation contradicts the predicted one; a wrong solution shows there first."""
+    e, S = _difference(solution, prediction)
+    distance = float(e[3:] @ np.linalg.solve(S[3:, 3:], e[3:]))
+    if distance > _TURN_CHI2:
+        return f"rotation {np.degrees(np.linalg.norm(e[3:])):.1f} deg from the predicted one ({np.sqrt(distance):.0f} sigma)"
+    return ""
+
+
 def _distance(solution: Solution, prediction: Prediction) -> float:
     """Squared Mahalanobis distance of a solution from the prediction."""
+    e, S = _difference(solution, prediction)
+    return float(e @ np.linalg.solve(S, e))
+
+
+def _difference(solution: Solution, prediction: Prediction) -> tuple[Array, Array]:
+    """Solution - prediction (6,), and its covariance (6, 6)."""
     motion = solution.motion
     turn = so3.quat_log(so3.from_matrix(np.ascontiguousarray(so3.matrix(prediction.q).T @ motion.R)))
-    e = np.r_[motion.p - prediction.p, turn]
     own = _INFLATION * solution.scale**2 * solution.covariance + solution.systematic @ solution.systematic.T
-    S = prediction.covariance + own + np.diag(_FLOOR**2)
-    return float(e @ np.linalg.solve(S, e))
+    return np.r_[motion.p - prediction.p, turn], prediction.covariance + own + np.diag(_FLOOR**2)
 
 
 def _disparity_sigma_px(rig: StereoRig) -> float:
