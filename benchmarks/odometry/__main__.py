@@ -1,0 +1,197 @@
+"""Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
+
+python -m benchmarks.odometry                        everything, some minutes of one core
+python -m benchmarks.odometry recorded faults        one table or several
+python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
+
+Recorded sets are looked for in LANDFIX_DATA; without them their tables are left out.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.flights.tasks import data_folder
+from benchmarks.odometry import sets
+from benchmarks.odometry.score import Scored, run
+from benchmarks.tables import Table, number
+from models.messages import Array
+from vision.image.rectify import Image
+from vision.odometry.step import Step, StereoOdometry
+
+OUT = Path("out/bench_odometry")
+HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
+COLUMNS = (
+    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot", "inliers", "scale",
+)  # fmt: skip
+PUBLISHED = (  # drift %, deg/m, on, source
+    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "github.com/nvidia-isaac/cuVSLAM/releases/tag/v17.0.1"),
+    ("OpenVINS mono", "0.2-0.9 (0.06-0.07 m over 8-40 m)", "-", "EuRoC V1_01", "rpng/open_vins docs/eval-error.dox"),
+    ("stereo VIO, 0.3 m baseline, 40-60 m high", "0.27", "-", "one flight of 800 m", "Drones 2023, 7(1), 36"),
+)  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", metavar="TABLE", help=", ".join(TABLES))
+    parser.add_argument("--draw", type=Path, help="folder for drawings of tracks")
+    args = parser.parse_args()
+    if unknown := set(args.what) - set(TABLES):
+        raise SystemExit(f"{', '.join(unknown)}: not a table; choose from {', '.join(TABLES)}")
+    cv2.setNumThreads(1)
+    tables = [table for name in args.what or TABLES for table in TABLES[name]()]
+    report = "\n".join(table.markdown() for table in tables)
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "report.md").write_text(report)
+    print(report)
+    if args.draw:
+        draw(args.draw)
+
+
+def recorded() -> list[Table]:
+    """Real images and real tracks."""
+    if not (data_folder() / "odometry").is_dir():
+        return []
+    handheld = sets.euroc(sets.HANDHELD, 340)
+    rows = [row(run(handheld.every(n))) for n in (2, 4, 8)]
+    rows.append(row(run(sets.euroc(sets.KEY_FRAMES), longest_s=0.8)))
+    rows += [row(run(sets.kitti06().every(n))) for n in (1, 2)]
+    for path in sorted((data_folder() / "odometry" / "kitti_raw_klt_tracks").glob("*.npz")):
+        rows.append(row(run(sets.kitti_tracks(path).every(3))))
+    return [
+        Table("Recorded: odometry alone (/n: each n-th frame)", COLUMNS, rows),
+        Table("Published", ("estimator", "drift %", "deg/m", "on", "source"), PUBLISHED),
+    ]
+
+
+def rendered() -> list[Table]:
+    """Straight down at four heights; the rig as calibrated, and drawn from its covariance."""
+    rows = []
+    for height_m in HEIGHTS_M:
+        for kind in ("village", "grass", "forest"):
+            exact, drawn = (sets.nadir(height_m, kind, exact=is_exact) for is_exact in (True, False))
+            rows.append(row(run(exact), "stereo"))
+            rows.append(row(run(drawn), "stereo"))
+            rows.append(row(run(drawn, height_sigma=0.02), "stereo, height +-2 %"))
+            rows.append(row(run(drawn, height_sigma=0.02, one_camera=True), "one camera, height +-2 %"))
+    return [Table("Rendered, straight down, 2 Hz, at most 10 m/s", COLUMNS, rows)]
+
+
+def faults() -> list[Table]:
+    """Blur and darkness on real images: steps must be lost, not wrong."""
+    if not (data_folder() / "odometry").is_dir():
+        return []
+    handheld = sets.euroc(sets.HANDHELD, 340)
+    changes: dict[str, Callable[[Image], Image]] = {
+        "blur of 15 px": _blurred,
+        "contrast x 0.1": lambda image: np.asarray(cv2.addWeighted(image, 0.1, image, 0.0, 20.0), np.uint8),
+        "brightness x 0.3, then noise of 4": _dark,
+    }
+    rows = [row(run(handheld.every(n), change=change), name) for name, change in changes.items() for n in (2, 4)]
+    reasons = Counter(r.split(":")[0] for n in (2, 4, 8) for r in run(handheld.every(n)).reasons)
+    return [
+        Table("Recorded, spoiled", COLUMNS, rows),
+        Table("Why steps of the hand-held set are lost (10, 5, 2.5 Hz)", ("reason", "steps"), [(r, str(n)) for r, n in reasons.items()]),
+    ]
+
+
+def motion() -> list[Table]:
+    """A load of rubble that drives along below half of the image."""
+    rows = []
+    for height_m in (30.0, 60.0):
+        for with_height in (False, True):
+            scored = run(sets.nadir(height_m, "village", exact=True, truck=True), height_sigma=0.02 if with_height else None)
+            seen = sum("two motions" in step.reason + step.remark for step in scored.steps)
+            wrong = int((scored.nees.max(axis=1) > 16.3 / 3).sum())
+            rows.append(
+                (f"{height_m:.0f} m{', height given' if with_height else ''}", str(len(scored.steps)), str(seen), str(scored.lost),
+                 str(len(scored.errors)), str(wrong), number(1e3 * rms(scored.errors[:, :3])))
+            )  # fmt: skip
+    columns = ("height", "steps", "said: two motions", "lost", "answered", "of these outside 99.9 %", "rms mm")
+    return [Table("Half of the image moves", columns, rows)]
+
+
+def speed() -> list[Table]:
+    """Processor time of a pair: its frame (rectification included) and the step to it."""
+    rows = []
+    for name, scored in (
+        ("VGA 752 x 480, recorded", run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None),
+        ("VGA 640 x 480, rendered", run(sets.nadir(30.0, "village", exact=True))),
+        ("720p, rendered", run(sets.nadir(30.0, "village", exact=True, size=(1280, 720)))),
+    ):
+        if scored is not None:
+            both = np.array(scored.frame_ms[1:]) + scored.step_ms
+            p50, p99 = np.percentile(both, [50, 99]).tolist()
+            frame, step = float(np.median(scored.frame_ms)), float(np.median(scored.step_ms))
+            rows.append((name, *(f"{x:.1f}" for x in (frame, step, p50, p99))))
+    return [Table("Processor time, ms a pair", ("size", "frame p50", "step p50", "both p50", "both p99"), rows)]
+
+
+TABLES = {"recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed}
+
+
+def row(scored: Scored, note: str = "") -> tuple[str, ...]:
+    """One line of the large tables."""
+    if not len(scored.errors):
+        return (f"{scored.name} {note}", str(len(scored.steps)), str(scored.lost), *["-"] * 10)
+    good = [step for step in scored.steps if not step.reason]
+    inliers = np.median([int(step.inliers.sum()) for step in good if step.inliers is not None])
+    nees = scored.nees.mean(axis=0).tolist()
+    values = (
+        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]), float(np.degrees(rms(scored.errors[:, 3:]))),
+        *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
+    )  # fmt: skip
+    return (f"{scored.name} {note}".strip(), str(len(scored.steps)), str(scored.lost), *(number(v) for v in values))
+
+
+def rms(e: Array) -> float:
+    """Root mean square of the lengths of rows."""
+    return float(np.sqrt((e**2).sum(axis=1).mean())) if len(e) else float("nan")
+
+
+def draw(folder: Path) -> None:
+    """Tracks of a few steps: green: used, red: not; from the first frame's corner to where it went."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sequences = [(sets.nadir(30.0, "village", exact=True), 6), (sets.nadir(30.0, "village", exact=True, truck=True), 10)]
+    sequences += [(sets.nadir(120.0, "grass", exact=True), 6)]
+    if (data_folder() / "odometry").is_dir():
+        sequences += [(sets.euroc(sets.HANDHELD, 340).every(8), 14), (sets.kitti06(), 20)]
+    for k, (sequence, at) in enumerate(sequences):
+        short = sequence.frames[at : at + 2]
+        cut = sets.replace(sequence, frames=short)
+        step = run(cut).steps[0]
+        odometry = StereoOdometry(sequence.rig)
+        pair = odometry.frame(*short[0].images())
+        assert not isinstance(pair, str)
+        cv2.imwrite(str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step))
+
+
+def _drawn(image: Image, step: Step) -> Image:
+    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    if step.tracks is not None:
+        good = np.zeros(len(step.tracks.y0), bool) if step.inliers is None else step.inliers
+        for y0, y1, used in zip(step.tracks.y0, step.tracks.y1, good, strict=True):
+            colour = (0, 220, 0) if used else (0, 0, 255)
+            a, b = (tuple(np.rint(y[:2]).astype(int).tolist()) for y in (y0, y1))
+            cv2.line(canvas, a, b, colour, 1, cv2.LINE_AA)
+            cv2.circle(canvas, a, 2, colour, -1, cv2.LINE_AA)
+    words = step.reason or step.remark or f"{int(0 if step.inliers is None else step.inliers.sum())} of {step.points} points"
+    cv2.putText(canvas, words, (8, canvas.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
+    return canvas
+
+
+def _blurred(image: Image) -> Image:
+    return np.asarray(cv2.blur(image, (15, 1)), np.uint8)
+
+
+def _dark(image: Image) -> Image:
+    noise = np.random.default_rng(int(image[::7, ::7].sum())).normal(0.0, 4.0, image.shape)
+    return np.clip(np.rint(0.3 * image + noise), 0.0, 255.0).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    main()

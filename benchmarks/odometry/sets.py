@@ -1,0 +1,199 @@
+"""What odometry is measured on: recorded stereo pairs with truth, recorded tracks, rendered flights straight down."""
+
+import gzip
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from ruamel.yaml import YAML
+
+from benchmarks.flights.tasks import data_folder
+from models import so3
+from models.camera import CameraModel, StereoRig
+from models.messages import Array
+from vision.image.rectify import Image
+from vision.odometry.step import Tracks
+from vision.synthetic import Conditions, Look, Solid, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+
+HANDHELD: Final = "euroc_mh01_handheld_stereo_imu"
+KEY_FRAMES: Final = "euroc_v101_keyframes_stereo_imu"
+
+
+class Pose(NamedTuple):
+    """Of the body in the world: p (3,), R (3, 3)."""
+
+    p: Array
+    R: Array
+
+
+class Frame(NamedTuple):
+    """A pair, its time and true pose; index: in its recording."""
+
+    t_s: float
+    pose: Pose
+    images: Callable[[], tuple[Image, Image]]
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """rig: as calibrated. tracks: of two frames, where there are no images. down: of the world; height_m: None where unknown."""
+
+    name: str
+    rig: StereoRig
+    frames: list[Frame]
+    lengths_m: tuple[float, ...]
+    tracks: Callable[[int, int], Tracks] | None = None
+    down: Array | None = None
+
+    def every(self, n: int) -> "Sequence":
+        """Each n-th frame."""
+        return replace(self, name=f"{self.name} /{n}", frames=self.frames[::n])
+
+
+def euroc(name: str, pairs: int | None = None) -> Sequence:
+    """A set of euroc_*: raw images, factory calibration."""
+    folder = data_folder() / "odometry" / name
+    (left, T_l), (right, T_r) = (_euroc_camera(folder / f"{cam}_sensor.yaml") for cam in ("cam0", "cam1"))
+    T = np.linalg.inv(T_r) @ T_l
+    rig = StereoRig(left, right, _orthonormal(T[:3, :3]), T[:3, 3], _orthonormal(T_l[:3, :3]), T_l[:3, 3])
+    truth = np.loadtxt(gzip.open(folder / "truth.csv.gz"), delimiter=",", skiprows=1)
+    rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
+    frames = [Frame(t, _pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
+    return Sequence(name.split("_stereo")[0], rig, frames, (1.0, 2.0, 4.0))
+
+
+def kitti06() -> Sequence:
+    """Rectified pairs of a car, 10 Hz; body = left camera."""
+    folder = data_folder() / "images" / "kitti06_0000_0050_stereo"
+    f, cx, cy, fb = 707.0912, 601.8873, 183.1104, 379.8145
+    camera = CameraModel(1226, 370, f, f, cx, cy)
+    rig = StereoRig(camera, camera, np.eye(3), np.array([-fb / f, 0.0, 0.0]), np.eye(3), np.zeros(3))
+    poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
+    names = sorted(path.name for path in (folder / "left").iterdir())
+    frames = [
+        Frame(0.1 * k, Pose(T[:, 3], _orthonormal(T[:, :3])), _reader(folder, name))
+        for k, (T, name) in enumerate(zip(poses, names, strict=True))
+    ]
+    return Sequence("kitti06", rig, frames, (20.0, 40.0))
+
+
+def kitti_tracks(path: Path) -> Sequence:
+    """Tracks of a drive, rounded to 0.1 px; body = vehicle (x forward, y left, z up)."""
+    data = np.load(path)
+    f, fv, cx, cy, b = (float(data[k]) for k in ("fu", "fv", "cu", "cv", "b"))
+    assert abs(f - fv) < 1e-6
+    camera = CameraModel(1242, 375, f, f, cx, cy)
+    R_bc = _orthonormal(data["C_c_v"]).T
+    rig = StereoRig(camera, camera, np.eye(3), np.array([-b, 0.0, 0.0]), R_bc, data["rho_v_c_v"].ravel())
+    frames = []
+    for k, t in enumerate((data["t"] - data["t"][0]).tolist()):
+        R = so3.matrix(so3.quat_exp(np.ascontiguousarray(data["theta"][k])))
+        frames.append(Frame(t, Pose(data["r"][k], R), _no_images, k))
+    px, frame, track = data["uL_vL_uR_vR"].astype(np.float64), data["frame"], data["track"]
+
+    def tracks(i: int, j: int) -> Tracks:
+        first, second = (np.flatnonzero((frame == k) & np.isfinite(px).all(axis=1) & (px[:, 0] > px[:, 2])) for k in (i, j))
+        _, a, b = np.intersect1d(track[first], track[second], return_indices=True)
+        return Tracks(px[first[a]][:, :3], px[second[b]][:, :3])
+
+    return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks)
+
+
+def nadir(height_m: float, kind: str, *, exact: bool, truck: bool = False, size: tuple[int, int] = (640, 480)) -> Sequence:
+    """A rendered flight of 10 s straight down, 2 pairs a second; kind: village, grass, forest. exact: the rig is as calibrated.
+
+    truck: something as large as half of the image drives along below.
+    """
+    speed = min(10.0, 0.3 * height_m)
+    rig = make_rig(size[0], size[1], 600.0 * size[0] / 640.0)
+    area = 8.0 * speed + 4.0 * height_m
+    spec = {
+        "village": WorldSpec(area_m=area, rig=rig),
+        "grass": WorldSpec(area_m=area, spacing_m=area, cars=0.0, trees=0.0, patches=0.0, clear_m=area, rig=rig),
+        "forest": WorldSpec(area_m=area, spacing_m=area, cars=0.0, trees=250.0, patches=0.0, clear_m=0.1, rig=rig),
+    }[kind]
+    scene = make_world(7, spec)
+    cameras = rig if exact else scene.rig
+    frames = []
+    for k in range(21):
+        t = 0.5 * k
+        p = np.array([speed * (t - 5.0), 2.0 * np.sin(0.5 * t), np.sin(0.7 * t) - height_m])
+        R = so3.matrix(so3.from_euler(0.05 * np.sin(1.1 * t), 0.05 * np.cos(0.9 * t), 0.15 * t))
+        world = _with_truck(scene.world, p, t, height_m) if truck else scene.world
+        frames.append(Frame(t, Pose(p, R), _renderer(world, cameras, Pose(p, R), speed, height_m, k)))
+    name = f"nadir {height_m:.0f} m {kind}{'' if exact else ', rig drawn'}"
+    return Sequence(name, rig, frames, (0.25 * 10.0 * speed, 0.5 * 10.0 * speed), None, np.array([0.0, 0.0, 1.0]))
+
+
+def _with_truck(world: World, p: Array, t: float, height_m: float) -> World:
+    """The world with a load of rubble below one side of the image, that moves 4 % of the height a second against the ground."""
+    across, along = 0.5 * height_m, 1.2 * height_m
+    corner = np.array([p[0] - 0.5 * along, p[1] + 0.02 * height_m * np.sin(t)])
+    rng = np.random.default_rng(4)
+    drift = 0.04 * height_m * t
+    stones = [Solid(_box(corner + [drift - 5 * 0.04 * height_m, 0.0], along, across), 0.0, 1.0, Look((92, 94, 90), texture="gravel"))]
+    for _ in range(300):
+        n, e = rng.uniform(0.0, along), rng.uniform(0.0, across)
+        b, g, r = rng.uniform(30.0, 220.0, 3).tolist()
+        at = corner + [n + drift - 5 * 0.04 * height_m, e]
+        stones.append(Solid(_box(at, 0.03 * height_m, 0.02 * height_m), 0.0, 1.2, Look((b, g, r))))
+    return replace(world, clutter=(*world.clutter, *stones))
+
+
+def _box(corner: Array, north_m: float, east_m: float) -> Array:
+    return np.asarray(corner) + np.array([[0.0, 0.0], [0.0, east_m], [north_m, east_m], [north_m, 0.0]])
+
+
+def _renderer(
+    world: World, rig: StereoRig, pose: Pose, speed: float, height_m: float, seed: int
+) -> Callable[[], tuple[Image, Image]]:
+    velocity_c = rig.R_bc.T @ pose.R.T @ np.array([speed, 0.0, 0.0])
+    taken = Conditions(blur_px=blur_of_motion(rig.left.fx, velocity_c, np.zeros(3), height_m, 0.003))
+    kept: list[tuple[Image, Image]] = []
+
+    def images() -> tuple[Image, Image]:
+        if not kept:
+            kept.append(render_pair(world, rig, pose.p, pose.R, taken, np.random.default_rng(seed)))
+        return kept[0]
+
+    return images
+
+
+def _reader(folder: Path, name: str) -> Callable[[], tuple[Image, Image]]:
+    def images() -> tuple[Image, Image]:
+        left, right = (cv2.imread(str(folder / side / name), cv2.IMREAD_GRAYSCALE) for side in ("left", "right"))
+        assert left is not None
+        assert right is not None
+        return left, right
+
+    return images
+
+
+def _no_images() -> tuple[Image, Image]:
+    raise AssertionError("a set of tracks")
+
+
+def _euroc_camera(path: Path) -> tuple[CameraModel, Array]:
+    read = YAML(typ="safe").load(path)
+    distortion = tuple(read["distortion_coefficients"])
+    return CameraModel(*read["resolution"], *read["intrinsics"], distortion), np.array(read["T_BS"]["data"]).reshape(4, 4)
+
+
+def _orthonormal(R: Array) -> Array:
+    u, _, v = np.linalg.svd(R)
+    turned: Array = u @ v
+    return turned
+
+
+def _pose_at(truth: Array, t: float) -> Pose:
+    """Between the two nearest rows t, p, v, q."""
+    i = int(np.clip(np.searchsorted(truth[:, 0], t), 1, len(truth) - 1))
+    a, b = truth[i - 1], truth[i]
+    w = (t - a[0]) / (b[0] - a[0])
+    q = np.ascontiguousarray(a[7:11])
+    turn = so3.quat_log(so3.multiply(so3.conjugate(q), np.ascontiguousarray(b[7:11])))
+    return Pose(a[1:4] + w * (b[1:4] - a[1:4]), so3.matrix(so3.normalise(so3.multiply(q, so3.quat_exp(w * turn)))))

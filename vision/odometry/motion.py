@@ -1,0 +1,286 @@
+"""The motion between two stereo pairs from points y = (u_l, v_l, u_r), by Gauss-Newton with the points eliminated.
+
+    z_0 = y + i delta + e_0,   z_1 = g(y; T) + i delta + e_1,   g = h o T^-1 o h^-1,   i = (0, 0, 1)   (two views of each point)
+    d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
+
+h projects a point of the camera to (u_l, v_l, u_r); T is the pose of the body at t1 in the body at t0 (p, R). delta is the error
+that the rig gives all disparities, N(0, sigma_delta^2). The plane is pi = n / height with the normal n in the camera; in the
+disparity d it is linear, and known to pi_0 +- the errors of height and slope. With G = dg/dy, C = dg/d(T, delta, pi) and
+S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y follows (Schur complement; Triggs et al.
+2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion (errors in variables).
+
+With N the normal matrix and L the part of it that the priors of delta and height give, an error of a prior repeats in every step:
+it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each.
+Errors are those of the filter: p_true = p + dp, R_true = R exp(theta).
+"""
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from models import so3
+from models.camera import StereoRig
+from models.messages import Array
+
+_ITERATIONS: Final = 20
+_CONVERGED: Final = 0.03  # of the step's own standard deviation
+_CAUCHY: Final = 2.5  # sigma, of three values
+_ABOVE: Final = 0.5  # the same of the plane, for points above it
+_MEDIAN_CHI2: Final = 2.366  # of three values
+_NOTHING_PX2: Final = 1e8  # variance of what was not measured
+_LEAST_DISPARITY_PX: Final = 0.05  # that a point may have
+_COLUMN: Final = np.array([0.0, 0.0, 1.0])  # i: of u_r among (u_l, v_l, u_r)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Pose of the body at t1 in the body at t0: x_b0 = R x_b1 + p."""
+
+    p: Array
+    R: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Ground seen from the first camera: n (3,) downwards, height and its sigma [m], slope [rad], and how far points lie off it [m]."""
+
+    n: Array
+    height_m: float
+    height_sigma_m: float
+    slope_rad: float
+    roughness_m: float
+
+    @property
+    def pi(self) -> Array:
+        """n / height."""
+        pi: Array = self.n / self.height_m
+        return pi
+
+    @property
+    def information(self) -> Array:
+        """Inverse covariance (3, 3) of pi: along n from the height, across it from the slope."""
+        along = np.outer(self.n, self.n)
+        across = np.eye(3) - along
+        information: Array = along * (self.height_m**2 / self.height_sigma_m) ** 2 + across * (self.height_m / self.slope_rad) ** 2
+        return information
+
+
+class Solution(NamedTuple):
+    """motion; covariance (6, 6) of what is new in this step; squared distances (N,) of the points; scale: of residuals, 1 = as expected.
+
+    systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. converged: False: the
+    rest means nothing.
+    """
+
+    motion: Motion
+    covariance: Array
+    systematic: Array
+    distances: Array
+    scale: float
+    converged: bool
+
+
+class Geometry:
+    """A rectified rig: pixels y of points x_c of the left camera, and back."""
+
+    def __init__(self, rig: StereoRig) -> None:
+        camera = rig.left
+        self.f, self.cx, self.cy, self.b = camera.fx, camera.cx, camera.cy, rig.baseline_m
+        self.shift = camera.cx - rig.right.cx
+        self.R_bc, self.p_bc = rig.R_bc, rig.p_bc
+
+    def disparity(self, y: Array) -> Array:
+        """d = f b / z, (N,)."""
+        d: Array = y[:, 0] - y[:, 2] - self.shift
+        return d
+
+    def points(self, y: Array) -> tuple[Array, Array]:
+        """x_c (N, 3) and dx_c/dy (N, 3, 3)."""
+        d = np.maximum(self.disparity(y), _LEAST_DISPARITY_PX)
+        z = self.f * self.b / d
+        m = np.column_stack(((y[:, 0] - self.cx) / self.f, (y[:, 1] - self.cy) / self.f, np.ones(len(y))))
+        x = m * z[:, None]
+        J = np.zeros((len(y), 3, 3))
+        J[:, :, 0] = -x / d[:, None]
+        J[:, :, 2] = x / d[:, None]
+        J[:, 0, 0] += z / self.f
+        J[:, 1, 1] = z / self.f
+        return x, J
+
+    def project(self, x: Array) -> tuple[Array, Array]:
+        """y (N, 3) and dy/dx_c (N, 3, 3)."""
+        z = x[:, 2]
+        k = self.f / z
+        y = np.column_stack((k * x[:, 0] + self.cx, k * x[:, 1] + self.cy, k * (x[:, 0] - self.b) + self.cx - self.shift))
+        J = np.zeros((len(x), 3, 3))
+        J[:, 0, 0] = J[:, 1, 1] = J[:, 2, 0] = k
+        J[:, 0, 2] = -k * x[:, 0] / z
+        J[:, 1, 2] = -k * x[:, 1] / z
+        J[:, 2, 2] = -k * (x[:, 0] - self.b) / z
+        return y, J
+
+    def seen_from(self, motion: Motion, x_c: Array) -> tuple[Array, Array]:
+        """Points (N, 3) of the first camera in the axes of the second one's body (N, 3), and of its camera (N, 3)."""
+        x_b1 = (x_c @ self.R_bc.T + self.p_bc - motion.p) @ motion.R
+        return x_b1, (x_b1 - self.p_bc) @ self.R_bc
+
+    def plane_disparity(self, y: Array, pi: Array) -> tuple[Array, Array]:
+        """f b pi^T m (N,) and its derivative to pi (N, 3)."""
+        m = np.column_stack(((y[:, 0] - self.cx) / self.f, (y[:, 1] - self.cy) / self.f, np.ones(len(y))))
+        J = self.f * self.b * m
+        d: Array = J @ pi
+        return d, J
+
+
+def solve(
+    geometry: Geometry, y0: Array, y1: Array, sigma_px: float, disparity_sigma_px: float, start: Motion, plane: Plane | None
+) -> Solution:
+    """The motion that two measurements (N, 3) of N points have; NaN in u_r: not measured (then there must be a plane).
+
+    sigma_px: of each measured value. Robust: Cauchy weights whose scale falls from that of the first residuals to the noise.
+    """
+    z0, variance0 = _filled(geometry, y0, sigma_px, plane)
+    variance1 = np.where(np.isfinite(y1), sigma_px**2, _NOTHING_PX2)
+    prior = _prior(disparity_sigma_px, plane)
+    unknowns = np.zeros(len(prior))
+    y, motion, pi = z0, start, None if plane is None else plane.pi
+    for _ in range(_ITERATIONS):
+        shifted = z0 - unknowns[6] * _COLUMN
+        system = _linearised(geometry, y, motion, unknowns[6], pi, plane, (shifted, variance0, y1, variance1))
+        weights, distances, scale = _weights(system)
+        CtS = np.matmul(system.C.transpose(0, 2, 1), system.S_inverse) * weights[:, None, None]
+        N = np.tensordot(CtS, system.C, ((0, 2), (0, 1))) + prior
+        right = np.tensordot(CtS, system.e, ((0, 2), (0, 1))) - prior @ unknowns
+        try:
+            L = np.linalg.cholesky(N)
+        except np.linalg.LinAlgError:
+            break
+        step = np.linalg.solve(N, right)
+        if not np.isfinite(step).all():
+            break
+        unknowns = unknowns + np.r_[np.zeros(6), step[6:]]
+        y = _points_after(z0 - unknowns[6] * _COLUMN, variance0, system, step)
+        motion = Motion(motion.p + step[:3], motion.R @ so3.matrix(so3.quat_exp(step[3:6])))
+        pi = None if plane is None else plane.pi + unknowns[7:]
+        if np.linalg.norm(L.T @ step) < _CONVERGED:
+            return Solution(motion, *_errors(N, disparity_sigma_px, plane), distances, scale, True)
+    nothing = np.full((6, 6), np.nan)
+    return Solution(motion, nothing, nothing[:, :2], np.full(len(y0), np.inf), np.inf, False)
+
+
+def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
+    """Information of delta, and of pi, among the unknowns (p, theta, delta[, pi])."""
+    prior = np.zeros((7, 7) if plane is None else (10, 10))
+    prior[6, 6] = disparity_sigma_px**-2
+    if plane is not None:
+        prior[7:, 7:] = plane.information
+    return prior
+
+
+def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
+    """Covariance (6, 6) of what is new in each step, and what repeats (6, 2)."""
+    P = np.linalg.inv(N)
+    systematic = np.zeros((6, 2))
+    systematic[:, 0] = P[:6, 6] / disparity_sigma_px  # delta is that of u_r: positive makes disparities smaller
+    if plane is not None:
+        systematic[:, 1] = P[:6, 7:] @ plane.n * (-(plane.height_m**2) / plane.height_sigma_m)
+    return P[:6, :6] - systematic @ systematic.T, systematic
+
+
+class _System(NamedTuple):
+    """Of each point: residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r); r = 3, with a plane 4."""
+
+    e: Array
+    C: Array
+    G: Array
+    S_inverse: Array
+
+
+def _filled(geometry: Geometry, y0: Array, sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
+    """Measurements and variances (N, 3) of the first pair; u_r that is missing stands where the plane says, with no weight."""
+    missing = ~np.isfinite(y0[:, 2])
+    z0, variance = y0.copy(), np.full(y0.shape, sigma_px**2)
+    if missing.any():
+        assert plane is not None
+        d, _ = geometry.plane_disparity(y0[missing], plane.pi)
+        z0[missing, 2] = y0[missing, 0] - geometry.shift - d
+        variance[missing, 2] = _NOTHING_PX2
+    return z0, variance
+
+
+def _linearised(
+    geometry: Geometry,
+    y: Array,
+    motion: Motion,
+    delta: float,
+    pi: Array | None,
+    plane: Plane | None,
+    measured: tuple[Array, Array, Array, Array],
+) -> _System:
+    """e = z_1 - g(y) - i delta - G (z_0 - i delta - y): the residual with the point eliminated; z_0 comes without delta."""
+    z0, variance0, y1, noise = measured
+    x, X_y = geometry.points(y)
+    x_b1, x_c1 = geometry.seen_from(motion, x)
+    predicted, P_x = geometry.project(x_c1)
+    predicted = predicted + delta * _COLUMN
+    R_bc = geometry.R_bc
+    G = P_x @ (R_bc.T @ motion.R.T @ R_bc) @ X_y
+    C = np.zeros((len(y), 3, 7))
+    C[:, :, :3] = P_x @ (-R_bc.T @ motion.R.T)
+    C[:, :, 3:6] = P_x @ R_bc.T @ _skews(x_b1)
+    C[:, :, 6] = _COLUMN - G[:, :, 2]
+    e = np.where(np.isfinite(y1), y1, predicted) - predicted
+    if plane is not None and pi is not None:
+        e, C, G, noise = _with_plane(geometry, y, pi, plane, (e, C, G, noise))
+    e = e - np.einsum("nrk,nk->nr", G, z0 - y)
+    S = np.matmul(G * variance0[:, None, :], G.transpose(0, 2, 1))
+    index = np.arange(S.shape[1])
+    S[:, index, index] += noise
+    return _System(e, C, G, np.linalg.inv(S))
+
+
+def _with_plane(
+    geometry: Geometry, y: Array, pi: Array, plane: Plane, rows: tuple[Array, Array, Array, Array]
+) -> tuple[Array, Array, Array, Array]:
+    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y) behind.
+
+    Robust, and not the same on both sides: roofs and crowns stand above the ground, and most corners are on them.
+    """
+    e, C, G, noise = rows
+    d, D_pi = geometry.plane_disparity(y, pi)
+    off = d - geometry.disparity(y)
+    sigma = d * d * plane.roughness_m / (geometry.f * geometry.b)
+    variance = sigma**2 + (off / np.where(off < 0.0, _ABOVE, _CAUCHY)) ** 2
+    row = np.array([1.0 - geometry.b * pi[0], -geometry.b * pi[1], -1.0])
+    wide = np.zeros((len(y), 4, 10))
+    wide[:, :3, :7] = C
+    wide[:, 3, 6] = -row[2]
+    wide[:, 3, 7:] = -D_pi
+    with_row = np.concatenate((G, np.broadcast_to(row, (len(y), 1, 3))), axis=1)
+    return np.column_stack((e, off)), wide, with_row, np.column_stack((noise, variance))
+
+
+def _weights(system: _System) -> tuple[Array, Array, float]:
+    """Cauchy weights (N,), squared distances (N,), and the scale of the residuals (1: as expected)."""
+    distances = np.einsum("nr,nrs,ns->n", system.e, system.S_inverse, system.e)
+    scale = max(float(np.median(distances)) / _MEDIAN_CHI2, 1.0)
+    weights: Array = 1.0 / (1.0 + distances / (_CAUCHY**2 * scale))
+    return weights, distances, float(np.sqrt(scale))
+
+
+def _points_after(z0: Array, variance0: Array, system: _System, step: Array) -> Array:
+    """y = z_0 - i delta + R_0 G^T S^-1 (e - C step); z_0 comes without delta."""
+    left_over = system.e - system.C @ step
+    weighted = np.matmul(system.S_inverse, left_over[:, :, None])
+    moved: Array = z0 + variance0 * np.matmul(system.G.transpose(0, 2, 1), weighted)[:, :, 0]
+    return moved
+
+
+def _skews(x: Array) -> Array:
+    """[x]x of each row: (N, 3, 3)."""
+    S = np.zeros((len(x), 3, 3))
+    S[:, 0, 1], S[:, 0, 2] = -x[:, 2], x[:, 1]
+    S[:, 1, 0], S[:, 1, 2] = x[:, 2], -x[:, 0]
+    S[:, 2, 0], S[:, 2, 1] = -x[:, 1], x[:, 0]
+    return S

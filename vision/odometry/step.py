@@ -1,0 +1,300 @@
+"""One step of odometry: two stereo pairs and the predicted motion -> the motion with its covariance, or why there is none.
+
+    pairs -> rectified, contrast normalised (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
+
+A pure function: the same two pairs and the same prediction give the same bits. The prediction is where tracks begin and what
+tells two motions apart; it is never a measurement in the solution, or the filter would fuse its own estimate again.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models import so3
+from models.camera import StereoRig
+from models.messages import Array
+from vision.image.rectify import Image, Mask, Maps, Rectification, rectification, rectify
+from vision.odometry.corners import corners
+from vision.odometry.motion import Geometry, Motion, Plane, Solution, solve
+from vision.odometry.tracks import coarse_columns, stereo, temporal
+from vision.records.pictures import usable
+
+_MEAN, _SPREAD, _MOST_GAIN = 128.0, 45.0, 10.0  # grey levels of a normalised image
+_EVERY: Final = 4  # px: of these alone mean and spread are computed
+_BORDER_PX: Final = 12  # corners stay so far from the border of what the camera has seen
+_MOST_DISPARITY: Final = 0.2  # of the image's width
+_PLANE_FACTOR: Final = 1.6  # points are no nearer and no further than this, in units of the plane's distance
+_SIGMA_PX: Final = 0.25  # of a track, in each coordinate
+_INLIER: Final = 16.27  # chi-square of 3, 99.9 %
+_LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.4
+_MOST_SCALE: Final = 3.0  # residuals in units of _SIGMA_PX
+_SECOND_POINTS, _SECOND_SHARE, _SECOND_AGREE = 10, 0.12, 0.6  # another motion: points, of all, and of those that do not fit
+_TURN_CHI2: Final = 50.0  # of 3: further from the predicted rotation, which is the gyro's, no rotation can be
+_NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
+_INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
+_FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySettings:
+    """points: corners of a key frame. The ground: relief_m: how far the mean of the points lies off the given height, roughness_m:
+    how far each lies off their plane, slope_deg: how far that is tilted. disparity_sigma_px: at least, of the rig's calibration.
+    """
+
+    points: int = 140
+    relief_m: float = 1.5
+    roughness_m: float = 0.7
+    slope_deg: float = 3.0
+    disparity_sigma_px: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Pose of the body at t1 in the body at t0: p (3,), q wxyz, covariance (6, 6) of (dp, theta), R = R exp(theta).
+
+    down_b: unit vector downwards in the body at t0, height_m of the body above the ground, 1-sigma; None: height not known.
+    """
+
+    p: Array
+    q: Array
+    covariance: Array
+    down_b: Array | None = None
+    height_m: float = 0.0
+    height_sigma_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A pair, rectified and contrast normalised; right: None where there is none."""
+
+    left: Image
+    right: Image | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """Measurements y (N, 3) of the same points in both frames, px; NaN in u_r: not measured."""
+
+    y0: Array
+    y1: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Pose of the body at t1 in the body at t0, covariance (6, 6) of (dp, theta); or reason: why the step is lost.
+
+    covariance holds what is new in each step; systematic (6, 2) what repeats: what disparities 1 sigma too large add to it, and a
+    height 1 sigma too large. residual_scale: 1 = as expected. inliers: of the tracks.
+    """
+
+    reason: str
+    p: Array = field(default_factory=lambda: np.zeros(3))
+    q: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    covariance: Array = field(default_factory=lambda: np.full((6, 6), np.nan))
+    systematic: Array = field(default_factory=lambda: np.zeros((6, 2)))
+    points: int = 0
+    residual_scale: float = 0.0
+    remark: str = ""
+    tracks: Tracks | None = None
+    inliers: NDArray[np.bool_] | None = None
+
+
+class StereoOdometry:
+    """A rig's maps, made once; frame() and step() have no memory."""
+
+    def __init__(self, rig: StereoRig, settings: OdometrySettings | None = None) -> None:
+        self.settings = settings or OdometrySettings()
+        self._raw: StereoRig = rig
+        self._rectification: Rectification = rectification(rig)
+        self._geometry = Geometry(self._rectification.rig)
+        self._disparity_sigma_px = max(_disparity_sigma_px(rig), self.settings.disparity_sigma_px)
+        self._seen = tuple(_inner(maps, rig) for maps in (self._rectification.left, self._rectification.right))
+
+    def frame(self, left: Image | None, right: Image | None) -> Frame | str:
+        """A raw pair as step() takes it, or what is wrong with it."""
+        pictures = usable(left, None if self._raw.one_camera else right, self._raw)
+        if isinstance(pictures, str):
+            return pictures
+        if pictures.left is None:
+            return pictures.remark.removesuffix("; ")
+        maps = self._rectification
+        return Frame(
+            _normalised(pictures.left, maps.left),
+            None if pictures.right is None else _normalised(pictures.right, maps.right),
+        )
+
+    def step(self, first: Frame, second: Frame, prediction: Prediction) -> Step:
+        """The motion from the first frame to the second."""
+        plane = self._plane(prediction)
+        px = corners(first.left, self._seen[0], self.settings.points)
+        if len(px) < _LEAST_POINTS:
+            return Step(f"too few corners: {len(px)} (blur, darkness or no texture)")
+        if plane is None and (first.right is None or self._raw.one_camera):
+            return Step("one camera, and the height above the ground is not known")
+        tracks = self._tracks(first, second, px.astype(np.float64), prediction, plane)
+        if len(tracks.y0) < _LEAST_POINTS:
+            return Step(f"too few tracks: {len(tracks.y0)} of {len(px)} corners", points=len(tracks.y0), tracks=tracks)
+        return self.motion_of(tracks, prediction)
+
+    def _plane(self, prediction: Prediction) -> Plane | None:
+        """The ground as the first camera sees it."""
+        if prediction.down_b is None:
+            return None
+        geometry = self._geometry
+        h = prediction.height_m - float(prediction.down_b @ geometry.p_bc)
+        if not (h > 0.0 and prediction.height_sigma_m > 0.0):
+            return None
+        n = geometry.R_bc.T @ prediction.down_b
+        sigma = float(np.hypot(prediction.height_sigma_m, self.settings.relief_m))
+        return Plane(n, h, sigma, float(np.radians(self.settings.slope_deg)), self.settings.roughness_m)
+
+    def _tracks(self, first: Frame, second: Frame, px: Array, prediction: Prediction, plane: Plane | None) -> Tracks:
+        """Corners followed to the right image, to the second frame, and to its right image."""
+        geometry = self._geometry
+        column = np.full(len(px), np.nan)
+        if first.right is not None:
+            most = np.full(len(px), _MOST_DISPARITY * first.left.shape[1])
+            least = np.zeros(len(px))
+            if plane is not None:
+                d = geometry.plane_disparity(px, plane.pi)[0]
+                least, most = d / _PLANE_FACTOR, d * _PLANE_FACTOR + 2.0
+            zero = px[:, 0] - geometry.shift
+            column = coarse_columns(first.left, first.right, px, zero - most, zero - least)
+            column = stereo(first.left, first.right, px, column)
+        y0 = np.column_stack((px, column))
+        y0 = y0[~(geometry.disparity(y0) <= 0.0)]
+        if plane is None:
+            y0 = y0[np.isfinite(y0[:, 2])]
+        if not len(y0):
+            return Tracks(y0, y0)
+        whole = y0.copy()
+        missing = ~np.isfinite(y0[:, 2])
+        if plane is not None and missing.any():
+            whole[missing, 2] = y0[missing, 0] - geometry.shift - geometry.plane_disparity(y0[missing], plane.pi)[0]
+        motion = Motion(prediction.p, so3.matrix(prediction.q))
+        ahead, _ = geometry.project(geometry.seen_from(motion, geometry.points(whole)[0])[1])
+        there = temporal(first.left, second.left, y0[:, :2], ahead[:, :2], self._homography(motion))
+        kept = np.isfinite(there[:, 0])
+        y0, there, ahead = y0[kept], there[kept], ahead[kept]
+        column = np.full(len(there), np.nan)
+        if second.right is not None:
+            column = stereo(second.left, second.right, there, there[:, 0] - (ahead[:, 0] - ahead[:, 2]))
+        y1 = np.column_stack((there, column))
+        y1[geometry.disparity(y1) <= 0.0, 2] = np.nan
+        return Tracks(y0, y1)
+
+    def _homography(self, motion: Motion) -> Array:
+        """K R_c0c1 K^-1: turns the second left image to the attitude of the first."""
+        g = self._geometry
+        K = np.array([[g.f, 0.0, g.cx], [0.0, g.f, g.cy], [0.0, 0.0, 1.0]])
+        H: Array = K @ (g.R_bc.T @ motion.R @ g.R_bc) @ np.linalg.inv(K)
+        return H
+
+    def motion_of(self, tracks: Tracks, prediction: Prediction) -> Step:
+        """The motion that tracks show, checked."""
+        plane = self._plane(prediction)
+        start = Motion(prediction.p, so3.matrix(prediction.q))
+        solution = solve(self._geometry, tracks.y0, tracks.y1, _SIGMA_PX, self._disparity_sigma_px, start, plane)
+        n = len(tracks.y0)
+        inliers = solution.distances <= _INLIER * solution.scale**2
+        lost = self._flaw(solution, inliers) or _turn_flaw(solution, prediction)
+        if lost:
+            return Step(lost, points=n, residual_scale=solution.scale, tracks=tracks, inliers=inliers)
+        reason, remark = self._second_motion(tracks, inliers, solution, prediction, plane)
+        floor = np.diag(_FLOOR**2)
+        return Step(
+            reason,
+            solution.motion.p,
+            so3.from_matrix(np.ascontiguousarray(solution.motion.R)),
+            _INFLATION * solution.scale**2 * solution.covariance + floor,
+            solution.systematic,
+            n,
+            solution.scale,
+            remark,
+            tracks,
+            inliers,
+        )
+
+    @staticmethod
+    def _flaw(solution: Solution, inliers: NDArray[np.bool_]) -> str:
+        """Why a solution cannot be used; "" if it can."""
+        n, good = len(inliers), int(inliers.sum())
+        if not solution.converged:
+            return f"no convergence with {n} points"
+        if solution.scale > _MOST_SCALE:
+            return f"residuals {solution.scale:.1f} times as large as expected"
+        if good < _LEAST_INLIERS or good < _LEAST_SHARE * n:
+            return f"too few inliers: {good} of {n} points"
+        return ""
+
+    def _second_motion(
+        self, tracks: Tracks, inliers: NDArray[np.bool_], solution: Solution, prediction: Prediction, plane: Plane | None
+    ) -> tuple[str, str]:
+        """(reason, remark): whether the points that do not fit move together, and whether the prediction tells which is which."""
+        others = ~inliers
+        count = int(others.sum())
+        if count < max(_SECOND_POINTS, _SECOND_SHARE * len(inliers)):
+            return "", ""
+        start = Motion(prediction.p, so3.matrix(prediction.q))
+        second = solve(self._geometry, tracks.y0[others], tracks.y1[others], _SIGMA_PX, self._disparity_sigma_px, start, plane)
+        together = int((second.distances <= _INLIER).sum()) if second.converged else 0
+        if together < max(_SECOND_POINTS, _SECOND_AGREE * count):
+            return "", ""
+        what = f"two motions: {int(inliers.sum())} and {together} of {len(inliers)} points"
+        of_first, of_second = (_distance(s, prediction) for s in (solution, second))
+        return ("", what) if of_first < _NEAR_CHI2 and of_second > _FAR_CHI2 else (what, "")
+
+
+def _turn_flaw(solution: Solution, prediction: Prediction) -> str:
+    """Whether the rotation contradicts the predicted one; a wrong solution shows there first."""
+    e, S = _difference(solution, prediction)
+    distance = float(e[3:] @ np.linalg.solve(S[3:, 3:], e[3:]))
+    if distance > _TURN_CHI2:
+        return f"rotation {np.degrees(np.linalg.norm(e[3:])):.1f} deg from the predicted one ({np.sqrt(distance):.0f} sigma)"
+    return ""
+
+
+def _distance(solution: Solution, prediction: Prediction) -> float:
+    """Squared Mahalanobis distance of a solution from the prediction."""
+    e, S = _difference(solution, prediction)
+    return float(e @ np.linalg.solve(S, e))
+
+
+def _difference(solution: Solution, prediction: Prediction) -> tuple[Array, Array]:
+    """Solution - prediction (6,), and its covariance (6, 6)."""
+    motion = solution.motion
+    turn = so3.quat_log(so3.from_matrix(np.ascontiguousarray(so3.matrix(prediction.q).T @ motion.R)))
+    own = _INFLATION * solution.scale**2 * solution.covariance + solution.systematic @ solution.systematic.T
+    return np.r_[motion.p - prediction.p, turn], prediction.covariance + own + np.diag(_FLOOR**2)
+
+
+def _disparity_sigma_px(rig: StereoRig) -> float:
+    """What the calibration leaves open of all disparities: principal points, and the right camera's turn about its y axis."""
+    variance = sum(float(c.covariance[2, 2]) for c in (rig.left, rig.right) if c.covariance is not None)
+    if rig.covariance_rc is not None:
+        variance += rig.left.fx**2 * float(rig.covariance_rc[4, 4])
+    return float(np.sqrt(variance))
+
+
+def _normalised(image: Image, maps: Maps | None) -> Image:
+    """Rectified, grey, of mean 128 and spread 45: thresholds and brightness then mean the same in all four images."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    rectified = rectify(grey, maps)
+    sample = np.ascontiguousarray(rectified[::_EVERY, ::_EVERY])
+    seen = None if maps is None else np.ascontiguousarray(maps.valid[::_EVERY, ::_EVERY])
+    mean, spread = cv2.meanStdDev(sample, mask=seen)
+    gain = float(np.clip(_SPREAD / max(float(spread[0, 0]), 1e-3), 0.2, _MOST_GAIN))
+    table = np.clip(np.rint(_MEAN + gain * (np.arange(256.0) - float(mean[0, 0]))), 0.0, 255.0).astype(np.uint8)
+    return cv2.LUT(rectified, table)
+
+
+def _inner(maps: Maps | None, rig: StereoRig) -> Mask:
+    """Where corners may be: not near the border of what the camera has seen."""
+    mask = np.full((rig.left.height, rig.left.width), 255, np.uint8) if maps is None else maps.valid.copy()
+    mask[0] = mask[-1] = 0
+    mask[:, 0] = mask[:, -1] = 0
+    side = 2 * _BORDER_PX + 1
+    return np.asarray(cv2.erode(mask, np.ones((side, side), np.uint8)), np.uint8)

@@ -1,0 +1,99 @@
+"""Tracks of corners through two rectified stereo pairs by the pyramidal Lucas-Kanade method (Bouguet 2001).
+
+A point is measured as y = (u_l, v_l, u_r): rectified pixels of the left image, and the column of the same point in the right one.
+NaN: not measured. Each match must come back to where it began, and stay in its row in the other camera.
+"""
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import Array
+from vision.image.rectify import Image
+
+_WINDOW: Final = (17, 17)  # px
+_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+_LEVELS: Final = 3
+_BACK_PX: Final = 1.0  # forward and back again end so near to the beginning
+_ROW_PX: Final = 1.5  # of rectified images; calibration leaves some tenths
+_MARGIN_PX: Final = 8.0  # half a window
+_HALF: Final = 5  # of a window of the coarse search, px of the half image
+_ALIKE: Final = 0.7  # least correlation there
+_PEAK, _DISTINCT = 3, 0.04  # no place further off than this many px correlates nearly as well: fences, windows
+
+
+def stereo(left: Image, right: Image, px: Array, column: Array) -> Array:
+    """u_r (N,) of left pixels px (N, 2); column (N,): where it is expected, within a few pixels; NaN: not found."""
+    there, found = _flow(left, right, px, np.column_stack((column, px[:, 1])), 1)
+    found &= np.abs(there[:, 1] - px[:, 1]) <= _ROW_PX
+    return np.where(found, there[:, 0], np.nan)
+
+
+def coarse_columns(left: Image, right: Image, px: Array, low: Array, high: Array) -> Array:
+    """u_r (N,) of left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing like it there, or twice.
+
+    Normalised cross-correlation along the row, in images of half the size: near points lie too far off for Lucas-Kanade.
+    """
+    a, b = cv2.pyrDown(left), cv2.pyrDown(right)
+    height, width = a.shape
+    half = np.rint(0.5 * px).astype(int)
+    first = np.clip(np.floor(0.5 * low).astype(int), _HALF, width - 1 - _HALF)
+    last = np.clip(np.ceil(0.5 * high).astype(int), _HALF, width - 1 - _HALF)
+    columns = np.full(len(px), np.nan)
+    for k, (u, v) in enumerate(half.tolist()):
+        if not (_HALF <= u < width - _HALF and _HALF <= v < height - _HALF and first[k] <= last[k]):
+            continue
+        rows = slice(v - _HALF, v + _HALF + 1)
+        score = cv2.matchTemplate(
+            b[rows, first[k] - _HALF : last[k] + _HALF + 1], a[rows, u - _HALF : u + _HALF + 1], cv2.TM_CCOEFF_NORMED
+        )
+        best = int(score.argmax())
+        peak = float(score[0, best])
+        score[0, max(best - _PEAK, 0) : best + _PEAK + 1] = -1.0
+        if peak >= _ALIKE and float(score.max()) <= peak - _DISTINCT:
+            columns[k] = 2.0 * (first[k] + best) + px[k, 0] - 2.0 * u
+    return columns
+
+
+def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> Array:
+    """(N, 2) pixels in the second image of first pixels px (N, 2).
+
+    H (3, 3): turns the second image to the attitude of the first (H ~ K R_01 K^-1), so that a turn about the optical axis does not
+    turn the patches against each other. guess (N, 2): expected pixels in the second image.
+    """
+    turned = cv2.warpPerspective(second, H, (second.shape[1], second.shape[0]), flags=cv2.INTER_LINEAR)
+    there, found = _flow(first, turned, px, _mapped(H, guess), _LEVELS)
+    there = _mapped(np.linalg.inv(H), there)
+    height, width = second.shape[:2]
+    low, high = _MARGIN_PX, np.array([width, height]) - 1.0 - _MARGIN_PX
+    found &= ((there >= low) & (there <= high)).all(axis=1)
+    return np.where(found[:, None], there, np.nan)
+
+
+def _flow(a: Image, b: Image, px: Array, guess: Array, levels: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (N, 2) in b of pixels in a, and which of them return to their beginning."""
+    known = np.isfinite(guess).all(axis=1)
+    if not known.any():
+        return np.full((len(px), 2), np.nan), known
+    px, guess = px[known], guess[known]
+    start, ahead = np.ascontiguousarray(px, np.float32), np.ascontiguousarray(guess, np.float32).copy()
+    there, forward, _ = cv2.calcOpticalFlowPyrLK(
+        a, b, start, ahead, winSize=_WINDOW, maxLevel=levels, criteria=_STOP, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    back, backward, _ = cv2.calcOpticalFlowPyrLK(
+        b, a, there, start.copy(), winSize=_WINDOW, maxLevel=0, criteria=_STOP, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    gap = np.abs(back - start).max(axis=1)
+    found = (forward.ravel() > 0) & (backward.ravel() > 0) & (gap <= _BACK_PX)
+    everywhere, all_found = np.full((len(known), 2), np.nan), known.copy()
+    everywhere[known], all_found[known] = there, found
+    return everywhere, all_found
+
+
+def _mapped(H: Array, px: Array) -> Array:
+    """Pixels (N, 2) through a homography."""
+    x = px @ H[:, :2].T + H[:, 2]
+    mapped: Array = x[:, :2] / x[:, 2:]
+    return mapped
