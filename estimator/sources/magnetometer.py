@@ -28,6 +28,7 @@ _WEAKEST_T, _STRONGEST_T = 5e-6, 5e-4  # no field of the Earth, 22 to 67 microte
 _FALSE_RAD: Final = math.pi
 _UT: Final = 1e-6
 _Degrees: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
+_Declination: TypeAlias = Annotated[float, Meta(ge=-180, le=180)]
 _Offset: TypeAlias = Annotated[float, Meta(ge=-1000, le=1000)]
 _Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
 
@@ -36,8 +37,8 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[magnetometer]: how it sits, its calibration and its errors; it is used where [inputs] magnetometer names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    lie_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: how long a fault that repeats itself is expected to last (iron, currents)")
+    fault_s: Annotated[
+        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (iron, currents)")
     ] = 60.0
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
@@ -52,7 +53,7 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
         tuple[_Scale, _Scale, _Scale], Meta(description="factors of its axes, once the offset is taken from them")
     ] = (1.0, 1.0, 1.0)
     declination_deg: Annotated[
-        float | None, Meta(ge=-180, le=180, description="deg: east positive; none: of the World Magnetic Model at the origin")
+        _Declination | None, Meta(description="deg: east positive; none: of the World Magnetic Model at the origin")
     ] = None
     sigma_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: error that is new with each reading")] = 3.0
     hard_iron_sigma_ut: Annotated[
