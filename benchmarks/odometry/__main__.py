@@ -95,7 +95,11 @@ def faults() -> list[Table]:
     reasons = Counter(r.split(":")[0] for n in (2, 4, 8) for r in run(handheld.every(n)).reasons)
     return [
         Table("Recorded, spoiled", COLUMNS, rows),
-        Table("Why steps of the hand-held set are lost (10, 5, 2.5 Hz)", ("reason", "steps"), [(r, str(n)) for r, n in reasons.items()]),
+        Table(
+            "Why steps of the hand-held set are lost (10, 5, 2.5 Hz)",
+            ("reason", "steps"),
+            [(r, str(n)) for r, n in reasons.items()],
+        ),
     ]
 
 
@@ -119,7 +123,10 @@ def speed() -> list[Table]:
     """Processor time of a pair: its frame (rectification included) and the step to it."""
     rows = []
     for name, scored in (
-        ("VGA 752 x 480, recorded", run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None),
+        (
+            "VGA 752 x 480, recorded",
+            run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None,
+        ),
         ("VGA 640 x 480, rendered", run(sets.nadir(30.0, "village", exact=True))),
         ("720p, rendered", run(sets.nadir(30.0, "village", exact=True, size=(1280, 720)))),
     ):
@@ -167,7 +174,9 @@ def draw(folder: Path) -> None:
         odometry = StereoOdometry(sequence.rig)
         pair = odometry.frame(*short[0].images())
         assert not isinstance(pair, str)
-        cv2.imwrite(str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step))
+        cv2.imwrite(
+            str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step)
+        )
 
 
 def _drawn(image: Image, step: Step) -> Image:

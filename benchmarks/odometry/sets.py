@@ -135,7 +135,9 @@ def _with_truck(world: World, p: Array, t: float, height_m: float) -> World:
     corner = np.array([p[0] - 0.5 * along, p[1] + 0.02 * height_m * np.sin(t)])
     rng = np.random.default_rng(4)
     drift = 0.04 * height_m * t
-    stones = [Solid(_box(corner + [drift - 5 * 0.04 * height_m, 0.0], along, across), 0.0, 1.0, Look((92, 94, 90), texture="gravel"))]
+    stones = [
+        Solid(_box(corner + [drift - 5 * 0.04 * height_m, 0.0], along, across), 0.0, 1.0, Look((92, 94, 90), texture="gravel"))
+    ]
     for _ in range(300):
         n, e = rng.uniform(0.0, along), rng.uniform(0.0, across)
         b, g, r = rng.uniform(30.0, 220.0, 3).tolist()

@@ -234,7 +234,7 @@ KINDS = {
         Kind(name="IMU samples lost", perturb=imu_drop, unit="%", sizes=(2.0, 5.0, 20.0)),
         Kind(name="time jitter", perturb=time_jitter, unit="ms", sizes=(2.0, 5.0, 15.0)),
         Kind(name="fix delay", perturb=fix_delay, unit="ms", sizes=(40.0, 80.0, 150.0)),
-        Kind(name="fix covariance too small", perturb=fix_covariance, unit="x", sizes=(2.0, 4.0, 16.0)),
+        Kind(name="fix covariance too small", perturb=fix_covariance, unit="x", sizes=(2.0, 4.0, 16.0, 100.0)),
         Kind(name="fix frame drifts", perturb=fix_drift, unit="x", sizes=(0.5, 1.0, 2.0)),
         Kind(name="fix scale", perturb=fix_scale, unit="%", sizes=(1.0, 2.0, 5.0)),
         Kind(name="fix heading", perturb=fix_heading, unit="deg", sizes=(3.0, 10.0, 30.0)),

@@ -22,7 +22,7 @@ from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch, relinearise
-from estimator.filter.variance_factor import NO_EXCESS
+from estimator.filter.variance_factor import LARGEST, NO_EXCESS
 from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
@@ -54,6 +54,9 @@ _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
 _WORTH_SAYING = 2.0  # of the variance of unit weight
+_LARGEST_ALIGNING = (
+    1e4  # ratio of an innovation to its prediction that may be noise, where it points another way than the last one
+)
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -410,9 +413,10 @@ class Tracker:
         foreseen = seen.distance2 * self.variance_factor.value <= limit
         if aid.absolute:
             before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
-            foreseen |= seen.distance2 <= limit and not contradiction.persists(before, self.direction)
+            persists = contradiction.persists(before, self.direction)
+            foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
-                self._note_variance(aid, seen)
+                self._note_variance(aid, seen, LARGEST if persists else _LARGEST_ALIGNING)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if self.hypotheses is None:
             return
@@ -437,11 +441,11 @@ class Tracker:
             self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
             self.contradiction, self.given_up = NO_CONTRADICTION, self.given_up + 1
 
-    def _note_variance(self, aid: Aid, seen: Innovation) -> None:
+    def _note_variance(self, aid: Aid, seen: Innovation, largest: float = LARGEST) -> None:
         """One more innovation of an absolute source, of the leading filter."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
-        self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu))
+        self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
         self.hypotheses.scale(self.variance_factor.value, aid.topic)
 
     def _is_known(self) -> bool:

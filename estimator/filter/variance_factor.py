@@ -18,7 +18,7 @@ from estimator.sources.gating import gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
 _USUAL = 0.96  # share of good readings
-_LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
+LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 _FADES_S, _GONE = 30.0, 1.01
 _SILENT_S = 10.0  # a source that is silent for longer has no say
 
@@ -46,12 +46,12 @@ class VarianceFactor(NamedTuple):
     t_ns: int = 0
     recent: tuple[tuple[str, Recent], ...] = ()
 
-    def also(self, topic: str, t_ns: int, distance2: float, dof: int) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1."""
+    def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float = LARGEST) -> "VarianceFactor":
+        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`."""
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         ratios = by_topic[topic].ratios if topic in by_topic else ()
-        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= _LARGEST else ratios, usual)
+        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest else ratios, usual)
         excess = min(r.excess for r in by_topic.values())
         faded = 1.0 + (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
         value = max(excess, faded if faded > _GONE else 1.0)

@@ -5,6 +5,7 @@ import pytest
 
 from estimator.filter.variance_factor import NO_EXCESS, VarianceFactor
 from models.messages import PoseFix, Reason
+from models.sim.scenario import EPOCH_NS
 from models.state import E
 from tests.estimator.scenes import SECOND, Run, error, fly, simulated, within
 
@@ -81,3 +82,14 @@ def test_fixes_that_claim_too_small_a_covariance_are_fused_and_the_estimate_clai
     assert 0.2 < nees.mean() < 1.4
     assert "times as large as configured" in run.health[-1].detail
     assert len(run.resets) < 10
+
+
+def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
+    flight = simulated(FLIGHT)
+    run: Run = fly(flight, messages=[_overconfident(m, 100.0) if isinstance(m, PoseFix) else m for m in flight.messages])
+    assert run.estimates[0].t_ns < EPOCH_NS + 30 * SECOND
+    late = within(run.estimates, 42.0, 60.0)
+    off = np.array([error(e, flight.truth)[E.P] for e in late])
+    nees = np.array([d @ np.linalg.solve(e.covariance[E.P, E.P], d) / 3.0 for d, e in zip(off, late, strict=True)])
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.5
+    assert 0.1 < nees.mean() < 1.5
