@@ -32,7 +32,7 @@ Blackman and Popoli 1999, ch. 16.)
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +79,8 @@ class Hypothesis:
     fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
     parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic; benefit: ln, of the doubt that a
     sceptic stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that
-    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time.
+    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
+    topics that it rejects since a conflict that it has won.
     """
 
     filter: Eskf
@@ -91,18 +92,23 @@ class Hypothesis:
     benefit: float = 0.0
     without: str = ""
     least: float = -math.inf
+    decided: frozenset[str] = frozenset()
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
-        times = self.fused_ns, self.established_ns, self.parted_ns
-        return Hypothesis(self.filter.copy(), self.weight, *times, doubts, self.benefit, self.without, self.least)
+        return replace(self, filter=self.filter.copy(), doubts=doubts)
 
     def note_fused(self, t_ns: int) -> None:
         """A position was fused."""
         if (t_ns - self.fused_ns) * 1e-9 > _LEAST_PATIENCE_S:
             self.established_ns = t_ns
         self.fused_ns = t_ns
+
+    @property
+    def rejected(self) -> set[str]:
+        """Topics whose last reading was false to it, or that it leaves out."""
+        return {topic for topic, doubt in self.doubts.items() if not doubt.deliberate or topic == self.without}
 
     def matters_beside(self, lead: "Hypothesis") -> bool:
         """It may still lead, or it shows in the covariance."""
@@ -136,16 +142,26 @@ class Verdict(NamedTuple):
 
 
 class Hypotheses:
-    """The filters that are still in question; the first is the estimate. `switches` counts take-overs."""
+    """The filters that are still in question; the first is the estimate.
 
-    __slots__ = ("members", "switches")
+    switches: how often another one took over; conflict_ns: since when sources are in conflict; disputed: the rejected ones.
+    """
 
-    def __init__(self, members: list[Hypothesis], switches: int = 0) -> None:
+    __slots__ = ("conflict_ns", "disputed", "members", "switches")
+
+    def __init__(
+        self,
+        members: list[Hypothesis],
+        switches: int = 0,
+        conflict_ns: int | None = None,
+        disputed: frozenset[str] = frozenset(),
+    ) -> None:
         self.members, self.switches = members, switches
+        self.conflict_ns, self.disputed = conflict_ns, disputed
 
     def copy(self) -> "Hypotheses":
         """Independent hypotheses in the same state."""
-        return Hypotheses([h.copy() for h in self.members], self.switches)
+        return Hypotheses([h.copy() for h in self.members], self.switches, self.conflict_ns, self.disputed)
 
     @property
     def lead(self) -> Eskf:
@@ -171,14 +187,13 @@ class Hypotheses:
         return _scaled(total, lead.filter.variance_factor)
 
     @property
-    def conflict(self) -> tuple[str, float] | None:
+    def conflict(self) -> tuple[frozenset[str], float] | None:
         """Topics that the leading hypothesis rejects and another one, in the covariance, does not; their distance [m]."""
-        lead = self.members[0]
-        rejected = {topic for topic, doubt in lead.doubts.items() if not doubt.deliberate or topic == lead.without}
+        lead, rejected = self.members[0], self.members[0].rejected
         for member in self.members[1:]:
             if member.benefit > 0.0 and (topics := rejected - member.doubts.keys()):
                 off = member.filter.x[X.P] - lead.filter.x[X.P]
-                return ", ".join(sorted(topics)), float(np.linalg.norm(off))
+                return frozenset(topics), float(np.linalg.norm(off))
         return None
 
     def scale(self, variance_factor: float, topic: str = "") -> None:
@@ -262,7 +277,7 @@ class Hypotheses:
         if k == 0 or not member.without or not aid.absolute:
             return
         member.weight += min(0.0, gained.get(0, 0.0) - math.log(aid.rules.false_share) - gained[k])
-        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)))
+        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
 
     def _begin_again(self, aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
         """A hypothesis without a receiver that refuses a fix begins again as the leading one or the believer that takes it."""
@@ -381,7 +396,10 @@ class Hypotheses:
             if aid.absolute:
                 member.note_fused(aid.t_ns)
                 behind = self.members[0].weight - member.weight
-                if lead_refuses and behind < _FORGET:  # until it is decided, the covariance covers both
+                member.decided -= {aid.topic}
+                if (
+                    lead_refuses and behind < _FORGET and not self._is_decided(aid)
+                ):  # until it is decided, the covariance covers both
                     member.benefit = max(member.benefit, behind)
             return True
         member.weight += aid.log_false
@@ -426,11 +444,14 @@ class Hypotheses:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""
         if len(self.members) == 1:  # most of the time
             self.members[0].weight = 0.0
+            if self.conflict_ns is not None:
+                self._note_conflict(t_ns)
             return
         lead, *others = self.members
         best = max(others, key=lambda m: m.weight, default=lead)
         if best.weight > lead.weight + _MARGIN:
             others = [lead, *(m for m in others if m is not best)]
+            best.decided, self.disputed = frozenset(best.rejected - lead.doubts.keys()), frozenset()
             lead = best
             lead.benefit = 0.0
             self.switches += 1
@@ -444,6 +465,20 @@ class Hypotheses:
         for member in kept:
             member.weight = max(member.weight, member.least)
             member.benefit = max(-member.weight, _TINY) if member.benefit else 0.0  # in a conflict it counts like the leading one
+        self._note_conflict(t_ns)
+
+    def _note_conflict(self, t_ns: int) -> None:
+        """A conflict begins, goes on or is decided."""
+        if (found := self.conflict) is None:
+            self.members[0].decided |= self.disputed
+            self.conflict_ns, self.disputed = None, frozenset()
+        else:
+            self.conflict_ns, self.disputed = self.conflict_ns or t_ns, found[0]
+
+    def _is_decided(self, aid: Aid) -> bool:
+        """The leading hypothesis has won against this source, and other ones still confirm it: it is not in question again."""
+        lead = self.members[0]
+        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < _LEFT_OUT_S
 
 
 def _scaled(cov: Array, factor: float) -> Array:

@@ -224,13 +224,23 @@ class Tracker:
         found: list[str] = []
         if self.shown is None:
             return found
-        if self.hypotheses is not None and (conflict := self.hypotheses.conflict) is not None:
-            found.append(f"{conflict[0]} and the estimate disagree by {conflict[1]:.1f} m: the covariance covers both")
+        if conflict := self._conflict():
+            found.append(conflict)
         if self.is_aligned and self.without_sensor is not None:
             found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
         if (f := self.variance_factor.value) >= _WORTH_SAYING:
             found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
         return found
+
+    def _conflict(self) -> str:
+        """Which absolute sources disagree, by how much and for how long; "" where none do."""
+        hypotheses = self.hypotheses
+        if hypotheses is None or hypotheses.conflict_ns is None or (found := hypotheses.conflict) is None:
+            return ""
+        (rejected, distance_m), since_s = found, (self.t_ns - hypotheses.conflict_ns) * 1e-9
+        used = {topic for topic in self.absolute - rejected if self.t_ns - self.sources[topic].fused_ns < _VOUCHED_NS}
+        sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
+        return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
 
     @property
     def needs_from_ns(self) -> int:
@@ -333,7 +343,8 @@ class Tracker:
         if state.held_until_ns > aid.t_ns and trusted:
             self.hypotheses.leave(aid.witness)
         ratio = verdict.seen.distance2 / verdict.gate
-        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, aid.detail), state
+        detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
+        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
 
     def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Start the filter, or go on finding the heading."""
