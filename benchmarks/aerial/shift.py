@@ -1,4 +1,4 @@
-"""SpaceNet: where all footprints of a set together lie best, before anybody decides whether to believe it.
+"""SpaceNet: where all footprints of a set together lie best, before the decision to accept it.
 
 python -m benchmarks.aerial.shift [--seed N]
 

@@ -216,7 +216,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
     @property
     def consistent(self) -> bool:
-        """The mean lies in its band: errors are neither larger nor smaller than promised."""
+        """The mean lies in its band: errors are neither larger nor smaller than reported."""
         return self.band[0] <= self.mean <= self.band[1]
 
 

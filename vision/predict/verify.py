@@ -150,7 +150,7 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
         if apart < _ONE_FIT_PX:
             kept = min(kept, other.kept)
         if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - _decisive(other, config):
-            return f"another place, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
+            return f"another position, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best if kept == best.kept else replace(best, kept=kept)
 
 

@@ -25,7 +25,7 @@ from models.state import E, X
 
 _BYTE: Final = 256
 _STEP_M, _STEP_SIGMAS = 1.0, 3.0  # a step is larger than both
-_GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be told from the way flown
+_GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be distinguished from the way flown
 _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
 _SECOND_NS: Final = 1_000_000_000

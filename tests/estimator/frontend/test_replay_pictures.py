@@ -68,7 +68,7 @@ def test_each_pair_has_its_request_and_its_report(seen: Path) -> None:
         assert len(_records(seen, topic)) == len(SEEN_S)
 
 
-def test_viewers_are_reported_of_the_landmarks_at_the_first_image_and_of_those_in_use(seen: Path) -> None:
+def test_viewers_get_the_landmarks_at_the_first_image_and_those_in_use(seen: Path) -> None:
     looks = _records(seen, "/landfix/vision", "/landfix/fix", "/landfix/landmarks")
     assert "/landfix/landmarks" in {r.topic for r in looks[1:3]}, "behind the first report and fix"
     sent = [r for r in looks if r.topic == "/landfix/landmarks"]

@@ -120,7 +120,7 @@ def test_a_silent_source_is_reported_as_stopped_though_nothing_comes_to_stop_it(
 
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_source_that_drifts_beside_another_is_held_off_and_then_on_probation_again(alone: bool) -> None:
-    """alone: the other has gone meanwhile, so that no one is left to vouch."""
+    """alone: the other has gone meanwhile, so that no independent source is left."""
     state, t = _active(100.0), 100.0
     while state.phase is Phase.ACTIVE:
         t += 1.0

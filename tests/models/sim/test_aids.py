@@ -176,7 +176,7 @@ def test_false_spans_agree_with_each_other(trajectory: Trajectory) -> None:
     assert len(false) == 8
     p, theta = np.array([f.p_n for f in fixes]) - truth_at(trajectory, fixes).p_n, attitude_errors(trajectory, fixes)
     for k, f in enumerate(fixes):
-        lying = f.t_ns in false
-        assert lying == (38.0 <= (f.t_ns - EPOCH_NS) * 1e-9 < 42.0)
-        np.testing.assert_allclose(p[k], [3.0, -4.0, 0.0] if lying else 0.0, atol=1e-9)
-        np.testing.assert_allclose(theta[k], [0.0, 0.0, math.radians(8.0)] if lying else 0.0, atol=1e-9)
+        is_false = f.t_ns in false
+        assert is_false == (38.0 <= (f.t_ns - EPOCH_NS) * 1e-9 < 42.0)
+        np.testing.assert_allclose(p[k], [3.0, -4.0, 0.0] if is_false else 0.0, atol=1e-9)
+        np.testing.assert_allclose(theta[k], [0.0, 0.0, math.radians(8.0)] if is_false else 0.0, atol=1e-9)

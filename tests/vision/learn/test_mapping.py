@@ -157,7 +157,7 @@ def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> Non
     found = learned(mapper, 0.0, KeepConfig(least_frames=3))
     assert [round(float(np.hypot(*mark.centre_n))) for mark in found.landmarks] == pytest.approx([0], abs=1)
     assert found.seen == [12]
-    assert found.left_out["seen in fewer than 3 pictures"] >= 1
+    assert found.left_out["seen in fewer than 3 images"] >= 1
     assert found.left_out["not at one place: it moves, or is several"] >= 1
 
 

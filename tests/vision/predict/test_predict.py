@@ -387,10 +387,10 @@ def test_every_place_that_is_nearly_as_good_is_a_rival() -> None:
 def test_where_the_bare_ground_covers_half_of_one_roof_nothing_stands(seed: int, number: int, kind: str) -> None:
     """Another roof of which three sides lie on edges: the rest of the outline is on grass, in the next picture as well."""
     view, pictures, prior, _ = decoy(seed, number, kind)
-    lying = pipeline(view.landmarks, view.rig)
-    assert lying.process(*pictures, 1, prior).fix is None
+    decoyed = pipeline(view.landmarks, view.rig)
+    assert decoyed.process(*pictures, 1, prior).fix is None
     _, pictures, prior = later(view, prior)
-    assert lying.process(*pictures, 500_000_001, prior).fix is None
+    assert decoyed.process(*pictures, 500_000_001, prior).fix is None
 
 
 @pytest.mark.parametrize(("number", "kind"), [(15, "gone"), (23, "shifted"), (26, "shifted")])

@@ -178,7 +178,7 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
     with _px4(kind=ARDUPILOT) as (link, _, clock, autopilot):
         t_ns, sent = clock.now_ns(), 0
 
-        def told() -> Any:
+        def answer() -> Any:
             nonlocal sent
             sent += 1
             estimate = _estimate(t_ns + sent * SECOND // 10)
@@ -187,12 +187,12 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
             return autopilot.of("ODOMETRY")[-1]
 
         autopilot.until(lambda: EKF_ORIGIN in _requested(autopilot.heard), "its origin is asked for")
-        first = told()
+        first = answer()
         assert (first.quality, first.reset_counter) == (-1, 3)
         assert "not known" in link.report()["ekf_origin"]
         _say_origin(autopilot, (-216.0, 288.0, 10.0))
         autopilot.until(lambda: "not known" not in link.report()["ekf_origin"], "its origin is known")
-        second, third = told(), told()
+        second, third = answer(), answer()
         assert min(second.quality, third.quality) > 90
         shifted = [10.0 + 216.0, 20.0 - 288.0, -30.0 - 10.0]
         assert [second.x, second.y, second.z] == pytest.approx(shifted, abs=1.0)  # 0.3 % of its sphere
@@ -200,7 +200,7 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         assert link.report()["ekf_origin"] == "-216 m north, 288 m east, -10 m above the map's"
         _say_origin(autopilot, (-216.0, 388.0, 10.0))
         autopilot.until(lambda: "388 m east" in link.report()["ekf_origin"], "it has moved")
-        moved = told()
+        moved = answer()
         assert (moved.y - third.y, moved.reset_counter, moved.quality) == (pytest.approx(-100.0, abs=0.5), 5, third.quality)
         assert link.report()["refused"] == link.report()["defects"] == 0
 

@@ -107,7 +107,7 @@ def test_the_summary_reports_what_became_of_the_pictures(flown: Path) -> None:
     assert summary["pictures"] > 40
     assert min(summary["seen"].values()) >= 4
     assert summary["ground_alt_m"] == pytest.approx(488.0, abs=2.0)
-    assert summary["left_out"]["seen in fewer than 4 pictures"] > 0
+    assert summary["left_out"]["seen in fewer than 4 images"] > 0
 
 
 def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
