@@ -69,6 +69,7 @@ class MavlinkLink:
         self._pace, self._fix_waits = Pace(odometry_hz), False
         self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
         self._map_origin: tuple[float, float, float] | None = None
+        self._quality: int | None = None  # of the last odometry
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -132,6 +133,7 @@ class MavlinkLink:
             **self._inputs.report(),
             **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
             "odometry": self.sent_odometry,
+            "quality": "none sent" if self._quality is None else self._quality,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
             "out_of_range": self.out_of_range,
@@ -154,7 +156,7 @@ class MavlinkLink:
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
         pose = self._ekf3.pose(estimate, self._geoid_m) if is_ardupilot else ours
         quality = self._handover.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
-        pose = pose or ours
+        pose, self._quality = pose or ours, quality
         counter = self._handover.reset_counter(estimate, pose[0], quality)
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 

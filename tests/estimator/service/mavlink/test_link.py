@@ -188,7 +188,7 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
 
         autopilot.until(lambda: EKF_ORIGIN in _requested(autopilot.heard), "its origin is asked for")
         first = told()
-        assert (first.quality, first.reset_counter) == (-1, 3)
+        assert (first.quality, first.reset_counter, link.report()["quality"]) == (-1, 3, -1)
         assert "not known" in link.report()["ekf_origin"]
         _say_origin(autopilot, (-216.0, 288.0, 10.0))
         autopilot.until(lambda: "not known" not in link.report()["ekf_origin"], "its origin is known")
