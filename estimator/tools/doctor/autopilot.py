@@ -136,7 +136,7 @@ def _origin(answers: Answers, config: Config) -> Check:
     found = f"{lat:.7f}, {lon:.7f}, {sea_m:.1f} m above the sea"
     if config.map.origin is None:
         return judge(name, found)
-    north, east, down = np.round(Origin(*config.map.origin).to_ned(lat, lon, sea_m + config.geoid_m))
+    north, east, down = np.round(Origin(*config.map.origin).to_ned(lat, lon, sea_m + config.geoid_m)) + 0.0  # no -0
     away = f"; from [map] origin {north:.0f} m north, {east:.0f} m east, {0.0 - down:.0f} m up: ODOMETRY is shifted by that"
     return judge(name, found + away)
 
