@@ -79,6 +79,11 @@ class Handover:
         self._last: tuple[Estimate, Vec3] | None = None
         self._usable_ns = _NEVER  # of the last one sent that was to be used
 
+    @property
+    def most_radius_m(self) -> float:
+        """95 % radius from which on odometry is not to be used."""
+        return self._config.most_radius_m
+
     def note(self, outputs: Iterable[Output]) -> bool:
         """Take notice; whether a fix from outside is among what was just fused."""
         news = False
