@@ -109,7 +109,7 @@ def _visual_odometry(p: _Parameters, config: Config) -> Iterator[Check]:
     if least > 0:
         yield judge("odometry is used", f"up to a 95 % radius of {radius_m:.1f} m")
     advice = "set 1: with 0.1 the velocity after a blackout fails EKF3's gate, EKF variance, and the vehicle lands"
-    yield p.check("VISO_VEL_M_NSE", p.get("VISO_VEL_M_NSE") >= _SOFT_M_S, advice, warn=True)
+    yield p.check("VISO_VEL_M_NSE", p.get("VISO_VEL_M_NSE") >= _SOFT_M_S, advice)
     advice = "set 10: ODOMETRY is propagated to now, and stamped"
     yield p.check("VISO_DELAY_MS", p.get("VISO_DELAY_MS") <= _SLOW_MS, advice, warn=True)
     for name in ("VISO_POS_X", "VISO_POS_Y", "VISO_POS_Z", "VISO_ORIENT"):

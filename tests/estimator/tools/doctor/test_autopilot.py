@@ -101,7 +101,7 @@ def test_an_autopilot_that_is_set_up_right_has_no_finding() -> None:
         ("FS_EKF_ACTION", 0, State.WARN, "set 1"),
         ("VISO_TYPE", 0, State.FAIL, "reboot"),
         ("VISO_QUAL_MIN", -1, State.FAIL, "set 0 or more"),
-        ("VISO_VEL_M_NSE", 0.1, State.WARN, "set 1"),
+        ("VISO_VEL_M_NSE", 0.1, State.FAIL, "set 1"),
         ("VISO_DELAY_MS", 200, State.WARN, "set 10"),
         ("VISO_POS_X", 0.3, State.FAIL, "set 0"),
         ("VISO_SCALE", 2.0, State.FAIL, "set 1"),
