@@ -152,7 +152,7 @@ def assembled(
             px4 = _px4(config, bus, clock)
             parts["px4"] = px4.report
             outboxes.append(px4)
-        mavlink = _mavlink(stack, config, folder, clock)
+        mavlink = _mavlink(stack, config, folder, clock, console)
         if mavlink:
             parts["mavlink"] = mavlink.report
             outboxes.append(mavlink)
@@ -285,13 +285,14 @@ def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
     return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, handover, rate_hz, config.geoid_m)
 
 
-def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock) -> "MavlinkLink | None":
+def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, console: Console) -> "MavlinkLink | None":
     if not config.mavlink.endpoint:
         return None
     from estimator.service.mavlink.link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
 
     handover = Handover(config.autopilot)
-    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, config.autopilot.odometry_hz, config.geoid_m)
+    rate_hz = config.autopilot.odometry_hz
+    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, rate_hz, config.geoid_m, console.say)
     stack.callback(link.close)
     return link
 

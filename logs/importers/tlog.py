@@ -26,6 +26,7 @@ from models.messages import Array, Vec3
 
 _MILLI_G = GRAVITY * 1e-3
 _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+_SAME_HEIGHT_MM = 10  # ArduPilot counts in cm
 _GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc")
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
@@ -77,7 +78,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     truth = _truth(tables, notes)
     origin, delay_s = None, _DELAY_S.get(autopilot, 0.0)
     if gnss:
-        if not any(tables[name]["alt_ellipsoid"].any() for name in _RECEIVERS if name in tables):
+        if not any(_has_ellipsoid(tables[name]).any() for name in _RECEIVERS if name in tables):
             notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
@@ -191,10 +192,17 @@ def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int
     return recording.imu(table.t_ns, table.arrived_ns, gyro_b, accel_b)
 
 
+def _has_ellipsoid(table: _Table) -> Array:
+    """alt_ellipsoid of 0 is none, nor is one that is the height above the sea: a receiver without a geoid sends it in both."""
+    height = table["alt_ellipsoid"]
+    known: Array = (height != 0) & (np.abs(height - table["alt"]) > _SAME_HEIGHT_MM)
+    return known
+
+
 def _gnss(source: Path, table: _Table | None, topic: str) -> list[Stream]:
     if table is None:
         return []
-    height = np.where(table["alt_ellipsoid"] != 0, table["alt_ellipsoid"], table["alt"]) * 1e-3
+    height = np.where(_has_ellipsoid(table), table["alt_ellipsoid"], table["alt"]) * 1e-3
     lla = np.stack([table["lat"] * 1e-7, table["lon"] * 1e-7, height], axis=1)
     sensors.check_place(lla, source.name)
     status = sensors.navsat_status(table["fix_type"])

@@ -25,7 +25,7 @@ from models.state import E, X
 
 _BYTE: Final = 256
 _STEP_M, _STEP_SIGMAS = 1.0, 3.0  # a step is larger than both
-_GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be distinguished from the way flown
+_GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be separated from the way flown, and is assumed
 _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
 _SECOND_NS: Final = 1_000_000_000
@@ -76,7 +76,13 @@ class Handover:
         self._quiet_ns = round(config.gnss_quiet_s * _SECOND_NS)
         self._gnss_ns = self._outside_ns = _NEVER
         self._steps = 0
-        self._last: tuple[Estimate, Vec3, bool] | None = None
+        self._last: tuple[Estimate, Vec3] | None = None
+        self._usable_ns = _NEVER  # of the last one sent that was to be used
+
+    @property
+    def most_radius_m(self) -> float:
+        """95 % radius from which on odometry is not to be used."""
+        return self._config.most_radius_m
 
     def note(self, outputs: Iterable[Output]) -> bool:
         """Take notice; whether a fix from outside is among what was just fused."""
@@ -114,15 +120,15 @@ class Handover:
         """0 to 255, for an estimate that is sent now at p_n, m, in the autopilot's frame.
 
         It has counted on when p_n is not where the last one has gone since, |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), the
-        estimator was reset, or what was not to be used is of use again: the autopilot followed something else meanwhile.
+        estimator was reset, or nothing was to be used for more than a second: the autopilot followed something else meanwhile.
         """
-        usable, last = quality >= 0, self._last
-        self._last = estimate, p_n, usable
+        last, usable_ns = self._last, self._usable_ns
+        self._last = estimate, p_n
+        self._usable_ns = estimate.t_ns if quality >= 0 else usable_ns
         if last is not None:
-            before, p_before, was_usable = last
-            step = _has_stepped(before, p_before, estimate, p_n)
-            again = usable and not was_usable
-            self._steps += (step or again) and before.reset_counter == estimate.reset_counter
+            step = _has_stepped(*last, estimate, p_n)
+            again = quality >= 0 and estimate.t_ns - usable_ns > _GAP_NS
+            self._steps += (step or again) and last[0].reset_counter == estimate.reset_counter
         return (estimate.reset_counter + self._steps) % _BYTE
 
 

@@ -4,7 +4,7 @@ One thread reads, answers and asks; what the estimator says is sent from the dae
 """
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from logs.wire.codec import Encoded, Topics
 from models import so3
 from models.frames import Origin
 from models.messages import Estimate, Output, vec3
+from models.radius import horizontal_radius
 from models.state import X
 
 _HEARTBEAT_NS: Final = SECOND_NS
@@ -58,8 +59,11 @@ class MavlinkLink:
         handover: Handover,
         odometry_hz: float,
         geoid_m: float,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
+        """say: prints a line for the person at the terminal; never waits."""
         self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
+        self._say, self._said, self._said_ns = say, "", -SECOND_NS
         self._inputs = Inputs(config, topics, geoid_m)
         key, heard = signing_key(config, folder), frozenset(config.listen_to)
         wanted = _OF_THE_LINK | self._inputs.wanted
@@ -69,6 +73,7 @@ class MavlinkLink:
         self._pace, self._fix_waits = Pace(odometry_hz), False
         self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
         self._map_origin: tuple[float, float, float] | None = None
+        self._quality: int | None = None  # of the last odometry
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -132,6 +137,7 @@ class MavlinkLink:
             **self._inputs.report(),
             **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
             "odometry": self.sent_odometry,
+            "quality": "none sent" if self._quality is None else self._quality,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
             "out_of_range": self.out_of_range,
@@ -154,9 +160,25 @@ class MavlinkLink:
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
         pose = self._ekf3.pose(estimate, self._geoid_m) if is_ardupilot else ours
         quality = self._handover.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
-        pose = pose or ours
+        self._announce(estimate, quality, knows_frame=pose is not None)
+        pose, self._quality = pose or ours, quality
         counter = self._handover.reset_counter(estimate, pose[0], quality)
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
+
+    def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
+        """Whether the autopilot may use the odometry, and why not, when that changes, once a second at most."""
+        radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
+        if quality >= 0:
+            line = "odometry may be used"
+        elif not knows_frame:
+            line = "odometry is not to be used: the origin of EKF3 is " + self._ekf3.report(self._map_origin, self._geoid_m)
+        elif radius_m < self._handover.most_radius_m:
+            line = f"odometry is not to be used: the mode is {estimate.mode.value}"
+        else:
+            line = f"odometry is not to be used: its 95 % radius is above {self._handover.most_radius_m:g} m"
+        if line != self._said and estimate.t_ns - self._said_ns >= SECOND_NS:
+            self._said, self._said_ns = line, estimate.t_ns
+            self._say(f"{_NAMES.get(self._autopilot or -1, 'autopilot')}: {line}")
 
     def _tell_fix(self, estimate: Estimate, time_usec: int) -> None:
         origin = Origin.of(estimate.origin)

@@ -24,10 +24,12 @@ _NAMES: Final = {
         *(f"EK3_SRC{k}_{name}" for k in _SETS for name in _SOURCES),
         *_SWITCHES,
         *_RECEIVERS,
+        "GPS_AUTO_SWITCH",
     ),
     codec.PX4: ("EKF2_EV_CTRL", "EKF2_EV_QMIN", "EKF2_EV_DELAY", "EKF2_EV_NOISE_MD", "EKF2_AGP0_CTRL", "EKF2_AGP0_ID"),
 }
 _GPS, _EXTERNAL, _MAVLINK = 3, 6, 14  # of EK3_SRCn_POSXY and VELXY; GPSn_TYPE
+_IF_LOST: Final = 4  # of GPS_AUTO_SWITCH: the second receiver only where the first has no fix
 _SWITCH: Final = 90
 _SOFT_M_S: Final = 0.5
 _SLOW_MS: Final = 60.0
@@ -76,16 +78,26 @@ def _ardupilot(answers: Answers, config: Config) -> Iterator[Check]:
         yield from _visual_odometry(p, config)
     yield from _source_sets(p, config)
     if config.mavlink.fixes:
-        has = any(p.get(name) == _MAVLINK for name in _RECEIVERS)
-        advice = "set GPS2_TYPE 14 (before 4.6: GPS_TYPE2), and reboot: GPS_INPUT is taken by such a receiver only"
-        yield judge("receiver for GPS_INPUT", "yes" if has else "none of type 14", fail=not has, advice=advice)
-        if config.mavlink.odometry:
-            advice = "set [mavlink] odometry or fixes to false: they are the same information"
-            yield judge("ways in", "odometry and fixes", warn=True, advice=advice)
+        yield from _receiver(p, config)
     advice = "set 1 or 3: with 0 the vehicle flies on when its position is lost"
     yield p.check("FS_EKF_ACTION", p.get("FS_EKF_ACTION") != 0, advice, warn=True)
     yield p.check("FS_EKF_THRESH", not p.get("FS_EKF_THRESH") <= 0, "set 0.8: 0 disables the failsafe", warn=True)
     yield _origin(answers, config)
+
+
+def _receiver(p: _Parameters, config: Config) -> Iterator[Check]:
+    """Fixes are those of a receiver, beside the true one."""
+    has = any(p.get(name) == _MAVLINK for name in _RECEIVERS)
+    advice = "set GPS2_TYPE 14 (before 4.6: GPS_TYPE2), and reboot: GPS_INPUT is taken by such a receiver only"
+    yield judge("receiver for GPS_INPUT", "yes" if has else "none of type 14", fail=not has, advice=advice)
+    name, advice = "GPS_AUTO_SWITCH", "set 4: 1 takes the receiver with the most satellites, ours says 255, and 2 blends both"
+    yield p.check(name, p.get(name) == _IF_LOST, advice)
+    if config.autopilot.own_gnss:
+        advice = 'set [autopilot] own_gnss = false: while GNSS is good no fix is sent, and "PreArm: GPS 2: Bad fix"'
+        yield judge("fixes while GNSS is good", "none", warn=True, advice=advice)
+    if config.mavlink.odometry:
+        advice = "set [mavlink] odometry or fixes to false: they are the same information"
+        yield judge("ways in", "odometry and fixes", warn=True, advice=advice)
 
 
 def _visual_odometry(p: _Parameters, config: Config) -> Iterator[Check]:
@@ -97,7 +109,7 @@ def _visual_odometry(p: _Parameters, config: Config) -> Iterator[Check]:
     if least > 0:
         yield judge("odometry is used", f"up to a 95 % radius of {radius_m:.1f} m")
     advice = "set 1: with 0.1 the velocity after a blackout fails EKF3's gate, EKF variance, and the vehicle lands"
-    yield p.check("VISO_VEL_M_NSE", p.get("VISO_VEL_M_NSE") >= _SOFT_M_S, advice, warn=True)
+    yield p.check("VISO_VEL_M_NSE", p.get("VISO_VEL_M_NSE") >= _SOFT_M_S, advice)
     advice = "set 10: ODOMETRY is propagated to now, and stamped"
     yield p.check("VISO_DELAY_MS", p.get("VISO_DELAY_MS") <= _SLOW_MS, advice, warn=True)
     for name in ("VISO_POS_X", "VISO_POS_Y", "VISO_POS_Z", "VISO_ORIENT"):
@@ -136,7 +148,7 @@ def _origin(answers: Answers, config: Config) -> Check:
     found = f"{lat:.7f}, {lon:.7f}, {sea_m:.1f} m above the sea"
     if config.map.origin is None:
         return judge(name, found)
-    north, east, down = np.round(Origin(*config.map.origin).to_ned(lat, lon, sea_m + config.geoid_m))
+    north, east, down = np.round(Origin(*config.map.origin).to_ned(lat, lon, sea_m + config.geoid_m)) + 0.0  # no -0
     away = f"; from [map] origin {north:.0f} m north, {east:.0f} m east, {0.0 - down:.0f} m up: ODOMETRY is shifted by that"
     return judge(name, found + away)
 

@@ -185,6 +185,17 @@ def test_accuracies_and_ellipsoid_height_of_mavlink_2(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diag(velocity.covariance_n), [0.16, 0.16, 1e4])
 
 
+def test_an_ellipsoid_height_that_is_that_above_the_sea_is_none(tmp_path: Path) -> None:
+    """ArduPilot's simulator, and receivers without a geoid, send it in both fields."""
+    ground = Ground()
+    for k in range(3):
+        ground.imu(k * 10_000, 5_000_000 + k * 10_000)
+    ground.hear(35_000, fix(5_030_000, h_acc=1500, ellipsoid=488_000))
+    recording = tlog.read(ground.write(tmp_path))
+    assert [m.alt_m for m in recording if isinstance(m, GnssFix)] == pytest.approx([488.0])
+    assert any("above sea level" in note for note in recording.notes)
+
+
 def test_stamps_that_count_from_1970_are_taken_as_they_are(tmp_path: Path) -> None:
     ground = Ground()
     ground.imu(80_000, START_US + 10_000)

@@ -106,5 +106,7 @@ def test_the_counter_counts_the_steps_of_what_is_sent() -> None:
 
 def test_the_counter_counts_a_return_to_use() -> None:
     """The autopilot has gone on without, so it is somewhere else."""
-    sent = [(_estimate(0.1 * k), quality) for k, quality in enumerate((90, -1, -1, 40, 40))]
-    assert _counters(*sent) == [3, 3, 3, 4, 4]
+    for period_s, counts in ((0.6, [3, 3, 3, 4, 4]), (0.1, [3, 3, 3, 3, 3])):  # a moment without its IMU is none
+        sent = [(_estimate(period_s * k), quality) for k, quality in enumerate((90, -1, -1, 40, 40))]
+        assert _counters(*sent) == counts
+    assert _counters((_estimate(), 90), (_estimate(5.0), 90)) == [3, 4]  # nothing was sent meanwhile

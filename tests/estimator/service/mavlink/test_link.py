@@ -36,6 +36,7 @@ from tests.estimator.service.flying import (
 
 SECOND = 1_000_000_000
 IMU, GPS, GPS2, SYSTEM_TIME, RAW, ATTITUDE, EKF_ORIGIN = 105, 24, 124, 2, 27, 30, 49
+said: list[str] = []  # to the person at the terminal
 TOPICS = Topics(gnss=("/gnss", "/gnss2"), gnss_velocity=("/gnss/velocity",))
 
 
@@ -61,7 +62,8 @@ def _linked(
     config: MavlinkConfig, folder: Path = Path(), topics: Topics = TOPICS, own_gnss: bool = True
 ) -> Iterator[tuple[MavlinkLink, _Inbox, Clock]]:
     clock = Clock()
-    link = MavlinkLink(config, folder, topics, clock, Handover(AutopilotConfig(own_gnss=own_gnss)), 30.0, 47.5)
+    said.clear()
+    link = MavlinkLink(config, folder, topics, clock, Handover(AutopilotConfig(own_gnss=own_gnss)), 30.0, 47.5, said.append)
     inbox = _Inbox(clock)
     link.open_inputs(inbox)
     try:
@@ -181,14 +183,14 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         def answer() -> Any:
             nonlocal sent
             sent += 1
-            estimate = _estimate(t_ns + sent * SECOND // 10)
+            estimate = _estimate(t_ns + sent * SECOND)
             link.send([replace(estimate, covariance=0.01 * estimate.covariance)], [])
             autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == sent, "odometry")
             return autopilot.of("ODOMETRY")[-1]
 
         autopilot.until(lambda: EKF_ORIGIN in _requested(autopilot.heard), "its origin is asked for")
         first = answer()
-        assert (first.quality, first.reset_counter) == (-1, 3)
+        assert (first.quality, first.reset_counter, link.report()["quality"]) == (-1, 3, -1)
         assert "not known" in link.report()["ekf_origin"]
         _say_origin(autopilot, (-216.0, 288.0, 10.0))
         autopilot.until(lambda: "not known" not in link.report()["ekf_origin"], "its origin is known")
@@ -201,6 +203,13 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         _say_origin(autopilot, (-216.0, 388.0, 10.0))
         autopilot.until(lambda: "388 m east" in link.report()["ekf_origin"], "it has moved")
         moved = answer()
+        wide = replace(_estimate(t_ns + (sent + 1) * SECOND), covariance=100.0 * np.eye(15))
+        link.send([wide], [])
+        assert [line.removeprefix("ardupilot: odometry ") for line in said] == [
+            "is not to be used: the origin of EKF3 is not known: ODOMETRY has quality -1",
+            "may be used",
+            "is not to be used: its 95 % radius is above 15 m",
+        ]
         assert (moved.y - third.y, moved.reset_counter, moved.quality) == (pytest.approx(-100.0, abs=0.5), 5, third.quality)
         assert link.report()["refused"] == link.report()["defects"] == 0
 

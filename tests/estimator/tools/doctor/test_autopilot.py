@@ -21,7 +21,7 @@ GOOD = {
     "AHRS_EKF_TYPE": 3, "EK3_ENABLE": 1, "EK3_SRC_OPTIONS": 0, "FS_EKF_ACTION": 1, "FS_EKF_THRESH": 0.8, "VISO_TYPE": 1,
     "VISO_QUAL_MIN": 20, "VISO_VEL_M_NSE": 1, "VISO_DELAY_MS": 10, "VISO_POS_X": 0, "VISO_POS_Y": 0, "VISO_POS_Z": 0,
     "VISO_ORIENT": 0, "VISO_SCALE": 1, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC2_POSXY": 6, "EK3_SRC2_VELXY": 6,
-    "EK3_SRC3_POSXY": 0, "RC9_OPTION": 90, "GPS1_TYPE": 1, "GPS2_TYPE": 0,
+    "EK3_SRC3_POSXY": 0, "RC9_OPTION": 90, "GPS1_TYPE": 1, "GPS2_TYPE": 0, "GPS_AUTO_SWITCH": 1,
 }  # fmt: skip
 GOOD_PX4 = {"EKF2_EV_CTRL": 15, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_EV_NOISE_MD": 0}
 
@@ -101,7 +101,7 @@ def test_an_autopilot_that_is_set_up_right_has_no_finding() -> None:
         ("FS_EKF_ACTION", 0, State.WARN, "set 1"),
         ("VISO_TYPE", 0, State.FAIL, "reboot"),
         ("VISO_QUAL_MIN", -1, State.FAIL, "set 0 or more"),
-        ("VISO_VEL_M_NSE", 0.1, State.WARN, "set 1"),
+        ("VISO_VEL_M_NSE", 0.1, State.FAIL, "set 1"),
         ("VISO_DELAY_MS", 200, State.WARN, "set 10"),
         ("VISO_POS_X", 0.3, State.FAIL, "set 0"),
         ("VISO_SCALE", 2.0, State.FAIL, "set 1"),
@@ -127,10 +127,12 @@ def test_what_is_missing_is_found() -> None:
 def test_the_way_of_fixes_needs_a_receiver_and_no_velocity() -> None:
     with _asked(ARDUPILOT, GOOD | {"EK3_SRC2_POSXY": 0}, "odometry = false") as checks:
         assert checks["receiver for GPS_INPUT"].state is State.FAIL
+        assert checks["GPS_AUTO_SWITCH"].state is State.FAIL
+        assert checks["fixes while GNSS is good"].state is State.WARN
         assert checks["horizontal position from GPS_INPUT"].state is State.FAIL  # set 1 fuses a velocity that fixes have not
         assert "VISO_TYPE" not in checks
     good = GOOD | {"GPS2_TYPE": 14, "EK3_SRC2_POSXY": 3, "EK3_SRC2_VELXY": 0}
-    with _asked(ARDUPILOT, good, "odometry = false") as checks:
+    with _asked(ARDUPILOT, good | {"GPS_AUTO_SWITCH": 4}, "odometry = false\n[autopilot]\nown_gnss = false") as checks:
         assert {check.state for check in checks.values()} == {State.OK}
 
 
