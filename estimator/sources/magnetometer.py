@@ -30,6 +30,7 @@ _UT: Final = 1e-6
 _Degrees: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
 _Offset: TypeAlias = Annotated[float, Meta(ge=-1000, le=1000)]
 _Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
+_Angle: TypeAlias = Annotated[float, Meta(ge=-180, le=180)]
 
 
 class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
@@ -52,7 +53,7 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
         tuple[_Scale, _Scale, _Scale], Meta(description="factors of its axes, once the offset is taken from them")
     ] = (1.0, 1.0, 1.0)
     declination_deg: Annotated[
-        float | None, Meta(ge=-180, le=180, description="deg: east positive; none: of the World Magnetic Model at the origin")
+        _Angle | None, Meta(description="deg: east positive; none: of the World Magnetic Model at the origin")
     ] = None
     sigma_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: error that is new with each reading")] = 3.0
     hard_iron_sigma_ut: Annotated[

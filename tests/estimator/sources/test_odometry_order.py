@@ -28,7 +28,7 @@ outages_s = [[4.0, 7.5]]
 rate_hz = 3.0
 outlier_share = 0.3
 outages_s = [[5.0, 6.0]]
-lies = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
+false_spans = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
 """
 SETTLED_S = 10.0
 OTHER = "/wheels"
