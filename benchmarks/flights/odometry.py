@@ -78,8 +78,8 @@ def read(name: str, folder: Path) -> Flight:
     path = make(task, folder)
     if path is None:
         raise SystemExit(f"{name}: no task can be made of it")
-    told = tomllib.loads(path.with_suffix(".toml").read_text())
-    decoder = Decoder(Topics.of(told["inputs"]), ImuMounting(axes=told["imu"]["axes"]))
+    keys = tomllib.loads(path.with_suffix(".toml").read_text())
+    decoder = Decoder(Topics.of(keys["inputs"]), ImuMounting(axes=keys["imu"]["axes"]))
     messages, truth = [], []
     with LogReader(path) as reader:
         for record in reader:
@@ -177,7 +177,7 @@ def outages(
     last_s = (end_ns - begin_ns) * 1e-9 - ENDS_S[0]
     marks = starts or [float(s) for s in np.arange(FIRST_S, last_s, every_s)]
     fusion = Fusion(load(config or flight.task_file.with_suffix(".toml")).fusion())
-    healthy = sorted((*flight.messages, *_told(change(flight.poses, 2**62, 0))), key=lambda m: m.arrived_ns)
+    healthy = sorted((*flight.messages, *_sent(change(flight.poses, 2**62, 0))), key=lambda m: m.arrived_ns)
     k = 0
     for seed, start_s in enumerate(marks):
         start_ns = begin_ns + round(start_s * SECOND)
@@ -185,12 +185,12 @@ def outages(
             fusion.handle(healthy[k])
             k += 1
         rest = [m for m in healthy[k:] if not isinstance(m, PoseFix | OdometryPose | OdometryDelta)]
-        during = (m for m in _told(change(flight.poses, start_ns, seed)) if m.arrived_ns > start_ns)
+        during = (m for m in _sent(change(flight.poses, start_ns, seed)) if m.arrived_ns > start_ns)
         later = sorted((*rest, *during), key=lambda m: m.arrived_ns)
         yield from _ends(copy.deepcopy(fusion), flight, variant, start_s, start_ns, later)
 
 
-def _told(messages: Iterable[Input]) -> Iterator[Input]:
+def _sent(messages: Iterable[Input]) -> Iterator[Input]:
     """A VIO is some 50 ms late."""
     return (msgspec.structs.replace(m, arrived_ns=m.t_ns + SECOND // 20) for m in messages)
 

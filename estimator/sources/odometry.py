@@ -17,7 +17,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from estimator.sources.gating import cusum
+from estimator.sources.gating import cusum, gate
 from estimator.sources.source import (
     Aid,
     Phase,
@@ -41,6 +41,7 @@ _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
 _SCALE_HOLDS_S = 600.0
+_DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
 _NO_ERRORS: tuple[SlowError, ...] = ()
@@ -152,8 +153,8 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
     if not len(rows):
         return Refusal(Reason.UNSUPPORTED, "no component is given")
     sigmas = _sigmas(config, float(np.linalg.norm(dp)))[rows]
-    told, _ = with_default(covariance[np.ix_(rows, rows)] * config.noise_scale**2, sigmas)
-    noise = told + np.diag(_sigmas(config, 0.0)[rows] ** 2)
+    given, _ = with_default(covariance[np.ix_(rows, rows)] * config.noise_scale**2, sigmas)
+    noise = given + np.diag(_sigmas(config, 0.0)[rows] ** 2)
     if refusal := covariance_refusal(noise):
         return refusal
     errors = _rig_errors(delta, config)
@@ -171,7 +172,7 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
 def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Refusal:
     """A pose in the odometry's frame, of which the tracker makes increments."""
     pose = np.array((*reading.p_o, *reading.q_ob_wxyz), dtype=float)
-    if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], 0.0, config):
+    if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], None, config):
         return refusal
     pose[_XYZ:] /= np.linalg.norm(pose[_XYZ:])
     rows = np.array([k for k, name in enumerate(_NAMES) if name in config.rows])
@@ -219,16 +220,16 @@ def _aid(
     )
 
 
-def _motion_refusal(p: Array, q: Array, seconds: float, config: OdometryConfig) -> Refusal | None:
-    """Why a position or an increment p (3,), q (4,) over so many seconds (0: a pose) is none."""
+def _motion_refusal(p: Array, q: Array, seconds: float | None, config: OdometryConfig) -> Refusal | None:
+    """Why a position or an increment p (3,), q (4,) over so many seconds (None: a pose) is none."""
     if not (np.isfinite(p).all() and np.isfinite(q).all()):
         return Refusal(Reason.NOT_FINITE, "pose")
     norm, length = float(np.linalg.norm(q)), float(np.linalg.norm(p))
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    if seconds < 0.0 or seconds > config.longest_s:
+    if seconds is not None and not 0.0 < seconds <= config.longest_s:
         return Refusal(Reason.UNSUPPORTED, f"an increment over {seconds:.3g} s: [odometry] longest_s is {config.longest_s:g}")
-    if length > (_FASTEST_M_S * seconds if seconds else _FARTHEST_M):
+    if length > (_FARTHEST_M if seconds is None else _FASTEST_M_S * seconds):
         return Refusal(Reason.IMPLAUSIBLE, f"{length:.3g} m: metres are expected")
     return None
 
@@ -294,6 +295,15 @@ def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -
     """An increment of t_ns comes in. One that was found out comes back only beside a position, which vouches for the filter."""
     state = state.arrive(rules, t_ns, alone=alone and state.held_until_ns == _NEVER)
     return replace(state, held_until_ns=_NEVER) if state.phase is Phase.ACTIVE else state
+
+
+def widest(state: SourceState, rules: SourceRules) -> float:
+    """How far off a component may be, in sigma: less while increments contradict the estimate alike.
+
+    Without increments the covariance grows until it lets the next wrong one in, and from then on all.
+    """
+    is_disputed = max(state.sums, default=0.0) > _DISPUTED
+    return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
 def judged(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, off: Array) -> SourceState:

@@ -23,7 +23,8 @@ from estimator.sources.source import Phase, SourceState
 from models.messages import Reason
 from models.relative_pose import RelativePose
 
-_MOST_TOLD = 2.0  # ln: c
+_MOST_SAID = 2.0  # ln: c
+_XYZ = 3
 _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
 _BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
@@ -93,11 +94,17 @@ def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, stat
     seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
     if (first := seen[0]) is None:
         return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
-    passed = [s is not None and s.distance2 <= limit for s in seen]
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
+    widest = odometry.widest(state, aid.rules)
+    off = [None if s is None else np.abs(s.nu) / np.sqrt(s.s.diagonal()) for s in seen]
+    passed = [
+        s is not None and o is not None and s.distance2 <= limit and bool(o.max() <= widest)
+        for s, o in zip(seen, off, strict=True)
+    ]
     was = state.phase
-    off = first.nu / np.sqrt(first.s.diagonal())
-    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=off)
+    moved = z.rows < _XYZ if (z.rows < _XYZ).any() else z.rows >= _XYZ
+    drift = first.nu[moved] / np.sqrt(first.s.diagonal()[moved])
+    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=drift)
     fused = was is Phase.ACTIVE and state.phase is Phase.ACTIVE and passed[0]
     if was is Phase.ACTIVE and state.phase is Phase.ACTIVE:
         _fuse(bank, aid, seen, passed)
@@ -117,11 +124,11 @@ def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, stat
 
 def _fuse(bank: Hypotheses, aid: OdometryAid, seen: list[Innovation | None], passed: list[bool]) -> None:
     """Every hypothesis that foresaw it fuses it."""
-    told = [None if s is None else s.log_likelihood if p else aid.log_false for s, p in zip(seen, passed, strict=True)]
-    best = max(t for t in told if t is not None)
+    said = [None if s is None else s.log_likelihood if p else aid.log_false for s, p in zip(seen, passed, strict=True)]
+    best = max(t for t in said if t is not None)
     for member, s, was_passed in zip(bank.members, seen, passed, strict=True):
         if s is not None and was_passed:
             member.filter.update(s)
         if was_passed != passed[0]:
             member.parted_ns = aid.t_ns
-    bank.weigh(aid.t_ns, [0.0 if t is None else max(t - best, -_MOST_TOLD) for t in told])
+    bank.weigh(aid.t_ns, [0.0 if t is None else max(t - best, -_MOST_SAID) for t in said])
