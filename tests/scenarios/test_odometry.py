@@ -8,7 +8,7 @@ import pytest
 from models.messages import ImuSample, Input, Mode, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
-from tests.estimator.odometers import TOPIC, increments, poses
+from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
 from tests.estimator.scenes import Run, by_arrival, error, fly, position_errors, simulated, within
 
 FLIGHT = """

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from models.messages import ImuSample, Input, OdometryDelta, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
-from tests.estimator.odometers import TOPIC, increments, poses
+from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
 from tests.estimator.scenes import SECOND, Run, arriving, by_arrival, fly, same, simulated
 
 # GNSS and fixes, false ones among them, are lost and come back: hypotheses are founded and differ while odometry goes on.
