@@ -57,6 +57,9 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
     )
+    odometry: Annotated[
+        _Topics, Meta(description="topics of nav_msgs/msg/Odometry, in a frame of its own; none: no odometry is used")
+    ] = _TOPICS.odometry
     attitude: Annotated[
         _Topics, Meta(description="topics of PoseWithCovarianceStamped of which the attitude helps to align; none: none is used")
     ] = _TOPICS.attitude

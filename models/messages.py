@@ -17,6 +17,7 @@ Quat: TypeAlias = tuple[float, float, float, float]
 Array: TypeAlias = NDArray[np.float64]
 
 ATTITUDE_TOPIC: Final = "/attitude"  # of an autopilot's estimate, unless configured otherwise
+ODOMETRY_DELTA_TOPIC: Final = "/landfix/odometry_delta"
 RADIAN_M: Final = 50.0  # metres that count as much as a radian where position and attitude are mixed: a landmark's distance
 
 
@@ -148,6 +149,42 @@ class Reading(msgspec.Struct, frozen=True, eq=False):
     covariance: Array | None = None
 
 
+class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
+    """How the body moved from t0_ns to t_ns, as cameras or wheels measured it, without a place on the map.
+
+    dp_b = R_0^T (p_1 - p_0), m, in the body at t0; dq_wxyz: R_01 = R_0^T R_1, x_b0 = R_01 x_b1.
+    covariance: (6, 6), of dp_b and of theta, R_01,true = R_01 exp(theta), the error about the axes of the body at t1; m^2, rad^2.
+    It is new in each increment. A variance >= 9e4 m^2 or >= 10 rad^2, NaN or negative means that the component is "not given".
+    systematic: J (6, k), how the measured (dp_b, theta) is moved by k errors s of variance 1 that stay with the rig (disparity
+    bias, scale): dp = dp_true + J_p s, R_01 = R_01,true exp(J_theta s). They are estimated. None: a scale of dp_b, as configured.
+    epoch: of the source; what is known of those errors holds within one. The next increment begins where this one ends, or later.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    t0_ns: int
+    dp_b: Vec3
+    dq_wxyz: Quat
+    covariance: Array
+    systematic: Array | None = None
+    epoch: int = 0
+    topic: str = ODOMETRY_DELTA_TOPIC
+
+
+class OdometryPose(msgspec.Struct, frozen=True, eq=False):
+    """Pose of the body in the frame of an odometry, which lies anywhere and drifts: only its differences within a frame count.
+
+    p_o, q_ob_wxyz: x_o = R_ob x_b + p_o; frame: its name; another one begins where the odometry has started again or jumped.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    p_o: Vec3
+    q_ob_wxyz: Quat
+    frame: str = "odom"
+    topic: str = "/odometry"
+
+
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
     """Attitude of the body as another estimator has it, to begin the alignment with; never fused in flight.
 
@@ -196,7 +233,18 @@ class Unusable(msgspec.Struct, frozen=True, eq=False):
 
 
 Input: TypeAlias = (
-    ImuSample | GnssFix | GnssVelocity | PoseFix | LandmarkFix | Reading | AttitudePrior | Tick | Checkpoint | Unusable
+    ImuSample
+    | GnssFix
+    | GnssVelocity
+    | PoseFix
+    | LandmarkFix
+    | Reading
+    | OdometryDelta
+    | OdometryPose
+    | AttitudePrior
+    | Tick
+    | Checkpoint
+    | Unusable
 )
 
 
@@ -207,6 +255,7 @@ class Mode(StrEnum):
     ALIGNING = "aligning"  # IMU is there; position, velocity or heading are not yet known
     ALIGNING_HEADING = "aligning_heading"  # position, velocity and tilt are published, the heading is not known
     AIDED = "aided"  # an absolute source was fused within its timeout
+    ODOMETRY = "odometry"  # no absolute source, but odometry was fused within dead_reckoning_after_s
     DEAD_RECKONING = "dead_reckoning"  # IMU alone
     COASTING = "coasting"  # not even an IMU: constant velocity and turn rate
 

@@ -149,7 +149,7 @@ def _exchange_fixes(base: Path, out: Path, task: Task, sigma_m: float, sigma_deg
     t = tool()
     with base.open("rb") as f:
         messages = [(m.log_time, c.topic, m.data) for _, c, m in make_reader(f).iter_messages(log_time_order=False)]
-    stamps_ns, vision = _vision(task)
+    stamps_ns, vision = vision_poses(task)
     wanted = np.array([log_time for log_time, topic, _ in messages if topic == "/pose_fix"])
     row = np.minimum(np.searchsorted(stamps_ns, wanted), len(stamps_ns) - 1)  # never one from inside an outage
     row = np.unique(row[np.abs(stamps_ns[row] - wanted) < VISION_NEAR_NS])
@@ -170,7 +170,7 @@ def _exchange_fixes(base: Path, out: Path, task: Task, sigma_m: float, sigma_deg
     out.with_suffix(".toml").write_text(base.with_suffix(".toml").read_text())
 
 
-def _vision(task: Task) -> tuple[NDArray[np.int64], list[Any]]:
+def vision_poses(task: Task) -> tuple[NDArray[np.int64], list[Any]]:
     """Stamps, on the task's clock, and poses (ENU, FLU) of the flight's vision.csv."""
     t = tool()
     imu, truth, vision = (t.load(task.folder / name) for name in ("imu.csv", "truth.csv", "vision.csv"))

@@ -63,7 +63,7 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
     truth = np.loadtxt(gzip.open(folder / "truth.csv.gz"), delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
     frames = [Frame(t, _pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
-    return Sequence(name.split("_stereo")[0], rig, frames, (1.0, 2.0, 4.0))
+    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0))
 
 
 def kitti06() -> Sequence:

@@ -30,6 +30,7 @@ def command(
     pose_fix_hz: Annotated[
         float, typer.Option(min=0, help="csv: at most so many poses of vision.csv a second as pose fixes.")
     ] = 0.0,
+    odometry: Annotated[bool, typer.Option("--odometry", help="csv: poses of vision.csv as those of an odometry.")] = False,
     json: Json = False,
 ) -> None:
     """Turn another program's recording into a log.
@@ -40,6 +41,7 @@ def command(
     Examples:
       landfix import csv flight_dir -o flight.mcap       imu.csv, truth.csv, gps.csv (also .csv.gz)
       landfix import csv flight_dir -o flight.mcap --pose-fix-hz 2
+      landfix import csv MH_03_medium -o flight.mcap --pose-fix-hz 0.1 --odometry
       landfix import euroc MH_03_medium -o flight.mcap   the data set's own layout (mav0/...)
       landfix import ulog flight.ulg -o flight.mcap      PX4
       landfix import dataflash 171.BIN -o flight.mcap    ArduPilot, on board
@@ -47,7 +49,7 @@ def command(
     """
     from logs.importers import ImportOptions, convert
 
-    options = ImportOptions(axes=axes, world=world, imu=imu, pose_fix_hz=pose_fix_hz)
+    options = ImportOptions(axes=axes, world=world, imu=imu, pose_fix_hz=pose_fix_hz, odometry=odometry)
     with progress(f"import {source.name}") as report:
         summary = convert(kind.value, source, out, report, options)
     if json:

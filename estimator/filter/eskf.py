@@ -10,6 +10,8 @@ and take part in S and in the correlations. Most are *considered*: never correct
 considered errors c only their sum e = H_c c, so the update is that of the others and of e, few as they are:
 
     (a, e) <- update,   P_ac <- P_ac - K_a (H P)_c,   P_cc stays                        (Bierman 1977, sec. VIII.3)
+
+A pose may be kept (a stochastic clone): its error (dp, theta) is an estimated block of six, that of the state when it was kept.
 """
 
 import math
@@ -27,9 +29,12 @@ from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import cholesky, imu, so3
 from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
 from models.messages import Array
+from models.relative_pose import POSE_ERROR, moved, pose_of
 from models.state import E, retract, sound
 
 _WIDEST = 1.0  # rad: of the attitude after widen()
+_XYZ = 3
+NO_CLONES: dict[str, Array] = {}
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 _identity = cache(np.eye)
@@ -55,7 +60,7 @@ class Innovation(NamedTuple):
 class Eskf:
     """State, covariance and time of one filter."""
 
-    __slots__ = ("constants", "cov", "slow", "sound", "t_ns", "variance_factor", "x")
+    __slots__ = ("clones", "constants", "cov", "slow", "sound", "t_ns", "variance_factor", "x")
 
     def __init__(
         self,
@@ -65,15 +70,17 @@ class Eskf:
         constants: Array,
         slow: SlowErrors = NO_SLOW_ERRORS,
         variance_factor: float = 1.0,
+        clones: dict[str, Array] = NO_CLONES,
     ) -> None:
         self.t_ns, self.x, self.cov = t_ns, x, cov
         self.constants, self.slow = constants, slow
         self.variance_factor = variance_factor  # f: the errors' covariance is f P; see variance_factor.py
+        self.clones = clones  # poses (7,) that are kept, by the name of their block; never changed in place
         self.sound = True  # state.sound of the present state
 
     def copy(self) -> "Eskf":
         """An independent filter in the same state."""
-        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow, self.variance_factor)
+        return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow, self.variance_factor, self.clones)
 
     def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
@@ -99,6 +106,15 @@ class Eskf:
             self.slow = self.slow.also(block, 2.0 * np.diag(covariance) / tau_s, tau_s, estimated=False)
         else:
             self.slow = self.slow.also(block, walk, math.inf, estimated=True)
+
+    def keep_pose(self, block: str) -> None:
+        """Clone the pose of now, in place of the one that was kept as `block`: P <- [I; J] P [I; J]^T, J picks (dp, theta)."""
+        if block in self.slow.columns:
+            self.forget(block)
+        every = np.concatenate((np.arange(len(self.cov)), POSE_ERROR))
+        self.cov = self.cov[np.ix_(every, every)]
+        self.slow = self.slow.also(block, np.zeros(len(POSE_ERROR)), math.inf, estimated=True)
+        self.clones = {**self.clones, block: pose_of(self.x)}
 
     def zero(self, block: str, seen: Innovation) -> None:
         """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,
@@ -126,7 +142,11 @@ class Eskf:
         and what position and velocity are widened by more is independent of it:
 
             P_nn <- f_theta^2 P_nn + (f^2 - f_theta^2) blockdiag(P_pp,vv, 0)
+
+        Nobody knows whether a kept pose has jumped, too: none is left.
         """
+        for block in self.clones:
+            self.forget(block)
         sigma = math.sqrt(max(self.cov.diagonal()[E.THETA].tolist()))
         turned = min(factor, max(1.0, _WIDEST / sigma)) ** 2
         self.cov[:_G, :_G] *= turned
@@ -139,6 +159,8 @@ class Eskf:
         rows = np.concatenate((self.cov[: gone.start], self.cov[gone.stop :]))
         self.cov = np.concatenate((rows[:, : gone.start], rows[:, gone.stop :]), axis=1)
         self.slow = self.slow.without(block)
+        if block in self.clones:
+            self.clones = {name: pose for name, pose in self.clones.items() if name != block}
 
     def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
         """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
@@ -163,6 +185,28 @@ class Eskf:
         """Fuse a measurement that has passed its gate."""
         dx = self.correct(seen)
         self.sound = inject(self.x, self.cov, dx)
+        for block in self.clones:
+            self._correct_pose(block)
+
+    def cover(self, seen: Innovation) -> None:
+        """Fuse nothing, but cover what the measurement says: P <- P + d d^T, d = K nu of what is estimated."""
+        f = self.variance_factor
+        d = f * (seen.hp.T @ np.linalg.solve(seen.s, seen.nu))  # S here is f S
+        d[E.SIZE :] *= self.slow.estimated
+        self.cov += np.outer(d, d) / f
+
+    def _correct_pose(self, block: str) -> None:
+        """Inject the error of a kept pose and reset it, as inject does for the state."""
+        at = self.slow.columns[block]
+        error = np.zeros(len(self.slow.mean))
+        error[at.start - E.SIZE : at.stop - E.SIZE] = self.slow.mean[at.start - E.SIZE : at.stop - E.SIZE]
+        self.slow = self.slow.moved(-error)
+        pose, g = moved(self.clones[block], error[at.start - E.SIZE : at.stop - E.SIZE])
+        self.clones = {**self.clones, block: pose}
+        turn = slice(at.start + _XYZ, at.stop)
+        self.cov[turn] = g @ self.cov[turn]
+        self.cov[:, turn] = self.cov[:, turn] @ g.T
+        cholesky.symmetrise(self.cov)
 
     def correct(self, seen: Innovation) -> Array:
         """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""

@@ -94,11 +94,20 @@ class History:
 
     def insert_aid(self, aid: Aid) -> Reason | None:
         """Put an aid in its place; the reason where it is not taken."""
-        if aid.t_ns <= self._checkpoint_times[0] or aid.t_ns < self.samples.newest_ns - self._span_ns:
+        since_ns = aid.begin.t_ns if aid.begin is not None else aid.t_ns
+        if since_ns <= self._checkpoint_times[0] or since_ns < self.samples.newest_ns - self._span_ns:
             return Reason.TOO_OLD
+        if not self._place(aid):
+            return Reason.DUPLICATE
+        if aid.begin is not None:
+            self._place(aid.begin)
+        return None
+
+    def _place(self, aid: Aid) -> bool:
+        """Put it in the order, and go back for it; False: it is there."""
         k = bisect_left(self._orders, aid.order)
         if k < len(self._orders) and self._orders[k] == aid.order:
-            return Reason.DUPLICATE
+            return False
         self._orders.insert(k, aid.order)
         entry = Entry(aid)
         self._entries.insert(k, entry)
@@ -106,7 +115,7 @@ class History:
             self._next += k <= self._next  # the tracker is beyond it, and goes back for it
             entry.replayed = self.samples.count - self.samples.first_after(aid.t_ns)
             self._rewind_to(aid.t_ns)
-        return None
+        return True
 
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
         """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
@@ -172,7 +181,8 @@ class History:
         return sorted(changed, key=lambda e: e.aid.order)
 
     def _decide(self, entry: Entry, decision: Decision) -> None:
-        if entry.decision is None or entry.decision.reason is not decision.reason:
+        is_new = entry.decision is None or entry.decision.reason is not decision.reason
+        if is_new and (entry.aid.is_reported or decision.reason is Reason.INTERNAL):
             self._changed.append(entry)
         entry.decision = decision
 

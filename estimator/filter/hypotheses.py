@@ -43,6 +43,7 @@ from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models.measurements import Measurement
 from models.messages import Array
+from models.relative_pose import RelativePose
 from models.state import E, X, local
 
 _N = E.SIZE  # compiled code reads plain integers
@@ -303,6 +304,12 @@ class Hypotheses:
                 self.switches += 1
                 return
 
+    def weigh(self, t_ns: int, gained: list[float]) -> None:
+        """What only tells the hypotheses apart: w_k <- w_k + gained_k (ln); the heaviest leads."""
+        for member, more in zip(self.members, gained, strict=True):
+            member.weight += more
+        self._rank(t_ns)
+
     def drop(self, is_impossible: Callable[[Hypothesis], bool]) -> None:
         """Drop what no vehicle can be, but never the last hypothesis; the heaviest that is left leads."""
         if len(self.members) == 1:  # most of the time
@@ -507,11 +514,20 @@ def _mix(total: Array, weight: float, cov: Array, off: Array) -> None:
             total[i, j] += weight * (cov[i, j] + off[i] * off[j])
 
 
+def clone_of(topic: str) -> str:
+    """The block of the pose that is kept for an odometry."""
+    return f"{topic}.kept"
+
+
 def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
     """The measurement seen from one filter, with its slow errors."""
     carried = [(slow.block, slow.moves(eskf.x)) for slow in aid.slow_errors]
+    if isinstance(z, RelativePose):
+        kept = clone_of(aid.topic)
+        z = z.since(eskf.clones[kept])
+        carried.append((kept, z.by_origin(eskf.x)))
     eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
-    for slow, block in zip(aid.slow_errors, carried, strict=True):
+    for slow, block in zip(aid.slow_errors, carried, strict=False):  # a kept pose, behind them, is there
         known = eskf.slow.columns.get(slow.block)
         if known and known.stop - known.start != len(slow.covariance):  # told otherwise than before: another error
             eskf.forget(slow.block)
@@ -519,6 +535,6 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
             if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
                 eskf.forget(oldest)
             eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
-            if slow.walk is not None:
+            if slow.walk is not None and not slow.starts_at_zero:
                 eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
     return eskf.innovation(z, gyro_b, carried)

@@ -27,6 +27,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
 from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
+from estimator.sources.odometry import OdometryAid
 from estimator.sources.source import Aid
 from models import imu, so3
 from models.frames import Origin
@@ -128,7 +129,7 @@ def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, li
             if sample_refusal(message) is None:
                 samples.insert(message)
                 newest_ns, arrived_ns = samples.newest_ns, message.arrived_ns
-        elif isinstance(aid := aid_of(message, config), Aid):
+        elif isinstance(aid := aid_of(message, config), Aid) and not isinstance(aid, OdometryAid):  # it links two nodes
             aids.setdefault(aid.order, aid)
     return samples, [aids[order] for order in sorted(aids)]
 

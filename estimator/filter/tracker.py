@@ -21,11 +21,13 @@ from estimator.filter.heading import Resting, WithoutSensor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
+from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import LARGEST, NO_EXCESS
 from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
+from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
@@ -44,6 +46,7 @@ _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _FEWEST_SAMPLES = 5  # of IMU, to level with
 _NO_START = f"waiting for a position with {_FEWEST_SAMPLES} IMU samples or more in the second before it"
 _BEFORE_IMU = "before the first IMU sample"
+_FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
@@ -143,6 +146,8 @@ class Tracker:
         self.sources: dict[str, SourceState] = {}
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.last_absolute_ns = _NEVER
+        self.last_odometry_ns = _NEVER
+        self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
 
     def copy(self) -> "Tracker":
@@ -152,7 +157,7 @@ class Tracker:
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.resting = self.resting.copy() if self.resting else None
         other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
-        other.sources = self.sources.copy()
+        other.sources, other.kept = self.sources.copy(), self.kept.copy()
         return other
 
     def restarted(self) -> "Tracker":
@@ -269,13 +274,17 @@ class Tracker:
             return Mode.STARTING if self.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
         if t_ns - newest_imu_ns > self._gap_ns:
             return Mode.COASTING
-        return Mode.AIDED if t_ns - self.last_absolute_ns <= self._aided_ns else Mode.DEAD_RECKONING
+        if t_ns - self.last_absolute_ns <= self._aided_ns:
+            return Mode.AIDED
+        return Mode.ODOMETRY if t_ns - self.last_odometry_ns <= self._aided_ns else Mode.DEAD_RECKONING
 
     def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
         """Take a measurement valid now (t_ns is aid.t_ns)."""
         if aid.geodetic and self.origin is None and self.hypotheses is None:
             self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+        if isinstance(aid, OdometryAid):
+            return self._odometry(aid)
         z = aid.measurement(self.origin)
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
@@ -316,6 +325,26 @@ class Tracker:
                 self._settle(self.stretch.also(aid, z, gyro_b), samples)
         self.sources[aid.topic] = state
         return decision
+
+    def _odometry(self, aid: OdometryAid) -> Decision:
+        """Keep the pose, or fuse the motion since the one that was kept."""
+        if self.hypotheses is None or not self.is_aligned:
+            self.kept.pop(aid.topic, None)
+            return Decision(Reason.ALIGNING, detail=_FOR_ALIGNED)
+        state, switches = self.sources.get(aid.topic, _UNKNOWN), self.hypotheses.switches
+        step = steps.take(self.hypotheses, aid, self.kept.get(aid.topic), state, alone=self._alone(aid))
+        if step.kept is not None:
+            self.kept[aid.topic] = step.kept
+        if step.seen is None:
+            return Decision(step.reason, detail=step.detail)
+        self.sources[aid.topic] = step.state
+        self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
+        if self.hypotheses.switches != switches:
+            self.stretch = None
+        if step.reason is Reason.FUSED:
+            self.last_odometry_ns = aid.t_ns
+        nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
+        return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""

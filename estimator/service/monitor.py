@@ -29,6 +29,7 @@ _STALE_S: Final = 2.0
 _RECENT: Final = 200  # measurements of a source whose fate is shown, and estimates whose rate is
 _MODES: Final = {
     "aided": "green",
+    "odometry": "cyan",
     "dead_reckoning": "yellow",
     "coasting": "red",
     "aligning": "yellow",

@@ -14,9 +14,21 @@ from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.magnetometer import MagnetometerConfig
+from estimator.sources.odometry import OdometryConfig, increment_aid, odometry_pose_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
 from estimator.sources.source import Aid, Refusal, SensorRules
-from models.messages import AttitudePrior, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, Reason
+from models.messages import (
+    AttitudePrior,
+    GnssFix,
+    GnssVelocity,
+    Input,
+    LandmarkFix,
+    OdometryDelta,
+    OdometryPose,
+    PoseFix,
+    Reading,
+    Reason,
+)
 
 
 class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,6 +39,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()
+    odometry: OdometryConfig = OdometryConfig()
 
     def sources(self) -> dict[str, Any]:
         """All of them by name."""
@@ -46,6 +59,10 @@ def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
             return velocity_aid(message, config.gnss)
         case Reading():
             return _sensor_aid(message, config)
+        case OdometryDelta():
+            return increment_aid(message, config.odometry)
+        case OdometryPose():
+            return odometry_pose_aid(message, config.odometry)
         case AttitudePrior():
             return attitude_aid(message)
         case _:

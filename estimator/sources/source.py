@@ -66,7 +66,8 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
     there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
     accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
-    whose considered errors are larger than the rest: the next one says the same.
+    whose considered errors are larger than the rest: the next one says the same; begin: of a measurement over some time, what
+    takes a place of its own in the order where that time begins.
     """
 
     t_ns: int
@@ -86,6 +87,12 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     assumed: str = ""
     log_misled: float | None = None
     weighs: bool = True
+    begin: "Aid | None" = None
+
+    @property
+    def is_reported(self) -> bool:
+        """Whether its decision is one to report."""
+        return True
 
     @property
     def resembles(self) -> bool:
@@ -112,6 +119,7 @@ class SlowError(msgspec.Struct, frozen=True, eq=False):
     jacobian: d z / d s, (m, k), of all components of the measurement, or that of the state; None: s shifts the leading components
     one by one.
     walk: (k,) variance per second: s is estimated as a random walk, s_0 from the first reading on; None: it is considered.
+    starts_at_zero: where it is estimated, s_0 is 0 with this covariance, and not what the first reading makes of it.
     """
 
     block: str
@@ -119,6 +127,7 @@ class SlowError(msgspec.Struct, frozen=True, eq=False):
     tau_s: float
     jacobian: Array | Callable[[Array], Array] | None = None
     walk: Array | None = None
+    starts_at_zero: bool = False
 
     def moves(self, x: Array) -> Array | None:
         """The jacobian at the state x."""

@@ -6,7 +6,7 @@ Headers say what a column is (csv_table.py has all the names):
     gps.csv     t_s, lat_deg lon_deg alt_m, vn_m_s ve_m_s vd_m_s, status or fix_type, std_n_m std_e_m std_u_m std_v_m_s or hdop
     baro.csv    t_s, pressure_pa or baro_alt_m
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
-    vision.csv  as truth.csv: poses that may serve as fixes, on request
+    vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
 Every file may have arrived_s: when a row arrived, if not at t_s. Stamps since the log's start are counted from `t0_unix_ns` in
 a checks.json beside, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
@@ -50,6 +50,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     aids = [*_gnss(reader), *_baro(reader)]
     if options.pose_fix_hz > 0.0:
         aids.append(_pose_fixes(reader, options, B))
+    if options.odometry:
+        aids.append(_odometry(reader, options, B))
     truth = _truth(reader, options, B)
     if not any(s.topic in ("/gnss", "/pose_fix") for s in aids):
         hint = "; --pose-fix-hz takes some from vision.csv" if reader.has("vision") else ""
@@ -222,14 +224,26 @@ def _truth(reader: _Reader, options: ImportOptions, B: Array) -> Stream | None:
     return recording.truth(table.t_ns, p_n, v_n, q_nb)
 
 
-def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
-    """Poses of vision.csv as fixes, the first of each period."""
+def _vision(reader: _Reader, options: ImportOptions, B: Array, purpose: str) -> tuple[Table, Array, Array]:
+    """vision.csv with its positions and attitudes."""
     table = reader.table("vision")
     if table is None:
-        raise LogError(f"{reader.folder}: no vision.csv in it to take pose fixes from")
+        raise LogError(f"{reader.folder}: no vision.csv in it to take {purpose} from")
     p_n, _, q_nb = _poses(table, options, B)
     if np.isnan(p_n).all() or np.isnan(q_nb).all():
         raise LogError(f"{table.file}: needs position and attitude (px_m, qw, ...); it has {', '.join(table.names)}")
+    return table, p_n, q_nb
+
+
+def _odometry(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
+    """Poses of vision.csv in a frame of their own."""
+    table, p_o, q_ob = _vision(reader, options, B, "odometry")
+    return recording.odometry(table.t_ns, arrived(table), p_o, q_ob, np.zeros(len(table.t_ns)))
+
+
+def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
+    """Poses of vision.csv as fixes, the first of each period."""
+    table, p_n, q_nb = _vision(reader, options, B, "pose fixes")
     period_ns = round(1e9 / options.pose_fix_hz)
     _, rows = np.unique((table.t_ns - table.t_ns[0]) // period_ns, return_index=True)
     sigma = np.repeat([VISION_SIGMA_M, VISION_SIGMA_RAD], 3)

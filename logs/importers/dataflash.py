@@ -2,6 +2,7 @@
 
     IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    VISP                            ->  /odometry: poses; a new frame at each Rst
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
 ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
@@ -33,6 +34,7 @@ _FIELDS = {
     "GPA": ("HAcc", "VAcc", "SAcc"),
     "BARO": ("Press",),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
+    "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Rst"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
 _STAMPS = {"TimeUS": 1.0, "T": 1e3, "TimeMS": 1e3}  # us; TimeMS of a GPS row is the receiver's, its T is the log's
@@ -70,7 +72,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
     own = [_attitude(truth), truth] if truth else []
-    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
+    aids = (*gnss, *_baro(tables, timebase_us), *_odometry(tables, timebase_us, notes))
+    return Recording.of((*aids, imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
 
 
 def _open(source: Path) -> Any:
@@ -208,6 +211,18 @@ def _baro(tables: Tables, timebase_us: int) -> list[Stream]:
         return []
     t_ns = _t_ns(table[_TIME], timebase_us)
     return [recording.sensor("baro", t_ns, recording.arrival(t_ns), _vector(table, "Press"))]
+
+
+def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream]:
+    """Poses from outside: metres and degrees."""
+    table = tables.get("VISP")
+    if table is None:
+        return []
+    t_ns = _t_ns(table[_TIME], timebase_us)
+    q = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in ("R", "P", "Y")))
+    notes.append("poses from outside (VISP) are /odometry; the configuration says how to use them")
+    run = np.nan_to_num(table["Rst"])
+    return [recording.odometry(t_ns, recording.arrival(t_ns), _vector(table, "PX", "PY", "PZ"), q, run)]
 
 
 def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:

@@ -25,6 +25,7 @@ from models.messages import (
     GnssVelocity,
     ImuSample,
     Input,
+    OdometryPose,
     PoseFix,
     Quat,
     Reading,
@@ -62,13 +63,15 @@ class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     axes: where x, y and z of the IMU point, a letter each of f/b, r/l, u/d ("frd", "flu", "urf"), csv and euroc only;
     world: the same for positions, of n/s, e/w, u/d ("ned", "enu"), csv and euroc only;
     imu: which of several IMUs ("imu2", "IMU3"), not for ulog;
-    pose_fix_hz: take poses of vision.csv as pose fixes, at most so many a second (0: none), csv only.
+    pose_fix_hz: take poses of vision.csv as pose fixes, at most so many a second (0: none), csv only;
+    odometry: take poses of vision.csv as those of an odometry, csv only.
     """
 
     axes: str = ""
     world: str = ""
     imu: str = ""
     pose_fix_hz: float = 0.0
+    odometry: bool = False
 
     def refuse_but(self, kind: str, *names: str) -> None:
         """Raise LogError for an option that is set and not among `names`, those that mean something for this kind of log."""
@@ -199,6 +202,16 @@ def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, varia
         return PoseFix(t, arrived, (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3]), np.diag(np.array(variances)), topic=topic)
 
     return Stream(topic, t_ns, arrived_ns, (p_n, q_nb_wxyz, variance), make)
+
+
+def odometry(t_ns: Times, arrived_ns: Times, p_o: Array, q_ob_wxyz: Array, run: Array, topic: str = "/odometry") -> Stream:
+    """OdometryPoses; p_o (n, 3) m, q_ob_wxyz (n, 4), rows with nan are left out; run (n,): another number, another frame."""
+    rows = np.flatnonzero(np.isfinite(p_o).all(axis=1) & np.isfinite(q_ob_wxyz).all(axis=1))
+
+    def make(t: int, arrived: int, p: list[float], q: list[float], number: float) -> OdometryPose:
+        return OdometryPose(t, arrived, (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3]), f"odom {number:.0f}", topic)
+
+    return Stream(topic, t_ns[rows], arrived_ns[rows], (p_o[rows], q_ob_wxyz[rows], run[rows]), make)
 
 
 def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTITUDE_TOPIC) -> Stream:

@@ -13,6 +13,8 @@ from logs.wire.sensors import SENSORS
 from models.imu import ImuNoise
 from models.messages import ATTITUDE_TOPIC, Vec3
 
+ODOMETRY_TOPIC = "/odometry"
+
 MULTIROTOR = ImuNoise(gyro_noise=5e-3, accel_noise=0.3, gyro_walk=1e-4, accel_walk=5e-3)
 FIXED_WING = ImuNoise(gyro_noise=3e-3, accel_noise=0.15, gyro_walk=1e-4, accel_walk=3e-3)
 CAR = ImuNoise(gyro_noise=1e-3, accel_noise=5e-2, gyro_walk=5e-5, accel_walk=2e-3)
@@ -44,6 +46,7 @@ class Settings(msgspec.Struct, frozen=True):
             "gnss_velocity": [t for t in topics if t.startswith("/gnss") and t.endswith("/velocity")],
             "pose_fix": [t for t in topics if t.startswith("/pose_fix")],
             **{kind: [t for t in topics if t == sensor.topic] for kind, sensor in SENSORS.items()},
+            "odometry": [t for t in topics if t == ODOMETRY_TOPIC and kind == "csv"],  # elsewhere it may be our own
             "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
         lines = [
@@ -56,6 +59,7 @@ class Settings(msgspec.Struct, frozen=True):
             "",
             "[inputs]",
             *(f"{name} = [{', '.join(map(_quoted, found))}]" for name, found in inputs.items() if found),
+            *([_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs["odometry"] else []),
         ]
         if inputs["gnss"]:
             antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
@@ -67,6 +71,9 @@ class Settings(msgspec.Struct, frozen=True):
             if self.altitude:
                 lines.append(f"# heights: {self.altitude}")
         return "\n".join(lines) + "\n"
+
+
+_AVAILABLE = f'# odometry = "{ODOMETRY_TOPIC}"  # in the log; use it unless it was made from this estimator'
 
 
 def _quoted(text: str) -> str:

@@ -4,6 +4,7 @@
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
+    vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
 
 PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
 receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
@@ -28,7 +29,8 @@ Topic: TypeAlias = Mapping[str, Any]  # field -> column
 _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
     "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_gps_position", "sensor_gps",
-    "vehicle_attitude", "vehicle_local_position", "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
+    "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
+    "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
 _FIX_3D = 3  # fix_type
@@ -48,6 +50,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_attitude(topics, clock)]
+    aids += _odometry(topics, clock, notes)
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -128,6 +131,22 @@ def _clock(receiver: Topic | None, notes: list[str]) -> int:
             return int(receiver["time_utc_usec"][k]) - int(receiver["timestamp"][k])
     notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
     return EPOCH_NS // 1000
+
+
+def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> list[Stream]:
+    """Poses from cameras; their frame, NED or FRD, does not matter, for only differences count."""
+    topic = topics.get("vehicle_visual_odometry", topics.get("vehicle_mocap_odometry"))
+    names = [f"{field}[{k}]" for field, size in (("position", 3), ("q", 4)) for k in range(size)]
+    names = names if topic is None or names[0] in topic else ["x", "y", "z", *names[3:]]
+    if topic is None or any(name not in topic for name in names):
+        return []
+    t_ns, arrived_ns = _times(topic, clock_us)
+    p, q = (np.stack([topic[name] for name in part], axis=1).astype(float) for part in (names[:3], names[3:]))
+    run = np.asarray(topic.get("reset_counter", np.zeros(len(t_ns))), dtype=float)
+    stream = recording.odometry(t_ns, arrived_ns, p, q, run)
+    if len(stream):
+        notes.append("poses from outside (vehicle_visual_odometry) are /odometry; the configuration says how to use them")
+    return [stream] if len(stream) else []
 
 
 def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:

@@ -20,6 +20,7 @@ MODES: Final[dict[str, Colour]] = {
     Mode.ALIGNING: "purple",
     Mode.ALIGNING_HEADING: "sky",
     Mode.AIDED: "blue",
+    Mode.ODOMETRY: "green",
     Mode.DEAD_RECKONING: "orange",
     Mode.COASTING: "vermillion",
 }

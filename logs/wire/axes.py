@@ -60,6 +60,17 @@ def world_columns(d: Array) -> Array:
     return permuted
 
 
+def body_attitude(q_wxyz: Quat) -> Quat:
+    """FLU <-> FRD of a rotation between two bodies: half a turn about x on both sides."""
+    w, x, y, z = q_wxyz
+    return w, x, -y, -z
+
+
+def body_rows(j: Array) -> Array:
+    """FLU <-> FRD of the rows of a (6, k) Jacobian of position and rotation along the body's axes."""
+    return np.asarray(_BODY_SIGN6[:, None] * j, dtype=np.float64)
+
+
 def body_covariance(p: Array) -> Array:
     """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes, or of a (3, 3) one."""
     sign = _BODY_SIGN6[: len(p)]

@@ -14,6 +14,7 @@ from logs.wire.sensors import SENSORS, Sensor, SensorTopics
 from models import so3
 from models.messages import (
     ATTITUDE_TOPIC,
+    ODOMETRY_DELTA_TOPIC,
     AidStatus,
     Array,
     AttitudePrior,
@@ -24,6 +25,8 @@ from models.messages import (
     Input,
     LandmarkFix,
     LastGnss,
+    OdometryDelta,
+    OdometryPose,
     PictureName,
     PoseFix,
     Quat,
@@ -51,6 +54,7 @@ class Topics(SensorTopics, frozen=True):
     imu: tuple[str, ...] = ("/imu",)
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
+    odometry: tuple[str, ...] = ()  # off until configured
     attitude: tuple[str, ...] = (ATTITUDE_TOPIC,)
     pose_fix: tuple[str, ...] = ("/pose_fix",)
     left_image: tuple[str, ...] = ("/left/image",)
@@ -94,6 +98,8 @@ class Decoder:
         self._route(topics.gnss_velocity, schemas.TWIST, _gnss_velocity)
         for kind, sensor in SENSORS.items():
             self._route(getattr(topics, kind), sensor.schema, partial(_reading, kind, sensor))
+        self._route(topics.odometry, schemas.ODOMETRY, _odometry_pose)
+        self._route((ODOMETRY_DELTA_TOPIC,), schemas.ODOMETRY_DELTA, _odometry_delta)
         self._route(topics.attitude, schemas.POSE_FIX, _attitude)
         self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
         self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)
@@ -227,6 +233,27 @@ def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
 
 def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: int) -> Reading:
     return Reading(_t_ns(message.header.stamp), arrived_ns, topic, kind, *sensor.values(message))
+
+
+def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
+    """Of an odometry the pose: its covariance is that of all its past, its velocity says nothing that the poses do not."""
+    p_o, q_ob_wxyz, _ = _pose(message.pose)
+    return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, message.header.frame_id, topic)
+
+
+def _odometry_delta(topic: str, message: Any, arrived_ns: int) -> OdometryDelta:
+    q, systematic = message.motion.pose.orientation, message.systematic
+    return OdometryDelta(
+        t_ns=_t_ns(message.header.stamp),
+        arrived_ns=arrived_ns,
+        t0_ns=_t_ns(message.begin),
+        dp_b=axes.body(_vector(message.motion.pose.position)),
+        dq_wxyz=axes.body_attitude((q.w, q.x, q.y, q.z)),
+        covariance=axes.body_covariance(message.motion.covariance.reshape(6, 6)),
+        systematic=axes.body_rows(systematic.reshape(6, -1)) if len(systematic) else None,
+        epoch=message.epoch,
+        topic=topic,
+    )
 
 
 def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:

@@ -23,6 +23,8 @@ from models.messages import (
     Input,
     LandmarkFix,
     Mode,
+    OdometryDelta,
+    OdometryPose,
     Output,
     PictureName,
     PoseFix,
@@ -52,6 +54,7 @@ _LEVEL: Final = {
     Mode.ALIGNING: _WARN,
     Mode.ALIGNING_HEADING: _WARN,
     Mode.AIDED: _OK,
+    Mode.ODOMETRY: _WARN,
     Mode.DEAD_RECKONING: _WARN,
     Mode.COASTING: _ERROR,
 }
@@ -134,6 +137,10 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
         case Reading():
             sensor = SENSORS[message.kind]
             return packed(message.topic, sensor.schema, header=header_of(message.t_ns, _BODY), **sensor.fields(message))
+        case OdometryDelta():
+            return packed(message.topic, schemas.ODOMETRY_DELTA, **_odometry_delta(message))
+        case OdometryPose():
+            return packed(message.topic, schemas.ODOMETRY, **_odometry_pose(message))
         case AttitudePrior():
             covariance = np.diag([_NOT_GIVEN_M2] * 3 + [0.0] * 3)
             covariance[3:, 3:] = message.covariance
@@ -261,6 +268,31 @@ def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
         "covariance_rig": (np.zeros((6, 6)) if fix.covariance_rig is None else axes.world_covariance(fix.covariance_rig)).ravel(),
         "directions": np.zeros(0) if fix.directions is None else axes.world_columns(fix.directions).ravel(),
         "readings": np.zeros(0) if fix.readings is None else fix.readings,
+    }
+
+
+def _odometry_delta(delta: OdometryDelta) -> dict[str, Any]:
+    p, q = axes.body(delta.dp_b), axes.body_attitude(delta.dq_wxyz)
+    position = _new("geometry_msgs/msg/Point", x=p[0], y=p[1], z=p[2])
+    pose = _new("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(q))
+    covariance = axes.body_covariance(delta.covariance).ravel()
+    return {
+        "header": header_of(delta.t_ns, _BODY),
+        "begin": _time(delta.t0_ns),
+        "motion": _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+        "systematic": np.zeros(0) if delta.systematic is None else axes.body_rows(delta.systematic).ravel(),
+        "epoch": delta.epoch,
+    }
+
+
+def _odometry_pose(reading: OdometryPose) -> dict[str, Any]:
+    """Neither a covariance, which is of no use for differences, nor a velocity."""
+    twist = _new("geometry_msgs/msg/Twist", linear=_vector((0.0, 0.0, 0.0)), angular=_vector((0.0, 0.0, 0.0)))
+    return {
+        "header": header_of(reading.t_ns, reading.frame),
+        "child_frame_id": _BODY,
+        "pose": _pose_with_covariance(reading.p_o, reading.q_ob_wxyz, np.zeros((6, 6))),
+        "twist": _new("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
     }
 
 

@@ -24,6 +24,7 @@ IMAGE: Final = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE: Final = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
 LANDMARK_FIX: Final = "landfix_msgs/msg/LandmarkFix"
+ODOMETRY_DELTA: Final = "landfix_msgs/msg/OdometryDelta"
 AID_STATUS: Final = "landfix_msgs/msg/AidStatus"
 VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
 VISION_REQUEST: Final = "landfix_msgs/msg/VisionRequest"
@@ -56,6 +57,20 @@ float64[36] covariance_rig
 # what was seen, and the covariances count for what the rows let through.
 float64[] directions
 float64[] readings
+""",
+    ODOMETRY_DELTA: """\
+# How the body moved between two times, as cameras or wheels measured it.
+# header.stamp: the end; header.frame_id: base_link.
+std_msgs/Header header
+builtin_interfaces/Time begin
+# Pose of base_link (FLU) at the end, in base_link at the beginning. Covariance: x y z rx ry rz, m^2 and rad^2, of what is new in
+# each increment; the rotation part is the error about the axes of base_link at the end, R_true = R exp(theta). A variance that is
+# >= 9e4 m^2 or >= 10 rad^2, NaN or negative: not given.
+geometry_msgs/PoseWithCovariance motion
+# How the motion is moved by k errors of variance 1 that stay with the rig, such as a disparity bias: 6 rows of k; empty: a scale.
+float64[] systematic
+# Another number: what is known of those errors no longer holds.
+uint32 epoch
 """,
     AID_STATUS: """\
 # What became of one measurement; sent again with a higher revision when the decision changes.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
-from vision.image.rectify import Image, Mask, Maps, Rectification, rectification, rectify
+from vision.image.rectify import Image, Maps, Mask, Rectification, rectification, rectify
 from vision.odometry.corners import corners
 from vision.odometry.motion import Geometry, Motion, Plane, Solution, solve
 from vision.odometry.tracks import coarse_columns, stereo, temporal

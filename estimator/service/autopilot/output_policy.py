@@ -103,7 +103,7 @@ class Handover:
 
     def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> int:
         """-1 to 100, as above; one_source_at_a_time: of the autopilot, for own_gnss_quality = "auto"."""
-        if estimate.mode not in {Mode.AIDED, Mode.DEAD_RECKONING}:
+        if estimate.mode not in {Mode.AIDED, Mode.ODOMETRY, Mode.DEAD_RECKONING}:
             return -1
         share = float(horizontal_radius(estimate.covariance[None, :2, :2])[0]) / self._config.most_radius_m
         if not share < 1.0:

@@ -15,7 +15,7 @@ from logs.importers import csv_folder
 from logs.importers.recording import EPOCH_NS, ImportOptions, Message, Truth
 from logs.store.reader import LogError
 from models.frames import Origin
-from models.messages import Array, GnssFix, GnssVelocity, ImuSample, PoseFix, Reading
+from models.messages import Array, GnssFix, GnssVelocity, ImuSample, OdometryPose, PoseFix, Reading
 
 M = TypeVar("M", bound=Message)
 
@@ -194,6 +194,17 @@ def test_poses_of_vision_serve_as_fixes_on_request(landfix_data: Path) -> None:
     assert 0.02 < np.sqrt(np.mean((p - p_true) ** 2)) < 0.1
     turn = Rotation.from_quat(q, scalar_first=True) * Rotation.from_quat(q_true, scalar_first=True).inv()
     assert 0.3 < np.rad2deg(np.sqrt(np.mean(turn.as_rotvec() ** 2))) < 2.0
+
+
+def test_poses_of_vision_are_an_odometry_on_request(landfix_data: Path) -> None:
+    flight = landfix_data / "flights/euroc/V1_02_medium"
+    assert not of(csv_folder.read(flight), OdometryPose)
+    recording = csv_folder.read(flight, ImportOptions(odometry=True))
+    poses = of(recording, OdometryPose)
+    fixes = of(csv_folder.read(flight, ImportOptions(pose_fix_hz=100.0)), PoseFix)
+    assert [(m.t_ns, m.p_o, m.q_ob_wxyz) for m in poses] == [(m.t_ns, m.p_n, m.q_nb_wxyz) for m in fixes]
+    assert {m.frame for m in poses} == {"odom 0"}
+    assert 'odometry = ["/odometry"]' in recording.settings.toml("csv", flight, ("/imu", "/odometry")).splitlines()
 
 
 # --- small folders -----------------------------------------------------------------------------------------------------------

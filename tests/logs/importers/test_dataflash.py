@@ -12,7 +12,7 @@ from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
 from models.frames import Origin
-from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryPose, Reading
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +138,7 @@ FORMATS = {  # name: type, format, columns
     "GPA": (131, "QBCCCC", "TimeUS,I,VDop,HAcc,VAcc,SAcc"),
     "XKF1": (132, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH"),
     "ORGN": (133, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
+    "VISP": (135, "QffffffB", "TimeUS,PX,PY,PZ,R,P,Y,Rst"),
     "PARM": (134, "QNff", "TimeUS,Name,Value,Default"),
 }
 STRUCT = {"Q": "Q", "B": "B", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
@@ -195,6 +196,21 @@ def test_instances_are_distinguished(newer: Path) -> None:
     topics = [s.topic for s in first.streams]
     assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/attitude", "/truth"]
     assert len(first.stream("/truth") or ()) == 4  # of the first core only
+
+
+def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(newer: Path) -> None:
+    newer.write_bytes(
+        newer.read_bytes()
+        + row("VISP", 1_200_000, 1.0, 2.0, -3.0, 0.0, 0.0, 90.0, 0)
+        + row("VISP", 1_300_000, 7.0, 2.0, -3.0, 0.0, 0.0, 90.0, 1)
+    )
+    recording = dataflash.read(newer)
+    first, second = (m for m in recording if isinstance(m, OdometryPose))
+    np.testing.assert_allclose(first.p_o, (1.0, 2.0, -3.0))
+    np.testing.assert_allclose(np.rad2deg(so3.to_euler(np.array(first.q_ob_wxyz))), (0.0, 0.0, 90.0), atol=1e-6)
+    assert first.frame != second.frame
+    assert second.t_ns - first.t_ns == 100_000_000
+    assert '# odometry = "/odometry"' in recording.settings.toml("dataflash", newer, ("/imu", "/odometry"))
 
 
 def test_the_receivers_own_accuracy_goes_before_dop(newer: Path) -> None:

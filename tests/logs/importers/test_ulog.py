@@ -15,7 +15,7 @@ from pyulog import ULog
 from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
 from logs.store.reader import LogError
-from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
+from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryPose, Reading
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
 
@@ -183,6 +183,28 @@ def test_gyro_and_accelerometer_of_their_own_are_brought_together(tmp_path: Path
     np.testing.assert_allclose([m.gyro_b for m in got], [[0.1 * k, 0.2, 0.3] for k in range(8)])
     np.testing.assert_allclose([m.accel_b for m in got], [[0.5 * k, 0.0, -9.8] for k in range(8)])
     assert any("sensor_accel interpolated" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("names", [("position[0]", "position[1]", "position[2]"), ("x", "y", "z")])
+def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(tmp_path: Path, names: tuple[str, ...]) -> None:
+    attitude = {"q[0]": 1.0, "q[1]": 0.0, "q[2]": 0.0, "q[3]": 0.0}
+    rows = [
+        {
+            "timestamp": 5000 * k + 300,
+            "timestamp_sample": 5000 * k,
+            **dict.fromkeys(names, 1.0 * k),
+            **attitude,
+            "reset_counter": k // 2,
+        }
+        for k in range(1, 4)
+    ]
+    rows.append({**rows[-1], names[0]: math.nan})
+    recording = ulog.read(written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS, vehicle_visual_odometry=rows))
+    poses = [m for m in recording if isinstance(m, OdometryPose)]
+    assert [m.t_ns - EPOCH_NS for m in poses] == [5_000_000, 10_000_000, 15_000_000]
+    assert [m.p_o for m in poses] == [(1.0 * k,) * 3 for k in (1, 2, 3)]
+    assert [m.frame for m in poses] == ["odom 0", "odom 1", "odom 1"]
+    assert not [m for m in ulog.read(written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS)) if isinstance(m, OdometryPose)]
 
 
 def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path) -> None:

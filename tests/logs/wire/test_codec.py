@@ -43,6 +43,8 @@ from models.messages import (
     LandmarkFix,
     LastGnss,
     Mode,
+    OdometryDelta,
+    OdometryPose,
     PictureName,
     PoseFix,
     Quat,
@@ -58,7 +60,7 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
-ALL = Topics(baro=("/baro",), attitude=("/attitude",))  # every input, the optional ones too
+ALL = Topics(baro=("/baro",), attitude=("/attitude",), odometry=("/odometry",))  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -121,6 +123,9 @@ def inputs() -> list[Input]:
             readings=np.arange(4.0),
         ),
         Reading(T_NS, ARRIVED_NS, "/baro", "baro", (95_321.5,), np.eye(1) * 4.0),
+        OdometryDelta(T_NS, ARRIVED_NS, T_NS - 500_000_001, p, q, covariance(6), covariance(6, 7)[:, :2], epoch=3),
+        OdometryDelta(T_NS, ARRIVED_NS, T_NS - 500_000_001, p, q, covariance(6)),
+        OdometryPose(T_NS, ARRIVED_NS, p, q, "odom 2"),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]
@@ -132,7 +137,7 @@ def same(a: Any, b: Any) -> None:
     if isinstance(a, msgspec.Struct):
         for name in a.__struct_fields__:
             x, y = getattr(a, name), getattr(b, name)
-            if name == "q_nb_wxyz" and np.dot(x, y) < 0:
+            if name in {"q_nb_wxyz", "q_ob_wxyz"} and np.dot(x, y) < 0:
                 y = tuple(-np.array(y))
             same(x, y)
     elif isinstance(a, np.ndarray | float) or (isinstance(a, tuple) and a and isinstance(a[0], float)):

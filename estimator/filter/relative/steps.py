@@ -1,0 +1,134 @@
+"""Odometry in the hypotheses: keep the pose where an increment begins, judge and fuse the increment where it ends.
+
+Every hypothesis keeps a pose of its own. An increment founds no new hypothesis; it tells those that there are apart, by little:
+
+    w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
+
+for the errors of its increments are alike, and a fault of the odometry must not outweigh positions. One that fails the gate is
+left out. Where it contradicts the estimate for good and no position decides who is right, it is held and the covariance covers
+what it said: P <- P + d d^T, d = K nu.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from estimator.filter.eskf import Innovation
+from estimator.filter.hypotheses import Hypotheses, clone_of, innovation
+from estimator.sources import odometry
+from estimator.sources.gating import gate
+from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
+from estimator.sources.source import Phase, SourceState
+from models.messages import Reason
+from models.relative_pose import RelativePose
+
+_MOST_SAID = 2.0  # ln: c
+_XYZ = 3
+_NO_RATE = np.zeros(3)
+_OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
+_BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
+_BREAK, _LOST = "no pose for {:.1f} s: begun anew", "the estimate has jumped since it began"
+_HELD = "held off: it contradicts the estimate"
+
+
+class Step(NamedTuple):
+    """What became of it: seen and gate where it was compared with the leading filter."""
+
+    reason: Reason
+    detail: str
+    kept: Kept | None
+    state: SourceState
+    seen: Innovation | None = None
+    gate: float = 0.0
+
+
+def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
+    """One place of an odometry in the order; kept: what is kept for its topic; alone: no position vouches for the filters."""
+    motion = aid.motion
+    if isinstance(motion, Begins):
+        if kept is None or kept.until_ns <= aid.t_ns:
+            kept = _keep(bank, aid, kept, Kept(aid.t_ns, motion.until_ns, motion.name, motion.epoch))
+        return Step(Reason.THINNED, "", kept, state)
+    if isinstance(motion, Increment):
+        if kept is None or kept.name != motion.name:
+            return Step(Reason.THINNED, _OVERLAPS, kept, state)
+        return _judge(bank, aid, motion.z, kept, state, alone=alone)
+    return _pose(bank, aid, motion, kept, state, alone=alone)
+
+
+def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
+    """A pose: the first of its frame, one too near to the kept one, or the end of an increment and the beginning of the next."""
+    begun = Kept(aid.t_ns, aid.t_ns, b"", at.epoch, at.pose, (aid.t_ns, at.pose, None))
+    if kept is None or kept.pose is None or kept.epoch != at.epoch:
+        return Step(Reason.THINNED, _BEGINS, _keep(bank, aid, kept, begun), state)
+    off, velocity = odometry.jumped(kept, aid.t_ns, at.pose)
+    seconds = (aid.t_ns - kept.t_ns) * 1e-9
+    if off:
+        return Step(Reason.IMPLAUSIBLE, _JUMPED.format(off), _keep(bank, aid, kept, begun), state)
+    begun = begun._replace(newest=(aid.t_ns, at.pose, velocity))
+    if seconds > at.config.longest_s:
+        return Step(Reason.THINNED, _BREAK.format(seconds), _keep(bank, aid, kept, begun), state)
+    if seconds < at.config.interval_s:
+        return Step(Reason.THINNED, "", kept if velocity is None else kept._replace(newest=begun.newest), state)
+    z, errors = at.since(kept.pose)
+    step = _judge(bank, replace(aid, slow_errors=errors), z, kept, state, alone=alone)
+    return step._replace(kept=_keep(bank, aid, kept, begun))
+
+
+def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) -> Kept:
+    """Every filter keeps its pose; in another epoch nothing is known of the errors that stayed within the last one."""
+    stale = odometry.slow_blocks(aid.topic) if before is not None and before.epoch != now.epoch else ()
+    for member in bank.members:
+        for block in stale:
+            if block in member.filter.slow.columns:
+                member.filter.forget(block)
+        member.filter.keep_pose(clone_of(aid.topic))
+    return now
+
+
+def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, state: SourceState, *, alone: bool) -> Step:
+    """Compare, gate and fuse; afterwards no pose is kept for the topic."""
+    block = clone_of(aid.topic)
+    limit = gate(aid.rules.gate_probability, len(z.rows))
+    seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
+    if (first := seen[0]) is None:
+        return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
+    state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
+    widest = odometry.widest(state, aid.rules)
+    off = [None if s is None else np.abs(s.nu) / np.sqrt(s.s.diagonal()) for s in seen]
+    passed = [
+        s is not None and o is not None and s.distance2 <= limit and bool(o.max() <= widest)
+        for s, o in zip(seen, off, strict=True)
+    ]
+    was = state.phase
+    moved = z.rows < _XYZ if (z.rows < _XYZ).any() else z.rows >= _XYZ
+    drift = first.nu[moved] / np.sqrt(first.s.diagonal()[moved])
+    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=drift)
+    fused = was is Phase.ACTIVE and state.phase is Phase.ACTIVE and passed[0]
+    if was is Phase.ACTIVE and state.phase is Phase.ACTIVE:
+        _fuse(bank, aid, seen, passed)
+    elif was is Phase.ACTIVE and alone:
+        for member, s in zip(bank.members, seen, strict=True):
+            if s is not None:
+                member.filter.cover(s)
+    for member in bank.members:
+        if block in member.filter.clones:
+            member.filter.forget(block)
+    reason = Reason.FUSED if fused else Reason.GATED
+    if not fused and passed[0]:
+        reason = Reason.PROBATION if was is Phase.STARTING else Reason.STOPPED
+    said = _HELD if state.phase is Phase.STOPPED else ""
+    return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
+
+
+def _fuse(bank: Hypotheses, aid: OdometryAid, seen: list[Innovation | None], passed: list[bool]) -> None:
+    """Every hypothesis that foresaw it fuses it."""
+    said = [None if s is None else s.log_likelihood if p else aid.log_false for s, p in zip(seen, passed, strict=True)]
+    best = max(t for t in said if t is not None)
+    for member, s, was_passed in zip(bank.members, seen, passed, strict=True):
+        if s is not None and was_passed:
+            member.filter.update(s)
+        if was_passed != passed[0]:
+            member.parted_ns = aid.t_ns
+    bank.weigh(aid.t_ns, [0.0 if t is None else max(t - best, -_MOST_SAID) for t in said])

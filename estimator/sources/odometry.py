@@ -1,0 +1,322 @@
+"""Odometry: how the body has moved, as cameras or wheels measured it, against a pose that the filter keeps.
+
+    dp = (1 + s) R_0^T (p_1 - p_0) + |dp| l + v_p,   dR = R_0^T R_1 exp(v_theta)
+
+s: scale, estimated; l: a considered error that lasts lasting_s (texture, light, a wheel on wet grass are the same for a while);
+v: white. An increment takes two places in the order of measurements: where it begins, the filter keeps its pose; where it ends,
+it is fused. Of poses in the odometry's own frame the tracker makes increments, in the order of validity, so that which poses are
+taken does not depend on their arrival. The covariance of such a pose is that of all its past, and no use for a difference.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from msgspec import Meta
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from estimator.sources.gating import cusum, gate
+from estimator.sources.source import (
+    Aid,
+    Phase,
+    Refusal,
+    SlowError,
+    SourceRules,
+    SourceState,
+    covariance_refusal,
+    log_false,
+    order,
+    with_default,
+)
+from models.messages import Array, OdometryDelta, OdometryPose, Reason
+from models.relative_pose import RelativePose, between
+
+_NEVER = -(2**62)
+_XYZ, _SIX = 3, 6
+_NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
+_FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
+_MOST_ERRORS = 6  # that stay with a rig
+_LARGEST_ERROR = 100.0  # m or rad
+_FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
+_SCALE_HOLDS_S = 600.0
+_DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
+_CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
+_JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
+_NO_ERRORS: tuple[SlowError, ...] = ()
+
+_Row: TypeAlias = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+_NAMES: tuple[_Row, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
+_Rows: TypeAlias = NDArray[np.intp]
+
+
+class OdometryConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """[odometry]: its noise, and how it is judged; poses are used where [inputs] odometry names a topic."""
+
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of increments expected to be false")] = 0.01
+    probation: Annotated[
+        int,
+        Meta(ge=0, le=1_000_000, description="increments that must pass before (returning) odometry is fused beside a position"),
+    ] = 4
+    hold_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: how long odometry is held off when it contradicts the estimate; 0: never")
+    ] = 10.0
+    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is found out")] = (
+        8.0
+    )
+    delay_s: Annotated[
+        float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
+    ] = 0.0
+    interval_s: Annotated[float, Meta(ge=0.02, le=10, description="s: an increment is made of poses at least this far apart")] = (
+        0.5
+    )
+    longest_s: Annotated[float, Meta(ge=0.02, le=60, description="s: an increment over more time than this is not used")] = 3.0
+    rows: Annotated[
+        tuple[_Row, ...],
+        Meta(description="of poses, what is measured: x y z forward, right, down, and roll pitch yaw; wheels: x, y and yaw"),
+    ] = _NAMES
+    position_sigma_m: Annotated[float, Meta(ge=1e-4, le=100, description="m: white error of an increment, at least")] = 0.005
+    attitude_sigma_deg: Annotated[float, Meta(ge=1e-3, le=90, description="deg: white error of an increment, at least")] = 0.2
+    position_share: Annotated[
+        float, Meta(ge=0, le=1, description="white error of an increment as a share of its length, where it tells none")
+    ] = 0.03
+    noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations in an increment")] = 1.0
+    lasting_share: Annotated[float, Meta(ge=0, le=1, description="error that lasts, as a share of the length; 0: none")] = 0.008
+    lasting_deg: Annotated[float, Meta(ge=0, le=90, description="deg: error of a rotation that lasts; 0: none")] = 0.0
+    lasting_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: for so long it lasts")] = 5.0
+    scale_sigma: Annotated[
+        float, Meta(ge=0, le=1, description="of the scale, which is estimated; 0: it is right (increments may bring their own)")
+    ] = 0.02
+
+
+class Begins(NamedTuple):
+    """An increment begins here; nothing else of its topic may begin before until_ns. name: of the increment."""
+
+    until_ns: int
+    name: bytes
+    epoch: str
+
+
+class Increment(NamedTuple):
+    """An increment ends here."""
+
+    name: bytes
+    z: RelativePose
+
+
+class Posed(NamedTuple):
+    """A pose (7,) in the odometry's frame `epoch`; since: the increment from an earlier pose, and the errors that it carries."""
+
+    pose: Array
+    epoch: str
+    since: Callable[[Array], tuple[RelativePose, tuple[SlowError, ...]]]
+    config: OdometryConfig
+
+
+class Kept(NamedTuple):
+    """The pose that the filters keep for a topic: since t_ns, for the increment `name` until until_ns, or for the next pose.
+
+    pose: in the odometry's frame; newest: the last pose since, its time, and the velocity there, m/s in the odometry's frame.
+    """
+
+    t_ns: int
+    until_ns: int
+    name: bytes
+    epoch: str
+    pose: Array | None = None
+    newest: tuple[int, Array, Array | None] | None = None
+
+
+class OdometryAid(Aid, frozen=True, eq=False, kw_only=True):
+    """An aid that says how the body has moved."""
+
+    motion: Begins | Increment | Posed
+
+    @property
+    def is_reported(self) -> bool:
+        """See Aid: where an increment begins nothing is decided."""
+        return not isinstance(self.motion, Begins)
+
+
+def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal:
+    """An increment as a measurement, and where it begins."""
+    dp, q = np.array(delta.dp_b, dtype=float), np.array(delta.dq_wxyz, dtype=float)
+    seconds = (delta.t_ns - delta.t0_ns) * 1e-9
+    if refusal := _motion_refusal(dp, q, seconds, config):
+        return refusal
+    q /= np.linalg.norm(q)
+    covariance = np.array(delta.covariance, dtype=float, order="C")
+    if covariance.shape != (_SIX, _SIX):
+        return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
+    rows = _given(covariance)
+    if not len(rows):
+        return Refusal(Reason.UNSUPPORTED, "no component is given")
+    sigmas = _sigmas(config, float(np.linalg.norm(dp)))[rows]
+    given, _ = with_default(covariance[np.ix_(rows, rows)] * config.noise_scale**2, sigmas)
+    noise = given + np.diag(_sigmas(config, 0.0)[rows] ** 2)
+    if refusal := covariance_refusal(noise):
+        return refusal
+    errors = _rig_errors(delta, config)
+    if isinstance(errors, Refusal):
+        return errors
+    delay_ns = round(config.delay_s * 1e9)
+    t0_ns, t_ns, epoch = delta.t0_ns - delay_ns, delta.t_ns - delay_ns, str(delta.epoch)
+    place = order(t_ns, "odometry", delta.topic, f"{t0_ns} {epoch}".encode(), dp.tobytes(), q.tobytes(), covariance.tobytes())
+    name = place[-1]
+    end = Increment(name, RelativePose(dp, q, noise, rows))
+    begin = _aid(t0_ns, delta, (t0_ns, "odometry_begin", delta.topic, name), config, Begins(t_ns, name, epoch), "odometry_begin")
+    return _aid(t_ns, delta, place, config, end, "odometry", (*_lasting(delta.topic, dp, config), *errors), begin, rows)
+
+
+def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Refusal:
+    """A pose in the odometry's frame, of which the tracker makes increments."""
+    pose = np.array((*reading.p_o, *reading.q_ob_wxyz), dtype=float)
+    if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], None, config):
+        return refusal
+    pose[_XYZ:] /= np.linalg.norm(pose[_XYZ:])
+    rows = np.array([k for k, name in enumerate(_NAMES) if name in config.rows])
+
+    def since(before: Array) -> tuple[RelativePose, tuple[SlowError, ...]]:
+        step = between(before, pose)
+        dp = step[:_XYZ]
+        noise = np.diag(_sigmas(config, float(np.linalg.norm(dp)))[rows] ** 2)
+        return RelativePose(dp, step[_XYZ:], noise, rows), (
+            *_lasting(reading.topic, dp, config),
+            *_scale(reading.topic, dp, config),
+        )
+
+    t_ns = reading.t_ns - round(config.delay_s * 1e9)
+    place = order(t_ns, "odometry", reading.topic, pose.tobytes(), reading.frame.encode())
+    return _aid(t_ns, reading, place, config, Posed(pose, reading.frame, since, config), "odometry", rows=rows)
+
+
+def _aid(
+    t_ns: int,
+    message: OdometryDelta | OdometryPose,
+    place: tuple[int, str, str, bytes],
+    config: OdometryConfig,
+    motion: Begins | Increment | Posed,
+    kind: str,
+    errors: tuple[SlowError, ...] = _NO_ERRORS,
+    begin: Aid | None = None,
+    rows: _Rows | None = None,
+) -> OdometryAid:
+    z = motion.z if isinstance(motion, Increment) else None
+    given = range(_SIX) if rows is None else rows.tolist()
+    return OdometryAid(
+        t_ns=t_ns,
+        arrived_ns=message.arrived_ns,
+        topic=message.topic,
+        kind=kind,
+        order=place,
+        rules=config,
+        absolute=False,
+        log_false=log_false(config, [_FALSE_M if k < _XYZ else _FALSE_RAD for k in given]),
+        measurement=lambda _: z,
+        slow_errors=errors,
+        begin=begin,
+        motion=motion,
+    )
+
+
+def _motion_refusal(p: Array, q: Array, seconds: float | None, config: OdometryConfig) -> Refusal | None:
+    """Why a position or an increment p (3,), q (4,) over so many seconds (None: a pose) is none."""
+    if not (np.isfinite(p).all() and np.isfinite(q).all()):
+        return Refusal(Reason.NOT_FINITE, "pose")
+    norm, length = float(np.linalg.norm(q)), float(np.linalg.norm(p))
+    if not math.isclose(norm, 1.0, abs_tol=1e-2):
+        return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
+    if seconds is not None and not 0.0 < seconds <= config.longest_s:
+        return Refusal(Reason.UNSUPPORTED, f"an increment over {seconds:.3g} s: [odometry] longest_s is {config.longest_s:g}")
+    if length > (_FARTHEST_M if seconds is None else _FASTEST_M_S * seconds):
+        return Refusal(Reason.IMPLAUSIBLE, f"{length:.3g} m: metres are expected")
+    return None
+
+
+def _given(covariance: Array) -> _Rows:
+    """Rows whose variance is one, and not so large that it says "not given"."""
+    variances, largest = covariance.diagonal(), np.repeat((_NOT_GIVEN_M2, _NOT_GIVEN_RAD2), _XYZ)
+    return np.flatnonzero((variances >= 0.0) & (variances < largest))
+
+
+def _sigmas(config: OdometryConfig, length_m: float) -> Array:
+    """Of the white error of an increment of this length, (6,), m and rad."""
+    position = math.hypot(config.position_sigma_m, config.position_share * length_m)
+    return np.repeat((position, math.radians(config.attitude_sigma_deg)), _XYZ)
+
+
+def _lasting(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ...]:
+    """The considered error, of variance 1 in each axis."""
+    moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), math.radians(config.lasting_deg)), _XYZ)
+    if not (config.lasting_share or config.lasting_deg):
+        return ()
+    return (SlowError(f"{topic}.lasting", np.eye(_SIX), config.lasting_s, np.diag(moved)),)
+
+
+def _scale(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ...]:
+    """The estimated scale: dp_measured = (1 + s) dp."""
+    if not config.scale_sigma:
+        return ()
+    variance = np.array([[config.scale_sigma**2]])
+    jacobian = np.concatenate((dp, np.zeros(_XYZ)))[:, None]
+    return (SlowError(f"{topic}.scale", variance, math.inf, jacobian, variance[0] / _SCALE_HOLDS_S, starts_at_zero=True),)
+
+
+def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError, ...] | Refusal:
+    """What stays with the rig, as the increment tells, or a scale."""
+    if delta.systematic is None:
+        return _scale(delta.topic, np.array(delta.dp_b), config)
+    moved = np.array(delta.systematic, dtype=float, order="C")
+    fits = moved.ndim == 2 and moved.shape[0] == _SIX and 1 <= moved.shape[1] <= _MOST_ERRORS
+    if not fits or not (np.abs(moved) < _LARGEST_ERROR).all():
+        return Refusal(Reason.MALFORMED, "systematic errors")
+    one = np.eye(moved.shape[1])
+    return (SlowError(f"{delta.topic}.scale", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
+
+
+def slow_blocks(topic: str) -> tuple[str, str]:
+    """The blocks of errors that hold within an epoch."""
+    return f"{topic}.lasting", f"{topic}.scale"
+
+
+def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
+    """How far this pose lies off the straight line through the two before it, m, 0 where a vehicle may; its velocity, m/s."""
+    if kept.newest is None or t_ns <= kept.newest[0]:
+        return 0.0, None
+    since_ns, before, velocity = kept.newest
+    dt = (t_ns - since_ns) * 1e-9
+    moved = pose[:_XYZ] - before[:_XYZ]
+    off = 0.0 if velocity is None else float(np.linalg.norm(moved - velocity * dt))
+    return off if off > _JUMP_M + _JUMP_M_S2 * dt * dt else 0.0, moved / dt
+
+
+def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -> SourceState:
+    """An increment of t_ns comes in. One that was found out comes back only beside a position, which vouches for the filter."""
+    state = state.arrive(rules, t_ns, alone=alone and state.held_until_ns == _NEVER)
+    return replace(state, held_until_ns=_NEVER) if state.phase is Phase.ACTIVE else state
+
+
+def widest(state: SourceState, rules: SourceRules) -> float:
+    """How far off a component may be, in sigma: less while increments contradict the estimate alike.
+
+    Without increments the covariance grows until it lets the next wrong one in, and from then on all.
+    """
+    is_disputed = max(state.sums, default=0.0) > _DISPUTED
+    return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
+
+
+def judged(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, off: Array) -> SourceState:
+    """The increment passed its gate or not; off (k,): its innovations in sigma.
+
+    It is stopped where they drift, in a sum that a single one cannot raise, also when it is alone: over the time of an increment
+    the IMU vouches for the filter.
+    """
+    if state.phase is Phase.STARTING:
+        return replace(state, passed=state.passed + 1 if passed and not alone else 0)
+    if not rules.hold_s or state.phase is not Phase.ACTIVE:
+        return state
+    sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), rules.cusum_slack)
+    if max(sums) > rules.cusum_limit:
+        return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
+    return replace(state, sums=sums)

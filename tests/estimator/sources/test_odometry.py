@@ -1,0 +1,167 @@
+"""Increments and poses of an odometry: what they measure, their noise, why they are refused, and when the source is stopped."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from estimator.sources import odometry
+from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.odometry import Increment, Kept, OdometryAid, OdometryConfig, Posed
+from estimator.sources.source import Phase, Refusal, SourceState
+from models.messages import OdometryDelta, OdometryPose, Reason
+
+SECOND = 10**9
+T0, T1 = 100 * SECOND, 100 * SECOND + SECOND // 2
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+DELTA = OdometryDelta(T1, T1, T0, (2.0, 0.0, 0.0), LEVEL, np.diag([0.02**2] * 3 + [0.002**2] * 3))
+PLAIN = OdometryConfig(position_sigma_m=0.005, attitude_sigma_deg=0.05, position_share=0.01, lasting_share=0.01, scale_sigma=0.02)
+
+
+def _made(message: OdometryDelta | OdometryPose, config: OdometryConfig = PLAIN) -> OdometryAid | Refusal:
+    aid = aid_of(message, SourcesConfig(odometry=config))
+    assert isinstance(aid, OdometryAid | Refusal)
+    return aid
+
+
+def _aid(message: OdometryDelta | OdometryPose, config: OdometryConfig = PLAIN) -> OdometryAid:
+    aid = _made(message, config)
+    assert isinstance(aid, OdometryAid), aid
+    return aid
+
+
+def _noise(delta: OdometryDelta, config: OdometryConfig = PLAIN) -> np.ndarray:
+    end = _aid(delta, config).motion
+    assert isinstance(end, Increment)
+    return end.z.noise
+
+
+def test_an_increment_takes_two_places_and_only_its_end_is_reported() -> None:
+    end = _aid(DELTA)
+    begin = end.begin
+    assert begin is not None
+    assert (begin.t_ns, end.t_ns) == (T0, T1)
+    assert (begin.is_reported, end.is_reported) == (False, True)
+    assert not end.absolute
+    assert end.order < (T1, *begin.order[1:])  # where one ends and the next begins, the end comes first
+
+
+def test_a_delay_moves_both_ends() -> None:
+    end = _aid(DELTA, OdometryConfig(delay_s=0.05))
+    assert end.begin is not None
+    assert (end.begin.t_ns, end.t_ns) == (T0 - SECOND // 20, T1 - SECOND // 20)
+
+
+def test_its_own_noise_has_a_floor_and_where_it_gives_none_a_share_of_the_length_counts() -> None:
+    floor = math.radians(0.05) ** 2
+    np.testing.assert_allclose(np.diag(_noise(DELTA)), [0.02**2 + 0.005**2] * 3 + [0.002**2 + floor] * 3)
+    scaled = _noise(DELTA, msgspec.structs.replace(PLAIN, noise_scale=2.0))
+    np.testing.assert_allclose(scaled[0, 0], 4 * 0.02**2 + 0.005**2)
+    silent = msgspec.structs.replace(DELTA, covariance=np.zeros((6, 6)))
+    np.testing.assert_allclose(np.diag(_noise(silent))[0], 0.02**2 + 2 * 0.005**2)
+
+
+def test_components_that_are_not_given_have_no_row() -> None:
+    covariance = np.diag([0.01, 1e6, math.nan, -1.0, 20.0, 0.001])
+    end = _aid(msgspec.structs.replace(DELTA, covariance=covariance)).motion
+    assert isinstance(end, Increment)
+    assert end.z.rows.tolist() == [0, 5]
+    assert end.z.noise.shape == (2, 2)
+
+
+def test_it_carries_a_lasting_error_that_is_considered_and_a_scale_that_is_estimated() -> None:
+    lasting, scale = _aid(DELTA).slow_errors
+    assert lasting.walk is None
+    assert lasting.tau_s == 5.0
+    np.testing.assert_allclose(np.diag(np.asarray(lasting.jacobian)), [0.02] * 3 + [0.0] * 3)
+    assert scale.walk is not None
+    assert scale.starts_at_zero
+    np.testing.assert_allclose(np.asarray(scale.jacobian)[:, 0], [2.0, 0, 0, 0, 0, 0])
+    assert math.sqrt(scale.covariance[0, 0]) == pytest.approx(0.02)
+
+
+def test_a_rig_that_says_how_it_errs_takes_the_place_of_the_scale() -> None:
+    moved = np.arange(12.0).reshape(6, 2)
+    _, rig = _aid(msgspec.structs.replace(DELTA, systematic=moved)).slow_errors
+    np.testing.assert_array_equal(np.asarray(rig.jacobian), moved)
+    np.testing.assert_array_equal(rig.covariance, np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"dp_b": (math.nan, 0.0, 0.0)}, Reason.NOT_FINITE),
+        ({"dq_wxyz": (0.0, 0.0, 0.0, 0.0)}, Reason.IMPLAUSIBLE),
+        ({"dp_b": (1e3, 0.0, 0.0)}, Reason.IMPLAUSIBLE),  # 2 km/s
+        ({"t0_ns": T1 + 1}, Reason.UNSUPPORTED),
+        ({"t0_ns": T1}, Reason.UNSUPPORTED),
+        ({"t0_ns": T1 - 10 * SECOND}, Reason.UNSUPPORTED),
+        ({"covariance": np.eye(3)}, Reason.MALFORMED),
+        ({"covariance": np.full((6, 6), math.nan)}, Reason.UNSUPPORTED),
+        ({"covariance": np.eye(6) + 5.0 * np.eye(6)[::-1]}, Reason.NOT_PSD),
+        ({"systematic": np.zeros((3, 1))}, Reason.MALFORMED),
+        ({"systematic": np.full((6, 1), math.inf)}, Reason.MALFORMED),
+    ],
+)
+def test_bad_increments_get_their_reason(change: dict[str, object], reason: Reason) -> None:
+    made = _made(msgspec.structs.replace(DELTA, **change))
+    assert isinstance(made, Refusal)
+    assert made.reason is reason
+
+
+@pytest.mark.parametrize(
+    ("p", "q", "reason"),
+    [((0.0, math.inf, 0.0), LEVEL, Reason.NOT_FINITE), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5), Reason.IMPLAUSIBLE)],
+)
+def test_bad_poses_get_their_reason(p: tuple[float, float, float], q: tuple[float, ...], reason: Reason) -> None:
+    made = _made(OdometryPose(T1, T1, p, (q[0], q[1], q[2], q[3])))
+    assert isinstance(made, Refusal)
+    assert made.reason is reason
+
+
+def test_wheels_give_the_rows_that_they_measure() -> None:
+    at = _aid(OdometryPose(T1, T1, (1.0, 0.0, 0.0), LEVEL), OdometryConfig(rows=("x", "y", "yaw"))).motion
+    assert isinstance(at, Posed)
+    z, _ = at.since(np.array([0.0, 0, 0, 1, 0, 0, 0]))
+    assert z.rows.tolist() == [0, 1, 5]
+    np.testing.assert_allclose(z.dp_b, [1.0, 0.0, 0.0])
+
+
+def test_a_jump_leaves_the_line_by_more_than_a_vehicle_can() -> None:
+    before = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    kept = Kept(T0, T0, b"", "odom", before, (T0, before, np.array([10.0, 0.0, 0.0])))
+    step = SECOND // 20
+    straight, velocity = odometry.jumped(kept, T0 + step, before + np.array([0.5, 0, 0, 0, 0, 0, 0]))
+    assert straight == 0.0
+    assert velocity == pytest.approx([10.0, 0.0, 0.0])
+    off, _ = odometry.jumped(kept, T0 + step, before + np.array([0.5, 0.4, 0, 0, 0, 0, 0]))
+    assert off == pytest.approx(0.4)
+
+
+def _after(state: SourceState, off: float, times: int, *, alone: bool = True) -> SourceState:
+    for k in range(times):
+        state = odometry.arrived(state, PLAIN, T0 + k * SECOND // 2, alone=alone)
+        state = odometry.judged(state, PLAIN, T0 + k * SECOND // 2, alone=alone, passed=off < 5.0, off=np.array([off, 0.0]))
+    return state
+
+
+def test_one_outlier_stops_nothing_and_a_drift_does() -> None:
+    assert _after(SourceState(), 100.0, 1).phase is Phase.ACTIVE
+    assert _after(SourceState(), 0.9, 50).phase is Phase.ACTIVE
+    assert _after(SourceState(), 2.5, 7).phase is Phase.STOPPED
+    assert _after(SourceState(), 100.0, 6).phase is Phase.STOPPED
+
+
+def test_what_was_stopped_comes_back_only_beside_a_position() -> None:
+    held = _after(SourceState(), 100.0, 6)
+    later = T0 + 60 * SECOND
+    state = held
+    for k in range(20):
+        state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=True)
+        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=True, passed=True, off=np.zeros(2))
+    assert state.phase is not Phase.ACTIVE
+    for k in range(20, 26):
+        state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=False)
+        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=False, passed=True, off=np.zeros(2))
+    assert state.phase is Phase.ACTIVE

@@ -1,0 +1,128 @@
+"""GIVEN a flight that loses its positions, WHEN odometry goes on, THEN it carries the estimate, and a fault is held."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from models.messages import ImuSample, Input, Mode, Reason
+from models.sim.scenario import EPOCH_NS, Simulation
+from models.state import E
+from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
+from tests.estimator.scenes import Run, by_arrival, error, fly, position_errors, simulated, within
+
+FLIGHT = """
+duration_s = 80.0
+[vehicle]
+kind = "multirotor"
+[imu]
+rate_hz = 100.0
+grade = "hobby"
+[gnss]
+[pose_fix]
+rate_hz = 2.0
+"""
+LOST_S, END_S = 35.0, 80.0
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulated(FLIGHT, seed=4)
+
+
+def _with(simulation: Simulation, odometry: Iterable[Input] = ()) -> Run:
+    """The flight without positions since LOST_S."""
+    lost_ns = EPOCH_NS + round(LOST_S * 1e9)
+    kept = [m for m in simulation.messages if isinstance(m, ImuSample) or m.t_ns < lost_ns]
+    return fly(simulation, messages=by_arrival([*kept, *odometry]))
+
+
+def _ratio(run: Run, simulation: Simulation, start_s: float, end_s: float) -> float:
+    """The largest NEES/3 of the position in a time span."""
+    largest = 0.0
+    for e in within(run.estimates, start_s, end_s):
+        off = error(e, simulation.truth)[E.P]
+        largest = max(largest, float(off @ np.linalg.solve(e.covariance[E.P, E.P], off)) / 3.0)
+    return largest
+
+
+def test_odometry_carries_the_estimate_through_an_outage(simulation: Simulation) -> None:
+    alone, carried = _with(simulation), _with(simulation, increments(simulation, 15.0, END_S))
+    assert position_errors(alone.estimates[-1:], simulation.truth)[0] > 15.0
+    assert position_errors(within(carried.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+    assert _ratio(carried, simulation, LOST_S, END_S) < 5.4  # 99.9 %
+    assert {e.mode for e in within(carried.estimates, LOST_S + 3.1, END_S)} == {Mode.ODOMETRY}
+    assert {e.mode for e in within(alone.estimates, LOST_S + 3.1, END_S)} == {Mode.DEAD_RECKONING}
+    assert carried.reasons(TOPIC)[Reason.FUSED] >= 120
+    assert not carried.internal_errors()
+
+
+def test_poses_in_a_frame_of_their_own_do_the_same(simulation: Simulation) -> None:
+    run = _with(simulation, poses(simulation, 15.0, END_S))
+    assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+    fused = [s for s in run.statuses if s.topic == TOPIC and s.reason is Reason.FUSED]
+    assert 110 <= len(fused) <= 130  # of 650 poses
+    assert not run.internal_errors()
+
+
+def test_another_frame_begins_anew(simulation: Simulation) -> None:
+    """Nothing is made of two poses in different frames, though they would say that the vehicle has jumped."""
+    frames = lambda t_s: f"odom{int(t_s // 7)}"  # noqa: E731
+    moved = [
+        type(p)(p.t_ns, p.arrived_ns, (p.p_o[0] + 100.0 * int(p.frame[4:]), p.p_o[1], p.p_o[2]), p.q_ob_wxyz, p.frame, p.topic)
+        for p in poses(simulation, 15.0, END_S, frame=frames)
+    ]
+    run = _with(simulation, moved)
+    assert Reason.GATED not in run.reasons(TOPIC)
+    assert Reason.IMPLAUSIBLE not in run.reasons(TOPIC)
+    assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+
+
+def test_a_jump_is_seen_and_left_out(simulation: Simulation) -> None:
+    """By 2 m, and by 0.5 m, in an outage."""
+
+    def jumps(t_s: float) -> float:
+        return 2.0 * (t_s > LOST_S + 10.0) + 0.5 * (t_s > LOST_S + 25.0)
+
+    moved = [
+        type(p)(p.t_ns, p.arrived_ns, (p.p_o[0] + jumps((p.t_ns - EPOCH_NS) * 1e-9), *p.p_o[1:]), p.q_ob_wxyz, p.frame, p.topic)
+        for p in poses(simulation, 15.0, END_S)
+    ]
+    run = _with(simulation, moved)
+    assert run.reasons(TOPIC).keys() & {Reason.IMPLAUSIBLE, Reason.GATED}
+    assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
+def test_a_wrong_scale_is_estimated_while_positions_show_it(simulation: Simulation) -> None:
+    run = _with(simulation, increments(simulation, 10.0, END_S, scale=lambda _: 1.1))
+    assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 4.0
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
+def test_a_scale_that_goes_wrong_in_an_outage_is_held_and_reported(simulation: Simulation) -> None:
+    run = _with(simulation, increments(simulation, 15.0, END_S, scale=lambda t_s: 1.1 if t_s > LOST_S + 10.0 else 1.0))
+    stopped = [s for s in run.statuses if s.topic == TOPIC and "held off" in s.detail]
+    assert stopped
+    assert run.health[-1].sources[TOPIC] != "active"
+    assert run.estimates[-1].mode is Mode.DEAD_RECKONING
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
+def test_lost_steps_and_darkness_are_bridged_by_the_imu(simulation: Simulation) -> None:
+    rng = np.random.default_rng(3)
+    kept = [
+        d
+        for d in increments(simulation, 15.0, END_S)
+        if rng.random() > 0.2 and not LOST_S + 20.0 < (d.t_ns - EPOCH_NS) * 1e-9 < LOST_S + 24.0
+    ]
+    run = _with(simulation, kept)
+    assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 4.0
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
+def test_odometry_before_there_is_an_estimate_does_no_harm(simulation: Simulation) -> None:
+    run = _with(simulation, increments(simulation, 0.0, 25.0))
+    assert Reason.ALIGNING in run.reasons(TOPIC)
+    assert position_errors(within(run.estimates, 15.0, LOST_S), simulation.truth).max() < 2.0
+    assert not run.internal_errors()
