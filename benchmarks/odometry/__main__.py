@@ -10,6 +10,7 @@ Recorded sets are looked for in LANDFIX_DATA; without them their tables are left
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -26,10 +27,11 @@ from vision.odometry.step import Step, StereoOdometry
 OUT = Path("out/bench_odometry")
 HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
 COLUMNS = (
-    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot", "inliers", "scale",
+    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
+    "inliers", "scale",
 )  # fmt: skip
 PUBLISHED = (  # drift %, deg/m, on, source
-    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "github.com/nvidia-isaac/cuVSLAM/releases/tag/v17.0.1"),
+    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "nvidia-isaac/cuVSLAM release v17.0.1"),
     ("OpenVINS mono", "0.2-0.9 (0.06-0.07 m over 8-40 m)", "-", "EuRoC V1_01", "rpng/open_vins docs/eval-error.dox"),
     ("stereo VIO, 0.3 m baseline, 40-60 m high", "0.27", "-", "one flight of 800 m", "Drones 2023, 7(1), 36"),
 )  # fmt: skip
@@ -95,7 +97,11 @@ def faults() -> list[Table]:
     reasons = Counter(r.split(":")[0] for n in (2, 4, 8) for r in run(handheld.every(n)).reasons)
     return [
         Table("Recorded, spoiled", COLUMNS, rows),
-        Table("Why steps of the hand-held set are lost (10, 5, 2.5 Hz)", ("reason", "steps"), [(r, str(n)) for r, n in reasons.items()]),
+        Table(
+            "Why steps of the hand-held set are lost (10, 5, 2.5 Hz)",
+            ("reason", "steps"),
+            [(r, str(n)) for r, n in reasons.items()],
+        ),
     ]
 
 
@@ -120,7 +126,10 @@ def speed() -> list[Table]:
     """Processor time of a pair: its frame (rectification included) and the step to it."""
     rows = []
     for name, scored in (
-        ("VGA 752 x 480, recorded", run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None),
+        (
+            "VGA 752 x 480, recorded",
+            run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None,
+        ),
         ("VGA 640 x 480, rendered", run(sets.nadir(30.0, "village", exact=True))),
         ("720p, rendered", run(sets.nadir(30.0, "village", exact=True, size=(1280, 720)))),
     ):
@@ -143,8 +152,8 @@ def row(scored: Scored, note: str = "") -> tuple[str, ...]:
     inliers = np.median([int(step.inliers.sum()) for step in good if step.inliers is not None])
     nees = scored.nees.mean(axis=0).tolist()
     values = (
-        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]), float(np.degrees(rms(scored.errors[:, 3:]))),
-        *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
+        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]),
+        float(np.degrees(rms(scored.errors[:, 3:]))), *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
     )  # fmt: skip
     return (f"{scored.name} {note}".strip(), str(len(scored.steps)), str(scored.lost), *(number(v) for v in values))
 
@@ -163,12 +172,14 @@ def draw(folder: Path) -> None:
         sequences += [(sets.euroc(sets.HANDHELD, 340).every(8), 14), (sets.kitti06(), 20)]
     for k, (sequence, at) in enumerate(sequences):
         short = sequence.frames[at : at + 2]
-        cut = sets.replace(sequence, frames=short)
+        cut = replace(sequence, frames=short)
         step = run(cut).steps[0]
         odometry = StereoOdometry(sequence.rig)
         pair = odometry.frame(*short[0].images())
         assert not isinstance(pair, str)
-        cv2.imwrite(str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step))
+        cv2.imwrite(
+            str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step)
+        )
 
 
 def _drawn(image: Image, step: Step) -> Image:

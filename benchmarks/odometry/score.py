@@ -93,7 +93,7 @@ def run(
                 previous = current
                 continue
             if sequence.tracks is not None:
-                step = odometry.motion_of(sequence.tracks(sequence.frames[k - 1].index, frame.index), prediction)
+                step = odometry.motion_of(sequence.tracks(sequence.frames[k - 1].number, frame.number), prediction)
             elif isinstance(current, str) or isinstance(previous, str):
                 step = Step(current if isinstance(current, str) else "no pair before")
             else:

@@ -30,12 +30,12 @@ class Pose(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A pair, its time and true pose; index: in its recording."""
+    """A pair, its time and true pose; number: in its recording."""
 
     t_s: float
     pose: Pose
     images: Callable[[], tuple[Image, Image]]
-    index: int = 0
+    number: int = 0
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,11 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
     (left, T_l), (right, T_r) = (_euroc_camera(folder / f"{cam}_sensor.yaml") for cam in ("cam0", "cam1"))
     T = np.linalg.inv(T_r) @ T_l
     rig = StereoRig(left, right, _orthonormal(T[:3, :3]), T[:3, 3], _orthonormal(T_l[:3, :3]), T_l[:3, 3])
-    truth = np.loadtxt(gzip.open(folder / "truth.csv.gz"), delimiter=",", skiprows=1)
+    with gzip.open(folder / "truth.csv.gz") as file:
+        truth = np.loadtxt(file, delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
     frames = [Frame(t, _pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
-    return Sequence(name.split("_stereo")[0], rig, frames, (1.0, 2.0, 4.0))
+    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0))
 
 
 def kitti06() -> Sequence:
@@ -175,7 +176,8 @@ def _no_images() -> tuple[Image, Image]:
 def _euroc_camera(path: Path) -> tuple[CameraModel, Array]:
     read = YAML(typ="safe").load(path)
     distortion = tuple(read["distortion_coefficients"])
-    return CameraModel(*read["resolution"], *read["intrinsics"], distortion), np.array(read["T_BS"]["data"]).reshape(4, 4)
+    (width, height), (fx, fy, cx, cy) = read["resolution"], read["intrinsics"]
+    return CameraModel(width, height, fx, fy, cx, cy, distortion), np.array(read["T_BS"]["data"]).reshape(4, 4)
 
 
 def _orthonormal(R: Array) -> Array:

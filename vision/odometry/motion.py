@@ -7,7 +7,7 @@ h projects a point of the camera to (u_l, v_l, u_r); T is the pose of the body a
 that the rig gives all disparities, N(0, sigma_delta^2). The plane is pi = n / height with the normal n in the camera; in the
 disparity d it is linear, and known to pi_0 +- the errors of height and slope. With G = dg/dy, C = dg/d(T, delta, pi) and
 S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y follows (Schur complement; Triggs et al.
-2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion (errors in variables).
+2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion.
 
 With N the normal matrix and L the part of it that the priors of delta and height give, an error of a prior repeats in every step:
 it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each.
@@ -44,7 +44,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Ground seen from the first camera: n (3,) downwards, height and its sigma [m], slope [rad], and how far points lie off it [m]."""
+    """Ground seen from the first camera: n (3,) downwards, height and sigma [m], slope [rad], how far points lie off it [m]."""
 
     n: Array
     height_m: float
@@ -63,12 +63,14 @@ class Plane:
         """Inverse covariance (3, 3) of pi: along n from the height, across it from the slope."""
         along = np.outer(self.n, self.n)
         across = np.eye(3) - along
-        information: Array = along * (self.height_m**2 / self.height_sigma_m) ** 2 + across * (self.height_m / self.slope_rad) ** 2
+        information: Array = (
+            along * (self.height_m**2 / self.height_sigma_m) ** 2 + across * (self.height_m / self.slope_rad) ** 2
+        )
         return information
 
 
 class Solution(NamedTuple):
-    """motion; covariance (6, 6) of what is new in this step; squared distances (N,) of the points; scale: of residuals, 1 = as expected.
+    """motion; covariance (6, 6) of what is new in this step; squared distances (N,); scale of the residuals, 1 = as expected.
 
     systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. converged: False: the
     rest means nothing.
@@ -147,7 +149,7 @@ def solve(
 ) -> Solution:
     """The motion that two measurements (N, 3) of N points have; NaN in u_r: not measured (then there must be a plane).
 
-    sigma_px: of each measured value. Robust: Cauchy weights, whose scale falls from that of the first residuals to that of the last.
+    sigma_px: of each measured value. Robust: Cauchy weights; their scale is that of the residuals, which fall.
     guide: information (6, 6) that keeps the motion near the start; the scale is then the noise from the beginning. It finds the
     points of the one of several motions that is nearest: choose them by it, and solve without.
     """
@@ -172,7 +174,7 @@ def solve(
             L = np.linalg.cholesky(N)
         except np.linalg.LinAlgError:
             break
-        step = np.linalg.solve(N, right)
+        step: Array = np.asarray(np.linalg.solve(N, right), np.float64)
         if not np.isfinite(step).all():
             break
         unknowns = unknowns + step  # of p and theta to the first order, which is enough for a guide
@@ -278,7 +280,10 @@ def _with_plane(
 
 
 def _weights(system: _System, guided: bool) -> tuple[Array, Array, float]:
-    """Cauchy weights (N,), guided: those of Geman and McClure, that forget what is far; squared distances (N,), and the scale of the residuals (1: as expected)."""
+    """Weights (N,), squared distances (N,), and the scale of the residuals (1: as expected).
+
+    Cauchy's; guided: those of Geman and McClure, by which far points do not count.
+    """
     distances = np.einsum("nr,nrs,ns->n", system.e, system.S_inverse, system.e)
     if guided:
         redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2

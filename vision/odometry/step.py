@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
-from vision.image.rectify import Image, Mask, Maps, Rectification, rectification, rectify
+from vision.image.rectify import Image, Maps, Mask, Rectification, rectification, rectify
 from vision.odometry.corners import corners
 from vision.odometry.motion import Geometry, Motion, Plane, Solution, solve
 from vision.odometry.tracks import coarse_columns, stereo, temporal
@@ -41,8 +41,9 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """points: corners of a key frame. The ground: relief_m: how far the mean of the points lies off the given height, roughness_m:
-    how far each lies off their plane, slope_deg: how far that is tilted. disparity_sigma_px: at least, of the rig's calibration.
+    """points: corners of a key frame. disparity_sigma_px: at least, of the rig's calibration.
+
+    Of the ground: relief_m: how far its mean lies off the given height, roughness_m: how far points lie off it, slope_deg: its tilt.
     """
 
     points: int = 140
@@ -135,7 +136,7 @@ class StereoOdometry:
             return Step(f"too few corners: {len(px)} (blur, darkness or no texture)")
         if plane is None and (first.right is None or self._raw.one_camera):
             return Step("one camera, and the height above the ground is not known")
-        tracks = self._tracks(first, second, px.astype(np.float64), prediction, plane)
+        tracks = self._tracks(first, second, px, prediction, plane)
         if len(tracks.y0) < _LEAST_POINTS:
             return Step(f"too few tracks: {len(tracks.y0)} of {len(px)} corners", points=len(tracks.y0), tracks=tracks)
         return self.motion_of(tracks, prediction)
@@ -201,7 +202,7 @@ class StereoOdometry:
         everything = np.ones(n, np.bool_)
         solution, inliers, lost = self._checked(tracks, everything, prediction, plane)
         if lost or solution.scale > _DOUBTFUL_SCALE:
-            near = self._solve(tracks, everything, prediction, plane, np.linalg.inv(_GUIDE * prediction.covariance))
+            near = self._solve(tracks, everything, prediction, plane, np.asarray(np.linalg.inv(_GUIDE * prediction.covariance)))
             if near.converged and (chosen := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
                 solution, inliers, lost = self._checked(tracks, chosen, prediction, plane)
             else:
