@@ -33,6 +33,7 @@ _LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.3
 _DOUBTFUL_SCALE, _MOST_SCALE = 1.5, 3.0  # residuals in units of _SIGMA_PX
 _SECOND_POINTS, _SECOND_SHARE, _SECOND_AGREE = 10, 0.12, 0.6  # another motion: points, of all, and of those that do not fit
 _TURN_CHI2: Final = 50.0  # of 3: further from the predicted rotation, which is the gyro's, no rotation can be
+_DOUBTFUL_CHI2: Final = 22.5  # of 6, 99.9 %: so far from the prediction one motion is rarely
 _NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
 _GUIDE: Final = 4.0  # times the covariance of the prediction, where it chooses points
 _INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
@@ -201,7 +202,8 @@ class StereoOdometry:
         n = len(tracks.y0)
         everything = np.ones(n, np.bool_)
         solution, inliers, lost = self._checked(tracks, everything, prediction, plane)
-        if lost or solution.scale > _DOUBTFUL_SCALE:
+        doubtful = solution.scale > _DOUBTFUL_SCALE or _distance(solution, prediction) > _DOUBTFUL_CHI2
+        if lost or doubtful:  # several motions may have been mixed: begin with the points that fit the prediction
             near = self._solve(tracks, everything, prediction, plane, np.asarray(np.linalg.inv(_GUIDE * prediction.covariance)))
             if near.converged and (chosen := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
                 solution, inliers, lost = self._checked(tracks, chosen, prediction, plane)
