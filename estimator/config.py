@@ -12,6 +12,7 @@ from msgspec import Meta
 from estimator import strict_toml
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.initialise import InitialiseConfig
+from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
 from estimator.map_files.picture_file import PictureFile
@@ -112,6 +113,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     map: Map = Map()
     rig: Rig = Rig()
     vision: VisionConfig = VisionConfig()
+    visual_odometry: VisualOdometryConfig = VisualOdometryConfig()
     output: OutputConfig = OutputConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()

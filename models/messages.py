@@ -134,6 +134,26 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
     run: int = 0
 
 
+class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
+    """Measure the motion from t0_ns to t_ns in these four images; the answer follows from this and the images alone.
+
+    dp_b, dq_wxyz, covariance: the predicted motion, as in OdometryDelta. first, second: left and right image, None where that
+    camera gave none. down_b: unit vector downwards in the body at t0; height_m above the ground, 1-sigma; 0: not known.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    t0_ns: int
+    dp_b: Vec3
+    dq_wxyz: Quat
+    covariance: Array
+    first: tuple[PictureName | None, PictureName | None]
+    second: tuple[PictureName | None, PictureName | None]
+    down_b: Vec3
+    height_m: float = 0.0
+    height_sigma_m: float = 0.0
+
+
 class Reading(msgspec.Struct, frozen=True, eq=False):
     """What one of the optional sensors read.
 
@@ -386,7 +406,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     biases: dict[str, float] = {}
 
 
-Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport | VisionRequest
+Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport | VisionRequest | OdometryRequest
 
 
 def vec3(v: Any) -> Vec3:

@@ -10,6 +10,7 @@ Recorded sets are looked for in LANDFIX_DATA; without them their tables are left
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -26,10 +27,11 @@ from vision.odometry.step import Step, StereoOdometry
 OUT = Path("out/bench_odometry")
 HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
 COLUMNS = (
-    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot", "inliers", "scale",
+    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
+    "inliers", "scale",
 )  # fmt: skip
 PUBLISHED = (  # drift %, deg/m, on, source
-    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "github.com/nvidia-isaac/cuVSLAM/releases/tag/v17.0.1"),
+    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "nvidia-isaac/cuVSLAM release v17.0.1"),
     ("OpenVINS mono", "0.2-0.9 (0.06-0.07 m over 8-40 m)", "-", "EuRoC V1_01", "rpng/open_vins docs/eval-error.dox"),
     ("stereo VIO, 0.3 m baseline, 40-60 m high", "0.27", "-", "one flight of 800 m", "Drones 2023, 7(1), 36"),
 )  # fmt: skip
@@ -63,7 +65,7 @@ def recorded() -> list[Table]:
     for path in sorted((data_folder() / "odometry" / "kitti_raw_klt_tracks").glob("*.npz")):
         rows.append(row(run(sets.kitti_tracks(path).every(3))))
     return [
-        Table("Recorded: odometry alone (/n: each n-th frame)", COLUMNS, rows),
+        Table("Recorded: odometry alone (/n: each n-th frame; lost steps add no drift)", COLUMNS, rows),
         Table("Published", ("estimator", "drift %", "deg/m", "on", "source"), PUBLISHED),
     ]
 
@@ -104,18 +106,19 @@ def faults() -> list[Table]:
 
 
 def motion() -> list[Table]:
-    """A load of rubble that drives along below half of the image."""
+    """The ground in half of the image moves."""
     rows = []
     for height_m in (30.0, 60.0):
-        for with_height in (False, True):
-            scored = run(sets.nadir(height_m, "village", exact=True, truck=True), height_sigma=0.02 if with_height else None)
-            seen = sum("two motions" in step.reason + step.remark for step in scored.steps)
-            wrong = int((scored.nees.max(axis=1) > 16.3 / 3).sum())
-            rows.append(
-                (f"{height_m:.0f} m{', height given' if with_height else ''}", str(len(scored.steps)), str(seen), str(scored.lost),
-                 str(len(scored.errors)), str(wrong), number(1e3 * rms(scored.errors[:, :3])))
-            )  # fmt: skip
-    columns = ("height", "steps", "said: two motions", "lost", "answered", "of these outside 99.9 %", "rms mm")
+        for moving_m_s in (0.2, 1.0, 4.0):
+            for height_sigma in (None, 0.02):
+                scored = run(sets.nadir(height_m, "village", exact=True, moving_m_s=moving_m_s), height_sigma=height_sigma)
+                seen = sum("two motions" in step.reason + step.remark for step in scored.steps)
+                wrong = int((scored.nees.max(axis=1) > 16.3 / 3).sum()) if len(scored.nees) else 0
+                rows.append(
+                    (f"{height_m:.0f} m{', height given' if height_sigma else ''}", f"{moving_m_s} m/s", str(len(scored.steps)),
+                     str(seen), str(scored.lost), str(len(scored.errors)), str(wrong), number(1e3 * rms(scored.errors[:, :3])))
+                )  # fmt: skip
+    columns = ("height", "speed", "steps", "said: two motions", "lost", "answered", "of these outside 99.9 %", "rms mm")
     return [Table("Half of the image moves", columns, rows)]
 
 
@@ -149,8 +152,8 @@ def row(scored: Scored, note: str = "") -> tuple[str, ...]:
     inliers = np.median([int(step.inliers.sum()) for step in good if step.inliers is not None])
     nees = scored.nees.mean(axis=0).tolist()
     values = (
-        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]), float(np.degrees(rms(scored.errors[:, 3:]))),
-        *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
+        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]),
+        float(np.degrees(rms(scored.errors[:, 3:]))), *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
     )  # fmt: skip
     return (f"{scored.name} {note}".strip(), str(len(scored.steps)), str(scored.lost), *(number(v) for v in values))
 
@@ -163,13 +166,13 @@ def rms(e: Array) -> float:
 def draw(folder: Path) -> None:
     """Tracks of a few steps: green: used, red: not; from the first frame's corner to where it went."""
     folder.mkdir(parents=True, exist_ok=True)
-    sequences = [(sets.nadir(30.0, "village", exact=True), 6), (sets.nadir(30.0, "village", exact=True, truck=True), 10)]
+    sequences = [(sets.nadir(30.0, "village", exact=True), 6), (sets.nadir(30.0, "village", exact=True, moving_m_s=1.0), 10)]
     sequences += [(sets.nadir(120.0, "grass", exact=True), 6)]
     if (data_folder() / "odometry").is_dir():
         sequences += [(sets.euroc(sets.HANDHELD, 340).every(8), 14), (sets.kitti06(), 20)]
     for k, (sequence, at) in enumerate(sequences):
         short = sequence.frames[at : at + 2]
-        cut = sets.replace(sequence, frames=short)
+        cut = replace(sequence, frames=short)
         step = run(cut).steps[0]
         odometry = StereoOdometry(sequence.rig)
         pair = odometry.frame(*short[0].images())

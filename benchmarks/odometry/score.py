@@ -18,7 +18,7 @@ _SPEED_SIGMA, _TURN_SIGMA = 0.1, np.radians(0.1)  # of the prediction: m/s, and 
 
 
 class Scored(NamedTuple):
-    """Steps in order; errors (N, 6) of those not lost; path: chained poses, lost steps bridged at the last velocity."""
+    """Steps in order; errors (N, 6) of those not lost; path: chained poses; lost steps are the truth's, and add no error."""
 
     name: str
     steps: list[Step]
@@ -75,7 +75,7 @@ def run(
     frame_ms: list[float] = []
     step_ms: list[float] = []
     factor = 1.0 if height_sigma is None else 1.0 + height_sigma * float(rng.standard_normal())
-    previous, speed = None, np.zeros(3)
+    previous = None
     for k, frame in enumerate(sequence.frames):
         current = None
         if sequence.tracks is None:
@@ -93,7 +93,7 @@ def run(
                 previous = current
                 continue
             if sequence.tracks is not None:
-                step = odometry.motion_of(sequence.tracks(sequence.frames[k - 1].index, frame.index), prediction)
+                step = odometry.motion_of(sequence.tracks(sequence.frames[k - 1].number, frame.number), prediction)
             elif isinstance(current, str) or isinstance(previous, str):
                 step = Step(current if isinstance(current, str) else "no pair before")
             else:
@@ -104,7 +104,7 @@ def run(
             steps.append(step)
             if step.reason:
                 reasons.append(step.reason)
-                path.append(_chained(path[-1], Pose(path[-1].R.T @ speed * dt, so3.matrix(prediction.q))))
+                path.append(_chained(path[-1], true))
             else:
                 e, turn = _difference(true, Pose(step.p, so3.matrix(step.q)))
                 errors.append(np.r_[e, turn])
@@ -112,7 +112,6 @@ def run(
                 total = step.covariance + step.systematic @ step.systematic.T
                 nees.append([x @ np.linalg.solve(total[s, s], x) / 3 for x, s in ((e, slice(0, 3)), (turn, slice(3, 6)))])
                 path.append(_chained(path[-1], Pose(step.p, so3.matrix(step.q))))
-                speed = (path[-1].p - path[-2].p) / dt
         previous = current
     return Scored(
         sequence.name, steps, np.array(errors).reshape(-1, 6), np.array(lengths), np.array(nees).reshape(-1, 2), path, truth,

@@ -16,7 +16,7 @@ from models.camera import CameraModel, StereoRig
 from models.messages import Array
 from vision.image.rectify import Image
 from vision.odometry.step import Tracks
-from vision.synthetic import Conditions, Look, Solid, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic import Conditions, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
 
 HANDHELD: Final = "euroc_mh01_handheld_stereo_imu"
 KEY_FRAMES: Final = "euroc_v101_keyframes_stereo_imu"
@@ -30,12 +30,12 @@ class Pose(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A pair, its time and true pose; index: in its recording."""
+    """A pair, its time and true pose; number: in its recording."""
 
     t_s: float
     pose: Pose
     images: Callable[[], tuple[Image, Image]]
-    index: int = 0
+    number: int = 0
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
     (left, T_l), (right, T_r) = (_euroc_camera(folder / f"{cam}_sensor.yaml") for cam in ("cam0", "cam1"))
     T = np.linalg.inv(T_r) @ T_l
     rig = StereoRig(left, right, _orthonormal(T[:3, :3]), T[:3, 3], _orthonormal(T_l[:3, :3]), T_l[:3, 3])
-    truth = np.loadtxt(gzip.open(folder / "truth.csv.gz"), delimiter=",", skiprows=1)
+    with gzip.open(folder / "truth.csv.gz") as file:
+        truth = np.loadtxt(file, delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
     frames = [Frame(t, _pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
     return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0))
@@ -103,14 +104,14 @@ def kitti_tracks(path: Path) -> Sequence:
     return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks)
 
 
-def nadir(height_m: float, kind: str, *, exact: bool, truck: bool = False, size: tuple[int, int] = (640, 480)) -> Sequence:
+def nadir(height_m: float, kind: str, *, exact: bool, moving_m_s: float = 0.0, size: tuple[int, int] = (640, 480)) -> Sequence:
     """A rendered flight of 10 s straight down, 2 pairs a second; kind: village, grass, forest. exact: the rig is as calibrated.
 
-    truck: something as large as half of the image drives along below.
+    moving_m_s: so fast the ground in the right half of the images moves to the side (water, a deck, a large vehicle).
     """
     speed = min(10.0, 0.3 * height_m)
     rig = make_rig(size[0], size[1], 600.0 * size[0] / 640.0)
-    area = 8.0 * speed + 4.0 * height_m
+    area = 8.0 * speed + 4.0 * height_m + 20.0 * moving_m_s
     spec = {
         "village": WorldSpec(area_m=area, rig=rig),
         "grass": WorldSpec(area_m=area, spacing_m=area, cars=0.0, trees=0.0, patches=0.0, clear_m=area, rig=rig),
@@ -123,31 +124,13 @@ def nadir(height_m: float, kind: str, *, exact: bool, truck: bool = False, size:
         t = 0.5 * k
         p = np.array([speed * (t - 5.0), 2.0 * np.sin(0.5 * t), np.sin(0.7 * t) - height_m])
         R = so3.matrix(so3.from_euler(0.05 * np.sin(1.1 * t), 0.05 * np.cos(0.9 * t), 0.15 * t))
-        world = _with_truck(scene.world, p, t, height_m) if truck else scene.world
-        frames.append(Frame(t, Pose(p, R), _renderer(world, cameras, Pose(p, R), speed, height_m, k)))
+        images = _renderer(scene.world, cameras, Pose(p, R), speed, height_m, k)
+        if moving_m_s:
+            against = Pose(p - [0.0, moving_m_s * t, 0.0], R)
+            images = _halves(images, _renderer(scene.world, cameras, against, speed, height_m, k))
+        frames.append(Frame(t, Pose(p, R), images))
     name = f"nadir {height_m:.0f} m {kind}{'' if exact else ', rig drawn'}"
     return Sequence(name, rig, frames, (0.25 * 10.0 * speed, 0.5 * 10.0 * speed), None, np.array([0.0, 0.0, 1.0]))
-
-
-def _with_truck(world: World, p: Array, t: float, height_m: float) -> World:
-    """The world with a load of rubble below one side of the image, that moves 4 % of the height a second against the ground."""
-    across, along = 0.5 * height_m, 1.2 * height_m
-    corner = np.array([p[0] - 0.5 * along, p[1] + 0.02 * height_m * np.sin(t)])
-    rng = np.random.default_rng(4)
-    drift = 0.04 * height_m * t
-    stones = [
-        Solid(_box(corner + [drift - 5 * 0.04 * height_m, 0.0], along, across), 0.0, 1.0, Look((92, 94, 90), texture="gravel"))
-    ]
-    for _ in range(300):
-        n, e = rng.uniform(0.0, along), rng.uniform(0.0, across)
-        b, g, r = rng.uniform(30.0, 220.0, 3).tolist()
-        at = corner + [n + drift - 5 * 0.04 * height_m, e]
-        stones.append(Solid(_box(at, 0.03 * height_m, 0.02 * height_m), 0.0, 1.2, Look((b, g, r))))
-    return replace(world, clutter=(*world.clutter, *stones))
-
-
-def _box(corner: Array, north_m: float, east_m: float) -> Array:
-    return np.asarray(corner) + np.array([[0.0, 0.0], [0.0, east_m], [north_m, east_m], [north_m, 0.0]])
 
 
 def _renderer(
@@ -161,6 +144,17 @@ def _renderer(
         if not kept:
             kept.append(render_pair(world, rig, pose.p, pose.R, taken, np.random.default_rng(seed)))
         return kept[0]
+
+    return images
+
+
+def _halves(
+    still: Callable[[], tuple[Image, Image]], moving: Callable[[], tuple[Image, Image]]
+) -> Callable[[], tuple[Image, Image]]:
+    def images() -> tuple[Image, Image]:
+        pairs = zip(still(), moving(), strict=True)
+        left, right = (np.hstack((a[:, : a.shape[1] // 2], b[:, a.shape[1] // 2 :])) for a, b in pairs)
+        return left, right
 
     return images
 
@@ -182,7 +176,8 @@ def _no_images() -> tuple[Image, Image]:
 def _euroc_camera(path: Path) -> tuple[CameraModel, Array]:
     read = YAML(typ="safe").load(path)
     distortion = tuple(read["distortion_coefficients"])
-    return CameraModel(*read["resolution"], *read["intrinsics"], distortion), np.array(read["T_BS"]["data"]).reshape(4, 4)
+    (width, height), (fx, fy, cx, cy) = read["resolution"], read["intrinsics"]
+    return CameraModel(width, height, fx, fy, cx, cy, distortion), np.array(read["T_BS"]["data"]).reshape(4, 4)
 
 
 def _orthonormal(R: Array) -> Array:

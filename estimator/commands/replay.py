@@ -10,7 +10,7 @@ from estimator.commands.common.console import ConfigFile, Json, Out, kept_on_int
 
 if TYPE_CHECKING:
     from estimator.config import Config
-    from estimator.frontend.replay_pictures import SightReplay
+    from estimator.frontend.replay_odometry import Together
     from estimator.replay.summary import ReplaySummary
     from logs.store.reader import Attachment
 
@@ -51,13 +51,13 @@ def command(
 
     loaded, folder = load(config), config.parent if config else Path()
     parts = [file for given in source for file in files_of(given)]
-    sight = _sight(loaded, folder, parts) if from_images else None
+    sight = _sees_again(loaded, folder, parts) if from_images else None
     with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
         summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder))
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
-    if sight:
-        note(f"landfix: {sight.counts}")
+    for again in sight.parts if sight else ():
+        note(f"landfix: {again.counts}")
     for name in summary.torn_parts:
         note(f"landfix: {name} is torn; replayed up to its last whole record")
     if summary.missing:
@@ -85,19 +85,28 @@ def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
     return found
 
 
-def _sight(config: "Config", folder: Path, source: "list[Path]") -> "SightReplay":
-    """What looks at the pictures of the log. Raises ConfigError."""
+def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Together":
+    """What processes the images of the log again: landmarks, odometry or both. Raises ConfigError."""
     from estimator.config import ConfigError
-    from estimator.frontend.files import load_sight
+    from estimator.frontend.files import load_odometry, load_sight
+    from estimator.frontend.replay_odometry import OdometryReplay, Together
     from estimator.frontend.replay_pictures import SightReplay
 
     rig, landmarks, picture = config.rig.file, config.map.landmarks, config.map_picture(folder)
-    if rig is None or not (landmarks or picture):
+    mapped, odometry = bool(landmarks or picture), config.visual_odometry
+    if rig is None or not (mapped or odometry.enabled):
         raise ConfigError(
-            "--from-images needs the cameras and a map: give -c FILE with [rig] file and [map] landmarks or [map] picture"
+            "--from-images needs the cameras and a map or odometry: give -c FILE with [rig] file, and [map] landmarks, "
+            "[map] picture or [visual_odometry] enabled"
         )
-    sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, picture)
-    return SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
+    left, right = config.inputs.left_image, config.inputs.right_image
+    parts: list[SightReplay | OdometryReplay] = []
+    if mapped:
+        sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, picture)
+        parts.append(SightReplay(sight, config.vision, left, right, source))
+    if odometry.enabled:
+        parts.append(OdometryReplay(load_odometry(folder / rig), odometry, config.vision, (left, right), source))
+    return Together(parts)
 
 
 def _add_smoothed(log: Path, config: "Config") -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.files.formats import load_cameras
+from estimator.frontend.odometry import OdometrySight
 from estimator.frontend.processor import Sight
 from estimator.map_files import picture as picture_store
 from estimator.map_files import store as map_store
@@ -24,6 +25,16 @@ def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, pictu
         known = picture_store.load(picture, landmarks.origin) if picture else None
         return Sight(load_cameras(rig_file), landmarks, known)
     except (CalibrationError, MapError, ValueError) as error:
+        raise ConfigError(str(error)) from None
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def load_odometry(rig_file: Path) -> OdometrySight:
+    """Visual odometry with these cameras. Raises ConfigError, which names the file."""
+    try:
+        return OdometrySight(load_cameras(rig_file))
+    except (CalibrationError, ValueError) as error:
         raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None

@@ -126,6 +126,15 @@ class Track:
         """What the newest estimate rests on; "" before the first."""
         return self._estimates[-1].mode if self._estimates else ""
 
+    def between(self, t0_ns: int, t1_ns: int) -> list[Estimate]:
+        """The estimates of that time, with those next to its ends, in order; [] where an end is not covered."""
+        kept = sorted((e for e in tuple(self._estimates)), key=lambda e: e.t_ns)
+        inside = [e for e in kept if t0_ns < e.t_ns < t1_ns]
+        before, after = [e for e in kept if e.t_ns <= t0_ns], [e for e in kept if e.t_ns >= t1_ns]
+        chosen = [*before[-1:], *inside, *after[:1]]
+        covered = chosen and chosen[0].t_ns - t0_ns <= _OLDEST_NS and t1_ns - chosen[-1].t_ns <= _OLDEST_NS
+        return chosen if covered else []
+
     def request(self, pair: Pair, arrived_ns: int, run: int = 0) -> VisionRequest | None:
         """Estimated pose at the time of exposure; None where it is unknown."""
         t_ns = pair.t_ns

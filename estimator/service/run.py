@@ -11,6 +11,7 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.map_files.picture_file import PictureFile
@@ -27,6 +28,7 @@ from estimator.service.log.recovery import claim, recover_in_background
 from estimator.service.log.state_file import StateKeeper
 from estimator.service.log.writer import LogConfig, LogWriter
 from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.vision.odometry import OdometryWorker
 from estimator.service.vision.worker import VisionWorker
 from estimator.service.warm_up import warm_up
 from estimator.service.watchdog import Notifier
@@ -63,6 +65,9 @@ class RunConfig(Protocol):
     def px4(self) -> Px4Config: ...  # noqa: D102
     @property
     def vision(self) -> VisionConfig: ...  # noqa: D102
+
+    @property
+    def visual_odometry(self) -> VisualOdometryConfig: ...  # noqa: D102
     @property
     def mavlink(self) -> MavlinkConfig: ...  # noqa: D102
     @property
@@ -159,7 +164,12 @@ def assembled(
         status, track = Status(clock.now_ns(), parts), Track()
         if vision := _vision(stack, config, folder, clock, track, mailbox, bus):
             parts["vision"] = vision.report
-            mailbox.see = vision.put
+        if odometry := _odometry(stack, config, folder, clock, track, mailbox):
+            parts["visual_odometry"] = odometry.report
+        if vision and odometry:
+            mailbox.see = _both(vision.put, odometry.put)
+        elif worker := vision or odometry:
+            mailbox.see = worker.put
         daemon = Daemon(
             fusion=Fusion(config.fusion()),
             decoder=config.decoder(),
@@ -198,6 +208,30 @@ def _vision(
     screen = bus.screen(OVERLAY_TOPIC, schemas.COMPRESSED_IMAGE) if bus else None
     stamps, overlay_hz = Stamps(clock, config.clock), config.output.overlay_hz
     worker = VisionWorker(where, config.vision, sides, clock, stamps, track, mailbox.put_own, screen, overlay_hz)
+    stack.callback(worker.close)
+    return worker
+
+
+def _both(first: Callable[[Arrival], None], second: Callable[[Arrival], None]) -> Callable[[Arrival], None]:
+    def see(arrival: Arrival) -> None:
+        first(arrival)
+        second(arrival)
+
+    return see
+
+
+def _odometry(
+    stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox
+) -> OdometryWorker | None:
+    """Visual odometry, where it is enabled and the configuration names cameras."""
+    files, inputs = config.files(), config.inputs
+    if not config.visual_odometry.enabled or "calibration" not in files:
+        return None
+    sides = {**dict.fromkeys(inputs.left_image, "left"), **dict.fromkeys(inputs.right_image, "right")}
+    worker = OdometryWorker(
+        folder / files["calibration"], config.visual_odometry, config.vision, sides, clock, Stamps(clock, config.clock), track,
+        mailbox.put_own,
+    )  # fmt: skip
     stack.callback(worker.close)
     return worker
 

@@ -14,14 +14,24 @@ from logs.wire.decoding import (
     Topics,
     decode_aid_status,
     decode_odometry,
+    decode_odometry_request,
     decode_vision_request,
     is_own_transform,
 )
-from logs.wire.encoding import VISION_REQUEST_TOPIC, Encoded, encode, encode_input, encode_slow, encode_truth
+from logs.wire.encoding import (
+    ODOMETRY_REQUEST_TOPIC,
+    VISION_REQUEST_TOPIC,
+    Encoded,
+    encode,
+    encode_input,
+    encode_slow,
+    encode_truth,
+)
 from logs.wire.schemas import SCHEMAS, type_hash
 
 __all__ = [
     "CHECKPOINT_TOPIC",
+    "ODOMETRY_REQUEST_TOPIC",
     "SCHEMAS",
     "TICK_TOPIC",
     "VISION_REQUEST_TOPIC",
@@ -32,6 +42,7 @@ __all__ = [
     "Topics",
     "decode_aid_status",
     "decode_odometry",
+    "decode_odometry_request",
     "decode_vision_request",
     "encode",
     "encode_input",

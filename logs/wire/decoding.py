@@ -27,6 +27,7 @@ from models.messages import (
     LastGnss,
     OdometryDelta,
     OdometryPose,
+    OdometryRequest,
     PictureName,
     PoseFix,
     Quat,
@@ -188,6 +189,19 @@ def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
     return VisionRequest(_t_ns(message.header.stamp), arrived_ns, p_n, q_nb_wxyz, covariance, left, right, int(message.run))
 
 
+def decode_odometry_request(data: bytes, arrived_ns: int) -> OdometryRequest:
+    """Read back. Raises ValueError for bytes that are no OdometryRequest."""
+    message = _deserialize(data, schemas.ODOMETRY_REQUEST)
+    if not len(message.topics) == len(message.stamps) == 4:
+        raise ValueError(f"an odometry request of {len(message.topics)} topics and {len(message.stamps)} stamps, not of four")
+    motion = _odometry_motion(message)
+    names = [PictureName(t, _t_ns(s)) if t else None for t, s in zip(message.topics, message.stamps, strict=True)]
+    return OdometryRequest(
+        _t_ns(message.header.stamp), arrived_ns, *motion, (names[0], names[1]), (names[2], names[3]),
+        axes.body(_vector(message.down)), float(message.height), float(message.height_sigma),
+    )  # fmt: skip
+
+
 def is_own_transform(data: bytes) -> bool:
     """Whether a /tf message is one of our own outputs, map -> base_link alone, which a replay must not take for an input."""
     try:
@@ -241,15 +255,24 @@ def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
     return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, message.header.frame_id, topic)
 
 
+def _odometry_motion(message: Any) -> tuple[int, Vec3, Quat, Array]:
+    """t0_ns, dp_b, dq_wxyz and the (6, 6) covariance."""
+    q = message.motion.pose.orientation
+    covariance = axes.body_covariance(message.motion.covariance.reshape(6, 6))
+    dq_wxyz = axes.body_attitude((q.w, q.x, q.y, q.z))
+    return _t_ns(message.begin), axes.body(_vector(message.motion.pose.position)), dq_wxyz, covariance
+
+
 def _odometry_delta(topic: str, message: Any, arrived_ns: int) -> OdometryDelta:
-    q, systematic = message.motion.pose.orientation, message.systematic
+    t0_ns, dp_b, dq_wxyz, covariance = _odometry_motion(message)
+    systematic = message.systematic
     return OdometryDelta(
         t_ns=_t_ns(message.header.stamp),
         arrived_ns=arrived_ns,
-        t0_ns=_t_ns(message.begin),
-        dp_b=axes.body(_vector(message.motion.pose.position)),
-        dq_wxyz=axes.body_attitude((q.w, q.x, q.y, q.z)),
-        covariance=axes.body_covariance(message.motion.covariance.reshape(6, 6)),
+        t0_ns=t0_ns,
+        dp_b=dp_b,
+        dq_wxyz=dq_wxyz,
+        covariance=covariance,
         systematic=axes.body_rows(systematic.reshape(6, -1)) if len(systematic) else None,
         epoch=message.epoch,
         topic=topic,

@@ -25,6 +25,7 @@ from models.messages import (
     Mode,
     OdometryDelta,
     OdometryPose,
+    OdometryRequest,
     Output,
     PictureName,
     PoseFix,
@@ -42,6 +43,7 @@ from models.messages import (
 from models.state import E, X
 
 VISION_REQUEST_TOPIC: Final = "/landfix/vision_request"
+ODOMETRY_REQUEST_TOPIC: Final = "/landfix/odometry_request"
 
 _MAP: Final = "map"
 _BODY: Final = "base_link"
@@ -81,6 +83,8 @@ def encode(output: Output) -> list[Encoded]:
         return [packed("/landfix/vision", schemas.VISION_REPORT, **_vision_report(output))]
     if isinstance(output, VisionRequest):
         return [packed(VISION_REQUEST_TOPIC, schemas.VISION_REQUEST, **_vision_request(output))]
+    if isinstance(output, OdometryRequest):
+        return [packed(ODOMETRY_REQUEST_TOPIC, schemas.ODOMETRY_REQUEST, **_odometry_request(output))]
     return [packed("/landfix/reset", schemas.RESET, **_reset(output))]
 
 
@@ -271,15 +275,33 @@ def _landmark_fix(fix: LandmarkFix) -> dict[str, Any]:
     }
 
 
-def _odometry_delta(delta: OdometryDelta) -> dict[str, Any]:
-    p, q = axes.body(delta.dp_b), axes.body_attitude(delta.dq_wxyz)
+def _motion(message: OdometryDelta | OdometryRequest) -> dict[str, Any]:
+    p, q = axes.body(message.dp_b), axes.body_attitude(message.dq_wxyz)
     position = _new("geometry_msgs/msg/Point", x=p[0], y=p[1], z=p[2])
     pose = _new("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(q))
-    covariance = axes.body_covariance(delta.covariance).ravel()
+    covariance = axes.body_covariance(message.covariance).ravel()
     return {
-        "header": header_of(delta.t_ns, _BODY),
-        "begin": _time(delta.t0_ns),
+        "header": header_of(message.t_ns, _BODY),
+        "begin": _time(message.t0_ns),
         "motion": _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+    }
+
+
+def _odometry_request(request: OdometryRequest) -> dict[str, Any]:
+    names = [name or PictureName("", 0) for name in (*request.first, *request.second)]
+    return {
+        **_motion(request),
+        "topics": [name.topic for name in names],
+        "stamps": [_time(name.t_ns) for name in names],
+        "down": _vector(axes.body(request.down_b)),
+        "height": request.height_m,
+        "height_sigma": request.height_sigma_m,
+    }
+
+
+def _odometry_delta(delta: OdometryDelta) -> dict[str, Any]:
+    return {
+        **_motion(delta),
         "systematic": np.zeros(0) if delta.systematic is None else axes.body_rows(delta.systematic).ravel(),
         "epoch": delta.epoch,
     }

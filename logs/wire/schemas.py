@@ -28,6 +28,7 @@ ODOMETRY_DELTA: Final = "landfix_msgs/msg/OdometryDelta"
 AID_STATUS: Final = "landfix_msgs/msg/AidStatus"
 VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
 VISION_REQUEST: Final = "landfix_msgs/msg/VisionRequest"
+ODOMETRY_REQUEST: Final = "landfix_msgs/msg/OdometryRequest"
 RESET: Final = "landfix_msgs/msg/Reset"
 CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
@@ -124,6 +125,22 @@ string right_topic
 builtin_interfaces/Time right_stamp
 # Counts the runs of vision: each begins without memory of earlier pictures.
 uint32 run
+""",
+    ODOMETRY_REQUEST: """\
+# Measure the motion between two pairs of pictures. The answer follows from this and the pictures alone.
+# header.stamp: exposure of the later pair; header.frame_id: base_link.
+std_msgs/Header header
+builtin_interfaces/Time begin
+# The predicted motion, as in OdometryDelta.
+geometry_msgs/PoseWithCovariance motion
+# Topics and stamps of the pictures: left and right at the beginning, left and right at the end; an empty topic: there is none.
+string[] topics
+builtin_interfaces/Time[] stamps
+# Downwards, in base_link (FLU) at the beginning.
+geometry_msgs/Vector3 down
+# Height above the ground and its standard deviation, m; 0: not known.
+float64 height
+float64 height_sigma
 """,
     RESET: """\
 # The estimate jumped: new = old (+) delta.

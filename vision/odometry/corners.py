@@ -18,20 +18,20 @@ _COLUMNS, _ROWS = 12, 8
 
 
 def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
-    """(N, 2) pixels (u, v), float32, N <= wanted: at most a few of each grid cell, strongest first within it.
+    """(N, 2) pixels (u, v), N <= wanted: at most a few of each grid cell, strongest first within it.
 
     image (H, W) uint8; mask: 0 where no corner may be. The order is that of the cells: the same image gives the same corners.
     """
     keypoints: list[cv2.KeyPoint] = []
     for threshold in _THRESHOLDS:
-        detector = cv2.FastFeatureDetector_create(threshold)
+        detector = cv2.FastFeatureDetector.create(threshold)
         keypoints = list(detector.detect(image, mask))
         if len(keypoints) >= _ENOUGH * wanted:
             break
     if not keypoints:
-        return np.empty((0, 2), np.float32)
-    px = np.array([k.pt for k in keypoints], np.float32)
-    strength = np.array([k.response for k in keypoints], np.float32)
+        return np.empty((0, 2))
+    px = np.array([k.pt for k in keypoints])
+    strength = np.array([k.response for k in keypoints])
     return px[_strongest_of_cells(px, strength, image.shape[:2], wanted)]
 
 

@@ -7,7 +7,7 @@ h projects a point of the camera to (u_l, v_l, u_r); T is the pose of the body a
 that the rig gives all disparities, N(0, sigma_delta^2). The plane is pi = n / height with the normal n in the camera; in the
 disparity d it is linear, and known to pi_0 +- the errors of height and slope. With G = dg/dy, C = dg/d(T, delta, pi) and
 S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y follows (Schur complement; Triggs et al.
-2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion (errors in variables).
+2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion.
 
 With N the normal matrix and L the part of it that the priors of delta and height give, an error of a prior repeats in every step:
 it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each.
@@ -23,9 +23,10 @@ from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 
-_ITERATIONS: Final = 20
+_ITERATIONS: Final = 25
 _CONVERGED: Final = 0.03  # of the step's own standard deviation
 _CAUCHY: Final = 2.5  # sigma, of three values
+_GUIDED: Final = 4.0  # the same where a guide is given
 _ABOVE: Final = 0.5  # the same of the plane, for points above it
 _MEDIAN_CHI2: Final = 2.366  # of three values
 _NOTHING_PX2: Final = 1e8  # variance of what was not measured
@@ -43,7 +44,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Ground seen from the first camera: n (3,) downwards, height and its sigma [m], slope [rad], and how far points lie off it [m]."""
+    """Ground seen from the first camera: n (3,) downwards, height and sigma [m], slope [rad], how far points lie off it [m]."""
 
     n: Array
     height_m: float
@@ -62,12 +63,14 @@ class Plane:
         """Inverse covariance (3, 3) of pi: along n from the height, across it from the slope."""
         along = np.outer(self.n, self.n)
         across = np.eye(3) - along
-        information: Array = along * (self.height_m**2 / self.height_sigma_m) ** 2 + across * (self.height_m / self.slope_rad) ** 2
+        information: Array = (
+            along * (self.height_m**2 / self.height_sigma_m) ** 2 + across * (self.height_m / self.slope_rad) ** 2
+        )
         return information
 
 
 class Solution(NamedTuple):
-    """motion; covariance (6, 6) of what is new in this step; squared distances (N,) of the points; scale: of residuals, 1 = as expected.
+    """motion; covariance (6, 6) of what is new in this step; squared distances (N,); scale of the residuals, 1 = as expected.
 
     systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. converged: False: the
     rest means nothing.
@@ -134,21 +137,36 @@ class Geometry:
 
 
 def solve(
-    geometry: Geometry, y0: Array, y1: Array, sigma_px: float, disparity_sigma_px: float, start: Motion, plane: Plane | None
+    geometry: Geometry,
+    y0: Array,
+    y1: Array,
+    sigma_px: float,
+    disparity_sigma_px: float,
+    start: Motion,
+    plane: Plane | None,
+    *,
+    guide: Array | None = None,
 ) -> Solution:
     """The motion that two measurements (N, 3) of N points have; NaN in u_r: not measured (then there must be a plane).
 
-    sigma_px: of each measured value. Robust: Cauchy weights whose scale falls from that of the first residuals to the noise.
+    sigma_px: of each measured value. Robust: Cauchy weights; their scale is that of the residuals, which fall.
+    guide: information (6, 6) that keeps the motion near the start; the scale is then the noise from the beginning. It finds the
+    points of the one of several motions that is nearest: choose them by it, and solve without.
     """
     z0, variance0 = _filled(geometry, y0, sigma_px, plane)
     variance1 = np.where(np.isfinite(y1), sigma_px**2, _NOTHING_PX2)
     prior = _prior(disparity_sigma_px, plane)
+    if guide is not None:
+        prior[:6, :6] = guide
     unknowns = np.zeros(len(prior))
     y, motion, pi = z0, start, None if plane is None else plane.pi
     for _ in range(_ITERATIONS):
         shifted = z0 - unknowns[6] * _COLUMN
-        system = _linearised(geometry, y, motion, unknowns[6], pi, plane, (shifted, variance0, y1, variance1))
-        weights, distances, scale = _weights(system)
+        try:
+            system = _linearised(geometry, y, motion, unknowns[6], pi, plane, (shifted, variance0, y1, variance1))
+        except np.linalg.LinAlgError:  # points at infinity or behind the camera: it runs away
+            break
+        weights, distances, scale = _weights(system, guide is not None)
         CtS = np.matmul(system.C.transpose(0, 2, 1), system.S_inverse) * weights[:, None, None]
         N = np.tensordot(CtS, system.C, ((0, 2), (0, 1))) + prior
         right = np.tensordot(CtS, system.e, ((0, 2), (0, 1))) - prior @ unknowns
@@ -156,10 +174,10 @@ def solve(
             L = np.linalg.cholesky(N)
         except np.linalg.LinAlgError:
             break
-        step = np.linalg.solve(N, right)
+        step: Array = np.asarray(np.linalg.solve(N, right), np.float64)
         if not np.isfinite(step).all():
             break
-        unknowns = unknowns + np.r_[np.zeros(6), step[6:]]
+        unknowns = unknowns + step  # of p and theta to the first order, which is enough for a guide
         y = _points_after(z0 - unknowns[6] * _COLUMN, variance0, system, step)
         motion = Motion(motion.p + step[:3], motion.R @ so3.matrix(so3.quat_exp(step[3:6])))
         pi = None if plane is None else plane.pi + unknowns[7:]
@@ -253,17 +271,23 @@ def _with_plane(
     sigma = d * d * plane.roughness_m / (geometry.f * geometry.b)
     variance = sigma**2 + (off / np.where(off < 0.0, _ABOVE, _CAUCHY)) ** 2
     row = np.array([1.0 - geometry.b * pi[0], -geometry.b * pi[1], -1.0])
-    wide = np.zeros((len(y), 4, 10))
-    wide[:, :3, :7] = C
-    wide[:, 3, 6] = -row[2]
-    wide[:, 3, 7:] = -D_pi
+    C_4 = np.zeros((len(y), 4, 10))
+    C_4[:, :3, :7] = C
+    C_4[:, 3, 6] = -row[2]
+    C_4[:, 3, 7:] = -D_pi
     with_row = np.concatenate((G, np.broadcast_to(row, (len(y), 1, 3))), axis=1)
-    return np.column_stack((e, off)), wide, with_row, np.column_stack((noise, variance))
+    return np.column_stack((e, off)), C_4, with_row, np.column_stack((noise, variance))
 
 
-def _weights(system: _System) -> tuple[Array, Array, float]:
-    """Cauchy weights (N,), squared distances (N,), and the scale of the residuals (1: as expected)."""
+def _weights(system: _System, guided: bool) -> tuple[Array, Array, float]:
+    """Weights (N,), squared distances (N,), and the scale of the residuals (1: as expected).
+
+    Cauchy's; guided: those of Geman and McClure, by which far points do not count.
+    """
     distances = np.einsum("nr,nrs,ns->n", system.e, system.S_inverse, system.e)
+    if guided:
+        redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2
+        return redescending, distances, 1.0
     scale = max(float(np.median(distances)) / _MEDIAN_CHI2, 1.0)
     weights: Array = 1.0 / (1.0 + distances / (_CAUCHY**2 * scale))
     return weights, distances, float(np.sqrt(scale))

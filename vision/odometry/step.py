@@ -29,19 +29,22 @@ _MOST_DISPARITY: Final = 0.2  # of the image's width
 _PLANE_FACTOR: Final = 1.6  # points are no nearer and no further than this, in units of the plane's distance
 _SIGMA_PX: Final = 0.25  # of a track, in each coordinate
 _INLIER: Final = 16.27  # chi-square of 3, 99.9 %
-_LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.4
-_MOST_SCALE: Final = 3.0  # residuals in units of _SIGMA_PX
+_LEAST_POINTS, _LEAST_INLIERS, _LEAST_SHARE = 20, 15, 0.3
+_DOUBTFUL_SCALE, _MOST_SCALE = 1.5, 3.0  # residuals in units of _SIGMA_PX
 _SECOND_POINTS, _SECOND_SHARE, _SECOND_AGREE = 10, 0.12, 0.6  # another motion: points, of all, and of those that do not fit
 _TURN_CHI2: Final = 50.0  # of 3: further from the predicted rotation, which is the gyro's, no rotation can be
+_DOUBTFUL_CHI2: Final = 22.5  # of 6, 99.9 %: so far from the prediction one motion is rarely
 _NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
+_GUIDE: Final = 4.0  # times the covariance of the prediction, where it chooses points
 _INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
 _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """points: corners of a key frame. The ground: relief_m: how far the mean of the points lies off the given height, roughness_m:
-    how far each lies off their plane, slope_deg: how far that is tilted. disparity_sigma_px: at least, of the rig's calibration.
+    """points: corners of a key frame. disparity_sigma_px: at least, of the rig's calibration.
+
+    Of the ground: relief_m: how far its mean lies off the given height, roughness_m: how far points lie off it, slope_deg: its tilt.
     """
 
     points: int = 140
@@ -134,7 +137,7 @@ class StereoOdometry:
             return Step(f"too few corners: {len(px)} (blur, darkness or no texture)")
         if plane is None and (first.right is None or self._raw.one_camera):
             return Step("one camera, and the height above the ground is not known")
-        tracks = self._tracks(first, second, px.astype(np.float64), prediction, plane)
+        tracks = self._tracks(first, second, px, prediction, plane)
         if len(tracks.y0) < _LEAST_POINTS:
             return Step(f"too few tracks: {len(tracks.y0)} of {len(px)} corners", points=len(tracks.y0), tracks=tracks)
         return self.motion_of(tracks, prediction)
@@ -196,11 +199,16 @@ class StereoOdometry:
     def motion_of(self, tracks: Tracks, prediction: Prediction) -> Step:
         """The motion that tracks show, checked."""
         plane = self._plane(prediction)
-        start = Motion(prediction.p, so3.matrix(prediction.q))
-        solution = solve(self._geometry, tracks.y0, tracks.y1, _SIGMA_PX, self._disparity_sigma_px, start, plane)
         n = len(tracks.y0)
-        inliers = solution.distances <= _INLIER * solution.scale**2
-        lost = self._flaw(solution, inliers) or _turn_flaw(solution, prediction)
+        everything = np.ones(n, np.bool_)
+        solution, inliers, lost = self._checked(tracks, everything, prediction, plane)
+        doubtful = solution.scale > _DOUBTFUL_SCALE or _distance(solution, prediction) > _DOUBTFUL_CHI2
+        if lost or doubtful:  # several motions may have been mixed: begin with the points that fit the prediction
+            near = self._solve(tracks, everything, prediction, plane, np.asarray(np.linalg.inv(_GUIDE * prediction.covariance)))
+            if near.converged and (chosen := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
+                solution, inliers, lost = self._checked(tracks, chosen, prediction, plane)
+            else:
+                lost = lost or f"residuals {solution.scale:.1f} times as large as expected"
         if lost:
             return Step(lost, points=n, residual_scale=solution.scale, tracks=tracks, inliers=inliers)
         reason, remark = self._second_motion(tracks, inliers, solution, prediction, plane)
@@ -217,6 +225,22 @@ class StereoOdometry:
             tracks,
             inliers,
         )
+
+    def _solve(
+        self, tracks: Tracks, chosen: NDArray[np.bool_], prediction: Prediction, plane: Plane | None, guide: Array | None = None
+    ) -> Solution:
+        start = Motion(prediction.p, so3.matrix(prediction.q))
+        y0, y1 = tracks.y0[chosen], tracks.y1[chosen]
+        return solve(self._geometry, y0, y1, _SIGMA_PX, self._disparity_sigma_px, start, plane, guide=guide)
+
+    def _checked(
+        self, tracks: Tracks, chosen: NDArray[np.bool_], prediction: Prediction, plane: Plane | None
+    ) -> tuple[Solution, NDArray[np.bool_], str]:
+        """A solution of the chosen points, which of all points fit it, and why it cannot be used ("": it can)."""
+        solution = self._solve(tracks, chosen, prediction, plane)
+        inliers = chosen.copy()
+        inliers[chosen] = solution.distances <= _INLIER * solution.scale**2
+        return solution, inliers, self._flaw(solution, inliers) or _turn_flaw(solution, prediction)
 
     @staticmethod
     def _flaw(solution: Solution, inliers: NDArray[np.bool_]) -> str:
@@ -238,8 +262,9 @@ class StereoOdometry:
         count = int(others.sum())
         if count < max(_SECOND_POINTS, _SECOND_SHARE * len(inliers)):
             return "", ""
-        start = Motion(prediction.p, so3.matrix(prediction.q))
-        second = solve(self._geometry, tracks.y0[others], tracks.y1[others], _SIGMA_PX, self._disparity_sigma_px, start, plane)
+        guide = np.zeros((6, 6))
+        guide[3:, 3:] = np.linalg.inv(_GUIDE * prediction.covariance[3:, 3:])
+        second = self._solve(tracks, others, prediction, plane, guide)
         together = int((second.distances <= _INLIER).sum()) if second.converged else 0
         if together < max(_SECOND_POINTS, _SECOND_AGREE * count):
             return "", ""

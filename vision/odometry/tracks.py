@@ -60,12 +60,12 @@ def coarse_columns(left: Image, right: Image, px: Array, low: Array, high: Array
 def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> Array:
     """(N, 2) pixels in the second image of first pixels px (N, 2).
 
-    H (3, 3): turns the second image to the attitude of the first (H ~ K R_01 K^-1), so that a turn about the optical axis does not
-    turn the patches against each other. guess (N, 2): expected pixels in the second image.
+    H (3, 3): turns the second image to the attitude of the first (H ~ K R_01 K^-1), so that a turn about the optical axis does
+    not turn the patches against each other. guess (N, 2): expected pixels in the second image.
     """
     turned = cv2.warpPerspective(second, H, (second.shape[1], second.shape[0]), flags=cv2.INTER_LINEAR)
     there, found = _flow(first, turned, px, _mapped(H, guess), _LEVELS)
-    there = _mapped(np.linalg.inv(H), there)
+    there = _mapped(np.asarray(np.linalg.inv(H), np.float64), there)
     height, width = second.shape[:2]
     low, high = _MARGIN_PX, np.array([width, height]) - 1.0 - _MARGIN_PX
     found &= ((there >= low) & (there <= high)).all(axis=1)
@@ -74,7 +74,7 @@ def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> 
 
 def _flow(a: Image, b: Image, px: Array, guess: Array, levels: int) -> tuple[Array, NDArray[np.bool_]]:
     """Pixels (N, 2) in b of pixels in a, and which of them return to their beginning."""
-    known = np.isfinite(guess).all(axis=1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(guess).all(axis=1), np.bool_)
     if not known.any():
         return np.full((len(px), 2), np.nan), known
     px, guess = px[known], guess[known]

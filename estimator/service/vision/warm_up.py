@@ -6,12 +6,13 @@ from typing import Final
 import cv2
 import numpy as np
 
+from estimator.frontend.odometry import OdometrySight
 from estimator.frontend.processor import Sight
-from estimator.frontend.requests import Shot
+from estimator.frontend.requests import Pair, Shot
 from logs.wire.pictures import Picture, encode_picture
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark, LandmarkMap
-from models.messages import Array, VisionRequest
+from models.messages import Array, OdometryRequest, VisionRequest
 from vision.synthetic.rigs import make_rig
 
 _PLACE: Final = (0.0, 0.0, -60.0)
@@ -46,6 +47,26 @@ def warm_up() -> None:
         shots = [_shot(t_ns, p[:, :, 1] if is_grey else p, is_jpeg) for p in (left, right)]
         sight.look(VisionRequest(t_ns, t_ns, _PLACE, _LEVEL, covariance, None, None), (shots[0], shots[1] if is_stereo else None))
     sight.draw("aided")
+
+
+def warm_up_odometry() -> None:
+    """A step between pairs of the same scene, with height and without."""
+    rig = make_rig()
+    marks = [Landmark.of(str(k), outline, height_m=4.0, colour_bgr=bgr) for k, (outline, bgr) in enumerate(_ROOFS)]
+    odometry = OdometrySight(rig)
+    pairs = []
+    for k in (1, 2):
+        p_n = np.array((0.2 * k, *_PLACE[1:]))
+        left = _drawn(marks, rig.left, *rig.camera_pose(p_n, np.eye(3)))
+        right = _drawn(marks, rig.right, *rig.right_camera_pose(p_n, np.eye(3)))
+        pairs.append(Pair(*(_shot(k * _PERIOD_NS, image, False) for image in (left, right))))
+    names = tuple(tuple(shot.name if shot else None for shot in pair) for pair in pairs)
+    for sigma_m in (0.0, 1.0):
+        request = OdometryRequest(
+            2 * _PERIOD_NS, 2 * _PERIOD_NS, _PERIOD_NS, (0.2, 0.0, 0.0), _LEVEL, np.eye(6) * 1e-3,
+            (names[0][0], names[0][1]), (names[1][0], names[1][1]), (0.0, 0.0, 1.0), -_PLACE[2], sigma_m,
+        )  # fmt: skip
+        odometry.look(request, *pairs)
 
 
 def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Picture:

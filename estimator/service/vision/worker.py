@@ -53,28 +53,45 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     A request is its bytes and two images; or a mode, for which the image looked at last is drawn. Before its answer there may
     be any number of Compiling.
     """
+
+    def load() -> tuple[int, Callable[[Any], Any]]:
+        from estimator.frontend.files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
+
+        sight = load_sight(rig_file, map_file, origin, picture)
+
+        def answer(asked: Any) -> Any:
+            if isinstance(asked, str):
+                return (sight.draw(asked),)
+            data, left, right = asked
+            return sight.look(decode_vision_request(data, 0), (left, right))
+
+        return sight.time_offset_ns, answer
+
+    def warm() -> None:
+        from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415
+
+        warm_up()
+
+    answer_until_closed(pipe, load, warm)
+
+
+def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Callable[[Any], Any]]], warm: Callable[[], None]) -> None:
+    """load() gives the cameras' time offset [ns] and what answers, or raises ConfigError; warm() compiles what answers need."""
     _give_way()
-    from estimator.frontend.files import load_sight  # noqa: PLC0415
     from estimator.service.base.compilation import listen  # noqa: PLC0415  (numba is slow to import)
-    from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
     try:
-        sight = load_sight(rig_file, map_file, origin, picture)
+        time_offset_ns, answer = load()
     except ConfigError as error:
         pipe.send(str(error))
         return
     with suppress(BrokenPipeError):
         listen(lambda kernel, seconds: pipe.send(Compiling(kernel, seconds)))
-        warm_up()
-        pipe.send((sight.time_offset_ns,))
+        warm()
+        pipe.send((time_offset_ns,))
     with suppress(EOFError, BrokenPipeError):
         while True:
-            asked = pipe.recv()
-            if isinstance(asked, str):
-                pipe.send((sight.draw(asked),))
-            else:
-                data, left, right = asked
-                pipe.send(sight.look(decode_vision_request(data, 0), (left, right)))
+            pipe.send(answer(pipe.recv()))
 
 
 def _give_way() -> None:
@@ -90,9 +107,12 @@ def _give_way() -> None:
 class VisionWorker:
     """put() takes images from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
 
+    _serve: Callable[..., None] = staticmethod(serve)
+    _measurement = LANDMARK_FIX_TOPIC  # what an answer is to give
+
     def __init__(
         self,
-        files: tuple[Path, Path | None, Vec3 | None, PictureFile | None],
+        files: tuple[Any, ...],
         config: VisionConfig,
         sides: dict[str, str],
         clock: Clock,
@@ -189,13 +209,12 @@ class VisionWorker:
     def _ask(self, pair: Pair) -> None:
         """One request and its answer."""
         asked_ns = self._clock.now_ns()
-        request = self._track.request(pair, asked_ns, self._run)
-        if request is None:
-            self._state = "waiting for an estimate"
+        question = self._question(pair, asked_ns)
+        if question is None:
             return
-        (message,) = encode(request)
+        message, images = question
         self._tell(message)
-        answers: list[Encoded] | None = self._exchange((message.data, pair.left, pair.right), self._patience_s())
+        answers: list[Encoded] | None = self._exchange((message.data, *images), self._patience_s())
         if answers is None:
             self._restart("does not answer")
             return
@@ -206,10 +225,19 @@ class VisionWorker:
         self._good += 1
         if self._good >= _GOOD_ANSWERS:
             self._backoff_s = _FIRST_BACKOFF_S
-        self._fixes += any(answer.topic == LANDMARK_FIX_TOPIC for answer in answers)
+        self._fixes += any(answer.topic == self._measurement for answer in answers)
         self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
         if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
             self._draw(self._screen)
+
+    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, tuple[Any, ...]] | None:
+        """The request for a pair, and the images that go with it; None where there is nothing to be asked."""
+        request = self._track.request(pair, asked_ns, self._run)
+        if request is None:
+            self._state = "waiting for an estimate"
+            return None
+        (message,) = encode(request)
+        return message, (pair.left, pair.right)
 
     def _draw(self, screen: Screen) -> None:
         """The image just answered for, with the map drawn in; the answer is out already."""
@@ -277,7 +305,7 @@ class VisionWorker:
     def _start(self) -> bool:
         """Start the process and wait until it can see."""
         self._pipe, theirs = SPAWNED.Pipe()
-        process = SPAWNED.Process(target=serve, args=(theirs, *self._files), name="landfix-vision")
+        process = SPAWNED.Process(target=self._serve, args=(theirs, *self._files), name="landfix-vision")
         process.start()
         self._process = process  # not before: close() kills it, and what has not begun cannot be killed
         theirs.close()

@@ -1,0 +1,69 @@
+"""Visual odometry in a process of its own: neither it nor the search for landmarks delays the other."""
+
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
+from estimator.frontend.requests import Pair, Track, VisionConfig
+from estimator.service.base.clock import Clock, Stamps
+from estimator.service.vision.worker import VisionWorker, answer_until_closed
+from logs.wire.codec import Encoded, decode_odometry_request, encode
+from models.messages import ODOMETRY_DELTA_TOPIC
+
+
+def serve_odometry(pipe: Connection, rig_file: Path) -> None:
+    """The process: a question is the bytes of a request and its two pairs."""
+
+    def load() -> tuple[int, Callable[[Any], Any]]:
+        from estimator.frontend.files import load_odometry  # noqa: PLC0415  (OpenCV is loaded in this process only)
+
+        sight = load_odometry(rig_file)
+
+        def answer(asked: Any) -> Any:
+            data, first, second = asked
+            return sight.look(decode_odometry_request(data, 0), first, second)
+
+        return sight.time_offset_ns, answer
+
+    def warm() -> None:
+        from estimator.service.vision.warm_up import warm_up_odometry  # noqa: PLC0415
+
+        warm_up_odometry()
+
+    answer_until_closed(pipe, load, warm)
+
+
+class OdometryWorker(VisionWorker):
+    """As VisionWorker; asks about the pair of each key frame and the one before."""
+
+    _serve = staticmethod(serve_odometry)
+    _measurement = ODOMETRY_DELTA_TOPIC
+
+    def __init__(
+        self,
+        rig_file: Path,
+        config: VisualOdometryConfig,
+        vision: VisionConfig,
+        sides: dict[str, str],
+        clock: Clock,
+        stamps: Stamps,
+        track: Track,
+        tell: Callable[[Encoded], None],
+    ) -> None:
+        self._key_frames = KeyFrames(config)
+        super().__init__((rig_file,), vision_config(config, vision), sides, clock, stamps, track, tell)
+
+    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, tuple[Any, ...]] | None:
+        asked = self._key_frames.request(pair, self._track, asked_ns)
+        if asked is None:
+            return None
+        request, first = asked
+        (message,) = encode(request)
+        return message, (first, pair)
+
+
+def vision_config(config: VisualOdometryConfig, vision: VisionConfig) -> VisionConfig:
+    """How pairs are put together, as for landmarks; how long an answer may take, as for odometry."""
+    return VisionConfig(vision.most_hz, vision.pair_ms, vision.patience_ms, vision.replay_latency_ms, config.timeout_s)
