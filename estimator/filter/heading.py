@@ -31,7 +31,7 @@ from models.messages import Array
 from models.state import E, X
 
 _WRONG_SENSORS = 0.02  # share of magnetometers and antennas whose heading is false
-_MARGIN = 3.0  # ln: by which the headings without the sensor must be better
+_MARGIN = 6.0  # ln: by which the headings without the sensor must be better
 _REFUTED = 3  # positions in a row that nobody at rest foresees
 _SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
 _SHARPEST = 0.35  # rad: a course that is less well known than this is none

@@ -49,6 +49,7 @@ _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after 
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
 _BESIDE_NS = 5_000_000_000
+_WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
@@ -130,7 +131,7 @@ class Tracker:
         self.prior: tuple[int, Pose] | None = None
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
         self.without_sensor: WithoutSensor | None = None
-        self.wrong_sensors: frozenset[str] = frozenset()  # topics whose heading motion has refuted
+        self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
         self.resting: Resting | None = None
         self.waits_since_ns: int | None = None  # for its heading
         self.shows_unaligned = False
@@ -277,7 +278,7 @@ class Tracker:
         if aid.alignment_only:
             return self._believe(aid, z)
         if isinstance(z, Heading) and not self.is_aligned:
-            if aid.topic in self.wrong_sensors:
+            if aid.t_ns < self.wrong_until_ns.get(aid.topic, _NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
             self.sensed = (aid, z)
         state = self.sources.get(aid.topic, _UNKNOWN)
@@ -557,7 +558,7 @@ class Tracker:
             if beside.is_shown:
                 self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
                 self.stretch, self.sensed, self.without_sensor = beside.stretch, None, None
-                self.wrong_sensors |= {beside.topic}
+                self.wrong_until_ns = self.wrong_until_ns | {beside.topic: self.t_ns + _WRONG_NS}
             elif self.is_aligned and initialise.aligned(beside.bank, config):
                 self.without_sensor = None
             elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:

@@ -1,6 +1,6 @@
 """ArduPilot's on-board logs (.bin), by pymavlink.
 
-    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro
+    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro        MAG  ->  /mag
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
@@ -32,9 +32,11 @@ _FIELDS = {
     "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS"),
     "GPA": ("HAcc", "VAcc", "SAcc"),
     "BARO": ("Press",),
+    "MAG": ("MagX", "MagY", "MagZ"),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
+_SENSORS = (("BARO", "baro", 1.0), ("MAG", "magnetometer", 1e-3 * sensors.GAUSS_T))  # message, kind, its unit in SI
 _STAMPS = {"TimeUS": 1.0, "T": 1e3, "TimeMS": 1e3}  # us; TimeMS of a GPS row is the receiver's, its T is the log's
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 _ALIASES = {"IMU2": "IMU", "IMU3": "IMU", "GPS2": "GPS", "NKF1": "XKF1", "EKF1": "XKF1"}  # same fields under another name
@@ -70,7 +72,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
     own = [_attitude(truth), truth] if truth else []
-    return Recording.of((*gnss, *_baro(tables, timebase_us), imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
+    return Recording.of((*gnss, *_sensors(tables, timebase_us), imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
 
 
 def _open(source: Path) -> Any:
@@ -202,12 +204,16 @@ def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
     return max(0.0, delay_ms - already_ms) * 1e-3
 
 
-def _baro(tables: Tables, timebase_us: int) -> list[Stream]:
-    table = tables.get("BARO")
-    if table is None or np.isnan(table["Press"]).all():
-        return []
-    t_ns = _t_ns(table[_TIME], timebase_us)
-    return [recording.sensor("baro", t_ns, recording.arrival(t_ns), _vector(table, "Press"))]
+def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
+    """The optional sensors."""
+    streams = []
+    for name, kind, unit in _SENSORS:
+        table = tables.get(name)
+        if table is None or np.isnan(table[_FIELDS[name][0]]).all():
+            continue
+        t_ns = _t_ns(table[_TIME], timebase_us)
+        streams.append(recording.sensor(kind, t_ns, recording.arrival(t_ns), unit * _vector(table, *_FIELDS[name])))
+    return streams
 
 
 def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:

@@ -1,6 +1,7 @@
 """PX4 logs (.ulg), by pyulog.
 
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
+    vehicle_magnetometer, else sensor_mag                ->  /mag
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
@@ -27,7 +28,8 @@ Topic: TypeAlias = Mapping[str, Any]  # field -> column
 
 _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
-    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_gps_position", "sensor_gps",
+    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
+    "vehicle_gps_position", "sensor_gps",
     "vehicle_attitude", "vehicle_local_position", "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
@@ -47,7 +49,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     receiver = _receiver(log.data_list, notes)
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
-    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_attitude(topics, clock)]
+    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
+    aids += _attitude(topics, clock)
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -202,6 +205,16 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
         return []
     t_ns, arrived_ns = _times(topic, clock_us)
     return [recording.sensor("baro", t_ns, arrived_ns, _vector(topic, "baro_pressure_pa"))]
+
+
+def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    """What the autopilot navigates by, with its calibration, else the raw magnetometer; gauss."""
+    topic, names = topics.get("vehicle_magnetometer"), ("magnetometer_ga[0]", "magnetometer_ga[1]", "magnetometer_ga[2]")
+    if topic is None:
+        topic, names = topics.get("sensor_mag"), ("x", "y", "z")
+    if topic is None or names[0] not in topic:
+        return []
+    return [recording.sensor("magnetometer", *_times(topic, clock_us), sensors.GAUSS_T * _vector(topic, *names))]
 
 
 def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
