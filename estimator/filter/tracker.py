@@ -185,6 +185,8 @@ class Tracker:
         """Of what is shown."""
         bank = self.bank
         assert bank is not None
+        if self.is_aligned and self.without_sensor is not None:
+            return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
         return bank.covariance() if self.is_aligned else heading.covariance(bank, self.config.initialise)
 
     @property

@@ -58,7 +58,7 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
-ALL = Topics(baro=("/baro",), attitude=("/attitude",))  # every input, the optional ones too
+ALL = Topics(baro=("/baro",), magnetometer=("/mag",), attitude=("/attitude",))  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -121,6 +121,8 @@ def inputs() -> list[Input]:
             readings=np.arange(4.0),
         ),
         Reading(T_NS, ARRIVED_NS, "/baro", "baro", (95_321.5,), np.eye(1) * 4.0),
+        Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5), 1e-14 * covariance(3)),
+        Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5)),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]
