@@ -279,10 +279,10 @@ class Tracker:
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._believe(aid, z)
-        if isinstance(z, Heading) and not self.is_aligned:
+        if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, _NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
-            self.sensed = (aid, z)
+            self.sensed = None if self.is_aligned else (aid, z)
         state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
@@ -557,11 +557,12 @@ class Tracker:
                 self.without_sensor = WithoutSensor(self.hypotheses.copy(), self.stretch, aid.topic, self.t_ns)
         elif beside is not None and isinstance(z, Position | Pose | Velocity):
             beside.take(aid, z, gyro_b, self.hypotheses)
-            if beside.is_shown:
+            known = self.is_aligned and initialise.aligned(beside.bank, config)
+            if beside.is_shown or (known and beside.disagrees(self.hypotheses.lead)):
                 self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
                 self.stretch, self.sensed, self.without_sensor = beside.stretch, None, None
                 self.wrong_until_ns = self.wrong_until_ns | {beside.topic: self.t_ns + _WRONG_NS}
-            elif self.is_aligned and initialise.aligned(beside.bank, config):
+            elif known and beside.knows_heading:
                 self.without_sensor = None
             elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:
                 self._begin_beside(beside, z, samples)

@@ -12,6 +12,7 @@ import msgspec
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.heading import HeadingConfig
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.magnetometer import MagnetometerConfig
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
@@ -26,6 +27,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     pose_fix: PoseConfig = PoseConfig()
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
+    heading: HeadingConfig = HeadingConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()
 
     def sources(self) -> dict[str, Any]:

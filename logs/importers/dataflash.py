@@ -1,7 +1,7 @@
 """ArduPilot's on-board logs (.bin), by pymavlink.
 
     IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro        MAG  ->  /mag
-    GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
 ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
@@ -29,7 +29,7 @@ _MAGIC = b"\xa3\x95"
 _TIME = "time_us"  # since boot; the first column of every table
 _FIELDS = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
-    "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS"),
+    "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS", "Yaw"),
     "GPA": ("HAcc", "VAcc", "SAcc"),
     "BARO": ("Press",),
     "MAG": ("MagX", "MagY", "MagZ"),
@@ -164,7 +164,10 @@ def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[S
     course, speed = np.deg2rad(table["GCrs"]), table["Spd"]
     v_n = np.stack([speed * np.cos(course), speed * np.sin(course), table["VZ"]], axis=1)[moving]
     velocity = recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance[moving], f"{topic}/velocity")
-    return [recording.gnss(t_ns, arrived_ns, lla, variance, status, topic), velocity]
+    azimuth = np.deg2rad(np.remainder(table["Yaw"] + 180.0, 360.0) - 180.0)[:, np.newaxis]
+    rows = np.flatnonzero((table["Yaw"] != 0.0) & np.isfinite(table["Yaw"]))  # 0: the receiver has one antenna
+    heading = [recording.sensor("heading", t_ns[rows], arrived_ns[rows], azimuth[rows])] if len(rows) and not suffix else []
+    return [recording.gnss(t_ns, arrived_ns, lla, variance, status, topic), velocity, *heading]
 
 
 def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tuple[Array, Array]:

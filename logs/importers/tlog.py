@@ -26,7 +26,7 @@ from models.messages import Array, Vec3
 
 _MILLI_G = GRAVITY * 1e-3
 _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
-_GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc")
+_GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "yaw")
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
@@ -83,7 +83,15 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
     return Recording.of(
-        (*gnss, *_baro(tables), *_field(tables, autopilot), *_attitude(tables), imu, *([truth] if truth else [])),
+        (
+            *gnss,
+            *_baro(tables),
+            *_field(tables, autopilot),
+            *_heading(tables),
+            *_attitude(tables),
+            imu,
+            *([truth] if truth else []),
+        ),
         settings,
         notes,
         recording.AUTOPILOT if truth else "",
@@ -232,6 +240,16 @@ def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
         new = np.flatnonzero(np.any(np.diff(field_b, axis=0, prepend=0.0) != 0.0, axis=1))
         if field_b.any():
             return [recording.sensor("magnetometer", table.t_ns[new], table.arrived_ns[new], field_b[new])]
+    return []
+
+
+def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
+    """Of the first receiver with two antennas, hundredths of a degree; 0: it has one, 65535: not now."""
+    for table in (tables[name] for name in _RECEIVERS if name in tables):
+        rows = np.flatnonzero((table["yaw"] != 0.0) & (table["yaw"] != _UNKNOWN))
+        if len(rows):
+            azimuth = np.deg2rad(np.remainder(1e-2 * table["yaw"] + 180.0, 360.0) - 180.0)[rows]
+            return [recording.sensor("heading", table.t_ns[rows], table.arrived_ns[rows], azimuth[:, np.newaxis])]
     return []
 
 

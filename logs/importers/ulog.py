@@ -2,7 +2,7 @@
 
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
     vehicle_magnetometer, else sensor_mag                ->  /mag
-    vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
+    vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity, with two antennas /heading
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
 
@@ -191,7 +191,7 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))
-    return streams
+    return [*streams, *_heading(topic, clock_us)]
 
 
 def _squared(sigma: Array) -> Array:
@@ -205,6 +205,17 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
         return []
     t_ns, arrived_ns = _times(topic, clock_us)
     return [recording.sensor("baro", t_ns, arrived_ns, _vector(topic, "baro_pressure_pa"))]
+
+
+def _heading(topic: Topic, clock_us: int) -> list[Stream]:
+    """Of a receiver with two antennas; heading_offset is the angle of their line from the nose."""
+    if "heading" not in topic:
+        return []
+    azimuth = topic["heading"].astype(np.float64) - topic.get("heading_offset", 0.0)
+    rows = np.flatnonzero(np.isfinite(azimuth) & (topic["heading"] != 0.0))
+    t_ns, arrived_ns = _times(topic, clock_us)
+    azimuth = np.remainder(azimuth[rows] + np.pi, 2.0 * np.pi) - np.pi
+    return [recording.sensor("heading", t_ns[rows], arrived_ns[rows], azimuth[:, np.newaxis])] if len(rows) else []
 
 
 def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:

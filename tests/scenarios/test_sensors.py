@@ -12,7 +12,7 @@ from models.sim.scenario import EPOCH_NS, Truth
 from models.sim.sensors import GRADES
 from models.state import E, X
 from tests.estimator.scenes import Run, by_arrival, error, within
-from tests.estimator.senses import HOME, Ride, magnetometer, ride
+from tests.estimator.senses import HOME, Ride, heading, magnetometer, ride
 
 REST_S, MOVING_S = 12.0, 25.0
 CONFIG = FusionConfig(imu=GRADES["flight_controller"].noise, origin=HOME.lla)
@@ -91,6 +91,41 @@ def test_given_a_field_that_points_up_then_it_is_refused_and_the_heading_comes_f
     assert _seconds(run.aligned[0]) > REST_S
     assert any("above the horizon" in s.detail for s in run.last_words("/mag").values())
     assert Reason.FUSED not in run.reasons("/mag")
+
+
+def test_given_two_antennas_then_the_heading_is_known_at_rest_to_their_accuracy(journey: Ride) -> None:
+    run = _run(journey, heading(journey.truth, seed=1))
+    assert _seconds(run.aligned[0]) < 3.0
+    off, sigma = _yaw(within(run.aligned, 3.0, REST_S), journey.truth)
+    assert np.abs(off / sigma).max() < 3.0
+    assert 0.8 < sigma.mean() < 2.0
+    assert _nees(within(run.aligned, REST_S, REST_S + MOVING_S), journey.truth, E.THETA) < 2.5
+    assert Reason.GATED not in run.reasons("/heading")
+
+
+@pytest.mark.parametrize("off_deg", [90.0, 180.0])
+def test_given_antennas_that_are_exchanged_or_across_then_motion_finds_it_out(journey: Ride, off_deg: float) -> None:
+    run = _run(journey, heading(journey.truth, seed=1, off_deg=off_deg))
+    later = within(run.aligned, REST_S + 8.0, REST_S + MOVING_S)
+    assert np.abs(_yaw(later, journey.truth)[0]).max() < 3.0
+    assert _nees(within(run.estimates, REST_S, REST_S + MOVING_S, every=5), journey.truth, E.P) < 2.0
+    words = run.last_words("/heading").values()
+    assert sum(s.reason in {Reason.STOPPED, Reason.GATED} for s in words) > 50
+
+
+@pytest.mark.parametrize("fault", ["stuck", "late", "biased"])
+def test_given_antennas_that_are_stuck_late_or_biased_then_the_estimate_in_motion_stays_consistent(
+    journey: Ride, fault: str
+) -> None:
+    readings = {
+        "stuck": heading(journey.truth, seed=1, stuck_after_s=REST_S + 3.0),
+        "late": heading(journey.truth, seed=1, late_s=0.5),
+        "biased": heading(journey.truth, seed=1, off_deg=8.0),
+    }[fault]
+    run = _run(journey, readings)
+    later = within(run.aligned, REST_S + 8.0, REST_S + MOVING_S)
+    assert _nees(later, journey.truth, E.P) < 1.5
+    assert _nees(later, journey.truth, E.THETA) < 3.0
 
 
 @pytest.mark.parametrize("fault", ["stuck", "late", "biased"])

@@ -231,9 +231,16 @@ def _coarse_field(message: Any) -> tuple[float, ...] | None:
     return tuple(1e-3 * _GAUSS_T * m for m in field) if any(field) else None
 
 
+def _azimuth(message: Any) -> tuple[float, ...] | None:
+    """Of two antennas, hundredths of a degree; 0: the receiver has none, 65535: not now, 36000: north."""
+    return None if message.yaw in {0, _UNKNOWN} else (math.radians(1e-2 * message.yaw),)
+
+
 # Message -> the sensors whose readings it carries: kind, and values as logs/wire/sensors.py has them, None where there are none.
 SENSORS: Final[dict[str, dict[str, Callable[[Any], tuple[float, ...] | None]]]] = {
     "HIGHRES_IMU": {"baro": _pressure, "magnetometer": _field},
     "RAW_IMU": {"magnetometer": _coarse_field},
     "SCALED_IMU": {"magnetometer": _coarse_field},
+    "GPS_RAW_INT": {"heading": _azimuth},
+    "GPS2_RAW": {"heading": _azimuth},
 }

@@ -58,7 +58,9 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
-ALL = Topics(baro=("/baro",), magnetometer=("/mag",), attitude=("/attitude",))  # every input, the optional ones too
+ALL = Topics(
+    baro=("/baro",), magnetometer=("/mag",), heading=("/heading",), attitude=("/attitude",)
+)  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -123,6 +125,8 @@ def inputs() -> list[Input]:
         Reading(T_NS, ARRIVED_NS, "/baro", "baro", (95_321.5,), np.eye(1) * 4.0),
         Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5), 1e-14 * covariance(3)),
         Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5)),
+        Reading(T_NS, ARRIVED_NS, "/heading", "heading", (-2.5,), np.eye(1) * 4e-4),
+        Reading(T_NS, ARRIVED_NS, "/heading", "heading", (3.0,)),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]

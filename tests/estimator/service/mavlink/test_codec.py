@@ -153,6 +153,17 @@ def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
     assert [type(m) for m in inputs.measured(none, late, late, codec.ARDUPILOT)] == [ImuSample]
 
 
+@pytest.mark.parametrize(("yaw", "degrees"), [(0, None), (65535, None), (36000, 360.0), (4500, 45.0)])
+def test_the_heading_of_two_antennas_is_given_or_not(yaw: int, degrees: float | None) -> None:
+    message = _over_the_wire(
+        mavlink.MAVLink_gps_raw_int_message(5, 6, 473977000, 85456000, 488000, 80, 120, 0, 0, 14, 536000, 0, 0, 0, 0, yaw=yaw)
+    )
+    inputs = Inputs(MavlinkConfig(gnss=False), Topics(heading=("/heading",)), 0.0)
+    assert mavlink.MAVLINK_MSG_ID_GPS_RAW_INT in dict(inputs.requests(T0, codec.ARDUPILOT))
+    read = [m for m in inputs.measured(message, T0, T0, codec.ARDUPILOT) if isinstance(m, Reading)]
+    assert [m.values for m in read] == ([] if degrees is None else [(pytest.approx(math.radians(degrees)),)])
+
+
 def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
