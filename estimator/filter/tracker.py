@@ -23,9 +23,11 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import LARGEST, NO_EXCESS
+from estimator.sources import rest
 from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
+from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
@@ -130,6 +132,7 @@ class Tracker:
         self.still: Still | None = None
         self.prior: tuple[int, Pose] | None = None
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
+        self.rest_since: tuple[int, float] | None = None  # and the heading then
         self.without_sensor: WithoutSensor | None = None
         self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
         self.resting: Resting | None = None
@@ -269,7 +272,7 @@ class Tracker:
         if aid.geodetic and self.origin is None and self.hypotheses is None:
             self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
-        z = aid.measurement(self.origin)
+        z = self._rest(aid, samples) if aid.kind == rest.TOPIC else aid.measurement(self.origin)
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=_NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
@@ -309,6 +312,28 @@ class Tracker:
                 self._settle(self.stretch.also(aid, z, gyro_b), samples)
         self.sources[aid.topic] = state
         return decision
+
+    def _rest(self, aid: Aid, samples: ImuBuffer) -> Rest | Refusal:
+        """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
+        rules, u = aid.rules, self._stretch(samples)
+        assert isinstance(rules, RestConfig)
+        if u is None or not self.is_aligned or self.hypotheses is None or not rest.is_quiet(u, rules):
+            if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
+                self.hypotheses.forget(rest.BLOCK)
+                self.stretch = Stretch.of(self.hypotheses.lead)
+            self.rest_since = None
+            return Refusal(Reason.THINNED, "in motion" if self.is_aligned else _NO_POSITION)
+        lead = self.hypotheses.lead
+        if self.rest_since is None:
+            self.rest_since = self.t_ns, so3.to_euler(lead.x[X.Q])[2]
+        since_ns, azimuth = self.rest_since
+        if self.t_ns - since_ns < rules.after_s * 1e9:
+            return Refusal(Reason.THINNED, "at rest for a moment")
+        if not rest.is_known(lead.cov, rules):
+            return Refusal(Reason.GATED, "looks at rest, but the velocity is not known well enough to confirm it")
+        self.stretch = None  # a run would leave out what rest has shown, and rest is linear
+        earth_n = self.origin.earth_rate_n if self.origin is not None else _NO_RATE
+        return rest.at_rest(u, azimuth, earth_n, rules)
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""
@@ -499,10 +524,10 @@ class Tracker:
         if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
             self.hypotheses, self.stretch = self._all_headings(z, at)
             return Decision(Reason.ALIGNING)
-        rest = self.still
-        self.hypotheses = initialise.start_from_position(rest.level.t_ns, rest.z, rest.level, self.constants, config)
-        self.stretch = Stretch.of(initialise.heading_unknown(rest.level.t_ns, rest.z, rest.level, self.constants, config))
-        index = samples.first_after(rest.level.t_ns)
+        last = self.still
+        self.hypotheses = initialise.start_from_position(last.level.t_ns, last.z, last.level, self.constants, config)
+        self.stretch = Stretch.of(initialise.heading_unknown(last.level.t_ns, last.z, last.level, self.constants, config))
+        index = samples.first_after(last.level.t_ns)
         for member in self.hypotheses.members:
             member.filter.propagate(samples, index, self.t_ns)
         self._go_on(aid, z, samples, gyro_b)

@@ -16,6 +16,7 @@ from estimator.sources.heading import HeadingConfig
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.magnetometer import MagnetometerConfig
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
+from estimator.sources.rest import RestConfig
 from estimator.sources.source import Aid, Refusal, SensorRules
 from models.messages import AttitudePrior, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, Reason
 
@@ -27,6 +28,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     pose_fix: PoseConfig = PoseConfig()
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
+    rest: RestConfig = RestConfig()
     heading: HeadingConfig = HeadingConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()
 
