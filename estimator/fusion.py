@@ -13,6 +13,7 @@ from estimator.filter.history import Entry, History
 from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
 from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
+from estimator.sources.rest import rest_aid
 from estimator.sources.source import Aid, Refusal
 from models import so3, state
 from models.frames import Origin
@@ -148,8 +149,17 @@ class Fusion:
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
+        if self._config.rest.enabled:
+            self._ask_for_rest(sample.t_ns)
         tracker = self._history.advance(sample.t_ns)
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
+
+    def _ask_for_rest(self, t_ns: int) -> None:
+        """Once a period, at stamps that do not depend on the samples: is the vehicle at rest?"""
+        period_ns = round(self._config.rest.every_s * 1e9)
+        asked_ns = t_ns // period_ns * period_ns
+        if asked_ns > self._history.samples.previous_ns:
+            self._history.insert_aid(rest_aid(asked_ns, self._config.rest))
 
     def _other(self, message: Input) -> list[Output]:
         match message:

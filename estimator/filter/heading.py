@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.filter import initialise
+from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch
@@ -28,10 +29,13 @@ from models import so3
 from models.frames import GRAVITY
 from models.measurements import Measurement, Pose, Velocity
 from models.messages import Array
-from models.state import E, X
+from models.state import E, X, local
 
 _WRONG_SENSORS = 0.02  # share of magnetometers and antennas whose heading is false
 _MARGIN = 3.0  # ln: by which the headings without the sensor must be better
+_KNOWN = math.radians(1.5)
+_AGREE = 0.9999  # share of right sensors that agree with the motion
+_LIKELY = -2.2  # ln: 1 in 10
 _REFUTED = 3  # positions in a row that nobody at rest foresees
 _SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
 _SHARPEST = 0.35  # rad: a course that is less well known than this is none
@@ -110,6 +114,28 @@ class WithoutSensor:
     def is_shown(self) -> bool:
         """The sensor is wrong."""
         return self.odds > _MARGIN
+
+    @property
+    def knows_heading(self) -> bool:
+        """Motion has shown the attitude to it as well as a good sensor shows the heading."""
+        return float(self.bank.lead.cov.diagonal()[E.THETA].max()) < _KNOWN**2
+
+    def disagrees(self, lead: Eskf) -> bool:
+        """Its attitude, known well by now, is another one than that of the filter with the sensor."""
+        without = self.bank.lead
+        off = local(lead.x, without.x)[E.THETA]
+        cov = lead.cov[E.THETA, E.THETA] + without.cov[E.THETA, E.THETA]
+        return bool(off @ np.linalg.solve(cov, off) > gate(_AGREE, 3))
+
+    def mixed(self, cov: Array, x: Array) -> Array:
+        """Covariance (15, 15) of the error of x, whose own is cov, where the sensor may be wrong:
+
+        (1 - w) P + w (P_without + d d^T),   d = x_without (-) x,   w = 1 / (1 + exp(-odds)),   once w is larger than 0.1
+        """
+        if self.odds < _LIKELY:
+            return cov
+        share, off = 1.0 / (1.0 + math.exp(-self.odds)), local(x, self.bank.lead.x)
+        return (1.0 - share) * cov + share * (self.bank.covariance() + np.outer(off, off))
 
 
 def from_course(z: Velocity, at: Level, config: InitialiseConfig) -> Pose | None:

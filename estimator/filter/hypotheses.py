@@ -205,6 +205,12 @@ class Hypotheses:
         for member in self.members:
             member.filter.variance_factor = variance_factor
 
+    def forget(self, block: str) -> None:
+        """No filter takes the slow error `block` into account any more."""
+        for member in self.members:
+            if block in member.filter.slow.columns:
+                member.filter.forget(block)
+
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool, vouched: bool = False) -> Verdict:
         """Let every hypothesis answer a measurement.
 

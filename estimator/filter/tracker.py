@@ -24,10 +24,12 @@ from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import LARGEST, NO_EXCESS
+from estimator.sources import rest
 from estimator.sources.aids import SourcesConfig
 from estimator.sources.gating import gate
 from estimator.sources.imu import Plausibility, stream_plausibility
 from estimator.sources.odometry import Kept, OdometryAid
+from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
@@ -52,6 +54,7 @@ _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after 
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
 _BESIDE_NS = 5_000_000_000
+_WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
@@ -132,8 +135,9 @@ class Tracker:
         self.still: Still | None = None
         self.prior: tuple[int, Pose] | None = None
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
+        self.rest_since: tuple[int, float] | None = None  # and the heading then
         self.without_sensor: WithoutSensor | None = None
-        self.wrong_sensors: frozenset[str] = frozenset()  # topics whose heading motion has refuted
+        self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
         self.resting: Resting | None = None
         self.waits_since_ns: int | None = None  # for its heading
         self.shows_unaligned = False
@@ -189,6 +193,8 @@ class Tracker:
         """Of what is shown."""
         bank = self.bank
         assert bank is not None
+        if self.is_aligned and self.without_sensor is not None:
+            return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
         return bank.covariance() if self.is_aligned else heading.covariance(bank, self.config.initialise)
 
     @property
@@ -285,7 +291,7 @@ class Tracker:
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
-        z = aid.measurement(self.origin)
+        z = self._rest(aid, samples) if aid.kind == rest.TOPIC else aid.measurement(self.origin)
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=_NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
@@ -295,10 +301,10 @@ class Tracker:
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._believe(aid, z)
-        if isinstance(z, Heading) and not self.is_aligned:
-            if aid.topic in self.wrong_sensors:
+        if isinstance(z, Heading):
+            if aid.t_ns < self.wrong_until_ns.get(aid.topic, _NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
-            self.sensed = (aid, z)
+            self.sensed = None if self.is_aligned else (aid, z)
         state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
@@ -345,6 +351,28 @@ class Tracker:
             self.last_odometry_ns = aid.t_ns
         nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
         return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
+
+    def _rest(self, aid: Aid, samples: ImuBuffer) -> Rest | Refusal:
+        """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
+        rules, u = aid.rules, self._stretch(samples)
+        assert isinstance(rules, RestConfig)
+        if u is None or not self.is_aligned or self.hypotheses is None or not rest.is_quiet(u, rules):
+            if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
+                self.hypotheses.forget(rest.BLOCK)
+                self.stretch = Stretch.of(self.hypotheses.lead)
+            self.rest_since = None
+            return Refusal(Reason.THINNED, "in motion" if self.is_aligned else _NO_POSITION)
+        lead = self.hypotheses.lead
+        if self.rest_since is None:
+            self.rest_since = self.t_ns, so3.to_euler(lead.x[X.Q])[2]
+        since_ns, azimuth = self.rest_since
+        if self.t_ns - since_ns < rules.after_s * 1e9:
+            return Refusal(Reason.THINNED, "at rest for a moment")
+        if not rest.is_known(lead.cov, rules):
+            return Refusal(Reason.GATED, "looks at rest, but the velocity is not known well enough to confirm it")
+        self.stretch = None  # a run would leave out what rest has shown, and rest is linear
+        earth_n = self.origin.earth_rate_n if self.origin is not None else _NO_RATE
+        return rest.at_rest(u, azimuth, earth_n, rules)
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""
@@ -536,10 +564,10 @@ class Tracker:
         if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
             self.hypotheses, self.stretch = self._all_headings(z, at)
             return Decision(Reason.ALIGNING)
-        rest = self.still
-        self.hypotheses = initialise.start_from_position(rest.level.t_ns, rest.z, rest.level, self.constants, config)
-        self.stretch = Stretch.of(initialise.heading_unknown(rest.level.t_ns, rest.z, rest.level, self.constants, config))
-        index = samples.first_after(rest.level.t_ns)
+        last = self.still
+        self.hypotheses = initialise.start_from_position(last.level.t_ns, last.z, last.level, self.constants, config)
+        self.stretch = Stretch.of(initialise.heading_unknown(last.level.t_ns, last.z, last.level, self.constants, config))
+        index = samples.first_after(last.level.t_ns)
         for member in self.hypotheses.members:
             member.filter.propagate(samples, index, self.t_ns)
         self._go_on(aid, z, samples, gyro_b)
@@ -594,11 +622,12 @@ class Tracker:
                 self.without_sensor = WithoutSensor(self.hypotheses.copy(), self.stretch, aid.topic, self.t_ns)
         elif beside is not None and isinstance(z, Position | Pose | Velocity):
             beside.take(aid, z, gyro_b, self.hypotheses)
-            if beside.is_shown:
+            known = self.is_aligned and initialise.aligned(beside.bank, config)
+            if beside.is_shown or (known and beside.disagrees(self.hypotheses.lead)):
                 self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
                 self.stretch, self.sensed, self.without_sensor = beside.stretch, None, None
-                self.wrong_sensors |= {beside.topic}
-            elif self.is_aligned and initialise.aligned(beside.bank, config):
+                self.wrong_until_ns = self.wrong_until_ns | {beside.topic: self.t_ns + _WRONG_NS}
+            elif known and beside.knows_heading:
                 self.without_sensor = None
             elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:
                 self._begin_beside(beside, z, samples)

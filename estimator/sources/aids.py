@@ -12,10 +12,12 @@ import msgspec
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.heading import HeadingConfig
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.magnetometer import MagnetometerConfig
 from estimator.sources.odometry import OdometryConfig, increment_aid, odometry_pose_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
+from estimator.sources.rest import RestConfig
 from estimator.sources.source import Aid, Refusal, SensorRules
 from models.messages import (
     AttitudePrior,
@@ -38,6 +40,8 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     pose_fix: PoseConfig = PoseConfig()
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
+    rest: RestConfig = RestConfig()
+    heading: HeadingConfig = HeadingConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()
     odometry: OdometryConfig = OdometryConfig()
 

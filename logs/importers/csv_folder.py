@@ -1,10 +1,11 @@
-"""A folder of CSV files: imu.csv, and as far as there are any gps.csv, baro.csv, vision.csv and truth.csv (or .csv.gz).
+"""A folder of CSV files: imu.csv, and as far as there are any gps.csv, baro.csv, mag.csv, vision.csv and truth.csv (or .csv.gz).
 
 Headers say what a column is (csv_table.py has all the names):
 
     imu.csv     t_s, gx_rad_s gy_rad_s gz_rad_s, ax_m_s2 ay_m_s2 az_m_s2          (gyro_x_deg_s, ax_g and the like are converted)
     gps.csv     t_s, lat_deg lon_deg alt_m, vn_m_s ve_m_s vd_m_s, status or fix_type, std_n_m std_e_m std_u_m std_v_m_s or hdop
     baro.csv    t_s, pressure_pa or baro_alt_m
+    mag.csv     t_s, mx_ut my_ut mz_ut, in the axes of imu.csv      (T, nT, gauss and mgauss are converted)
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
@@ -47,7 +48,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     imu = _imu(reader, options.imu or "imu", B)
     if progress:
         progress(0.5)
-    aids = [*_gnss(reader), *_baro(reader)]
+    aids = [*_gnss(reader), *_baro(reader), *_field(reader, B)]
     if options.pose_fix_hz > 0.0:
         aids.append(_pose_fixes(reader, options, B))
     if options.odometry:
@@ -198,6 +199,14 @@ def _baro(reader: _Reader) -> list[Stream]:
     return [recording.sensor("baro", table.t_ns, arrived(table), pressure[:, np.newaxis])]
 
 
+def _field(reader: _Reader, B: Array) -> list[Stream]:
+    table = reader.table("mag")
+    if table is None:
+        return []
+    field_b = frames.turned(table.needed(csv_table.FIELD, "xyz"), B)
+    return [recording.sensor("magnetometer", table.t_ns, arrived(table), field_b)]
+
+
 def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:
     """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses; nan: not given.
 
@@ -266,4 +275,5 @@ def _settings(known: DataSet, checks: dict[str, object], aids: list[Stream], tru
         known.receiver,
         origin if gnss else None,
         known.altitude,
+        known.hard_iron_ut,
     )

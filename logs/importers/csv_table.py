@@ -53,6 +53,11 @@ ACCEL = Quantity(
     ("a", "a_", "accel_", "acc_", "accel", "acc", "f", "f_", "a_rs_s_", "linear_acceleration_"),
     {"_m_s2": 1.0, "_m_s_2": 1.0, "_mps2": 1.0, "": 1.0, "_g": GRAVITY},
 )
+FIELD = Quantity(
+    "magnetic field",
+    ("m", "m_", "mag_", "mag", "h", "h_", "b_"),
+    {"_t": 1.0, "_ut": 1e-6, "_nt": 1e-9, "_gauss": 1e-4, "_ga": 1e-4, "_mgauss": 1e-7},
+)
 POSITION = Quantity("position", ("p", "p_", "pos_", "p_rs_r_", "position_"), {"_m": 1.0, "": 1.0})
 VELOCITY = Quantity("velocity", ("v", "v_", "vel_", "v_rs_r_", "velocity_"), {"_m_s": 1.0, "_m_s_1": 1.0, "_mps": 1.0, "": 1.0})
 ATTITUDE = Quantity("attitude", ("q", "q_", "q_rs_", "quat_"), {"": 1.0})

@@ -1,7 +1,7 @@
 """ArduPilot's on-board logs (.bin), by pymavlink.
 
-    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro
-    GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro        MAG  ->  /mag
+    GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
 
@@ -30,13 +30,15 @@ _MAGIC = b"\xa3\x95"
 _TIME = "time_us"  # since boot; the first column of every table
 _FIELDS = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
-    "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS"),
+    "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS", "Yaw"),
     "GPA": ("HAcc", "VAcc", "SAcc"),
     "BARO": ("Press",),
+    "MAG": ("MagX", "MagY", "MagZ"),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
     "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Rst"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
+_SENSORS = (("BARO", "baro", 1.0), ("MAG", "magnetometer", 1e-3 * sensors.GAUSS_T))  # message, kind, its unit in SI
 _STAMPS = {"TimeUS": 1.0, "T": 1e3, "TimeMS": 1e3}  # us; TimeMS of a GPS row is the receiver's, its T is the log's
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 _ALIASES = {"IMU2": "IMU", "IMU3": "IMU", "GPS2": "GPS", "NKF1": "XKF1", "EKF1": "XKF1"}  # same fields under another name
@@ -72,7 +74,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
     own = [_attitude(truth), truth] if truth else []
-    aids = (*gnss, *_baro(tables, timebase_us), *_odometry(tables, timebase_us, notes))
+    aids = (*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes))
     return Recording.of((*aids, imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
 
 
@@ -165,7 +167,10 @@ def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[S
     course, speed = np.deg2rad(table["GCrs"]), table["Spd"]
     v_n = np.stack([speed * np.cos(course), speed * np.sin(course), table["VZ"]], axis=1)[moving]
     velocity = recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance[moving], f"{topic}/velocity")
-    return [recording.gnss(t_ns, arrived_ns, lla, variance, status, topic), velocity]
+    azimuth = np.deg2rad(np.remainder(table["Yaw"] + 180.0, 360.0) - 180.0)[:, np.newaxis]
+    rows = np.flatnonzero((table["Yaw"] != 0.0) & np.isfinite(table["Yaw"]))  # 0: the receiver has one antenna
+    heading = [recording.sensor("heading", t_ns[rows], arrived_ns[rows], azimuth[rows])] if len(rows) and not suffix else []
+    return [recording.gnss(t_ns, arrived_ns, lla, variance, status, topic), velocity, *heading]
 
 
 def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tuple[Array, Array]:
@@ -205,12 +210,16 @@ def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
     return max(0.0, delay_ms - already_ms) * 1e-3
 
 
-def _baro(tables: Tables, timebase_us: int) -> list[Stream]:
-    table = tables.get("BARO")
-    if table is None or np.isnan(table["Press"]).all():
-        return []
-    t_ns = _t_ns(table[_TIME], timebase_us)
-    return [recording.sensor("baro", t_ns, recording.arrival(t_ns), _vector(table, "Press"))]
+def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
+    """The optional sensors."""
+    streams = []
+    for name, kind, unit in _SENSORS:
+        table = tables.get(name)
+        if table is None or np.isnan(table[_FIELDS[name][0]]).all():
+            continue
+        t_ns = _t_ns(table[_TIME], timebase_us)
+        streams.append(recording.sensor(kind, t_ns, recording.arrival(t_ns), unit * _vector(table, *_FIELDS[name])))
+    return streams
 
 
 def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream]:

@@ -7,6 +7,7 @@ from logs.store.reader import LogError
 from models.frames import GRAVITY, Origin
 from models.messages import Array, Vec3
 
+GAUSS_T = 1e-4
 UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
 VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
 _TRUTH_GAP_NS = 1_500_000_000  # a truth with larger gaps is not interpolated

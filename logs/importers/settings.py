@@ -26,7 +26,8 @@ class Settings(msgspec.Struct, frozen=True):
     """One log's share of the configuration.
 
     noise_reason: where the noise is from; gnss_delay_s: how much older a fix is than its stamp; antenna_b_m: from the IMU to
-    the GNSS antenna; receiver: other keys of [gnss], where its errors are known better than by their defaults; origin:
+    the GNSS antenna; receiver: other keys of [gnss], where its errors are known better than by their defaults; hard_iron_ut: what
+    the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
     lat_deg, lon_deg, alt_m of the frame of the log's truth, None: the estimator chooses.
     """
 
@@ -37,6 +38,7 @@ class Settings(msgspec.Struct, frozen=True):
     receiver: Mapping[str, float] = {}
     origin: Vec3 | None = None
     altitude: str = ""  # what the heights of GNSS refer to
+    hard_iron_ut: Vec3 | None = None
 
     def toml(self, kind: str, source: Path, topics: tuple[str, ...]) -> str:
         """The text; topics: those of the log that are inputs."""
@@ -65,6 +67,8 @@ class Settings(msgspec.Struct, frozen=True):
             antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
             lines += ["", "[gnss]", f"delay_s = {round(self.gnss_delay_s, 6)!r}", f"antenna_b_m = [{antenna}]"]
             lines += [f"{name} = {value!r}" for name, value in self.receiver.items()]
+        if inputs["magnetometer"] and self.hard_iron_ut is not None:
+            lines += ["", "[magnetometer]", f"offset_ut = {list(self.hard_iron_ut)}"]
         if self.origin is not None:
             lat, lon, alt = self.origin
             lines += ["", "[map]", f"origin = [{lat:.10f}, {lon:.10f}, {alt:.4f}]"]
@@ -90,6 +94,7 @@ class DataSet(msgspec.Struct, frozen=True):
     antenna_b_m: Vec3 = (0.0, 0.0, 0.0)
     receiver: Mapping[str, float] = {}
     altitude: str = ""
+    hard_iron_ut: Vec3 | None = None
 
 
 _RAISED = "effective for this data set: the data sheet's, raised for vibration and what the model leaves out"
@@ -115,7 +120,9 @@ DATA_SETS = {
         altitude="above mean sea level",
     ),
     "umn_thor75": DataSet(
-        noise=FIXED_WING, noise_reason="a fixed wing with engine at 50 Hz: what was measured at rest, x 7 (gyro) and x 50 (accel)"
+        noise=FIXED_WING,
+        noise_reason="a fixed wing with engine at 50 Hz: what was measured at rest, x 7 (gyro) and x 50 (accel)",
+        hard_iron_ut=(38.8, -16.5, 39.0),  # fitted to the field of the flight; residual 1 uT
     ),
     "inertialnav_logs": DataSet(
         gnss_delay_s=0.21,  # position; velocity 0.23, height 0.35

@@ -1,6 +1,6 @@
 """MAVLink telemetry logs (.tlog: each message behind the time at which the ground station received it), by pymavlink.
 
-    HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu
+    HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only; ATTITUDE  ->  /attitude
 
@@ -25,9 +25,9 @@ from models.frames import GRAVITY
 from models.messages import Array, Vec3
 
 _MILLI_G = GRAVITY * 1e-3
-_RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+_RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
 _SAME_HEIGHT_MM = 10  # ArduPilot counts in cm
-_GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc")
+_GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "yaw")
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
@@ -84,7 +84,15 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     altitude = "above the ellipsoid where the log knows it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
     return Recording.of(
-        (*gnss, *_baro(tables), *_attitude(tables), imu, *([truth] if truth else [])),
+        (
+            *gnss,
+            *_baro(tables),
+            *_field(tables, autopilot),
+            *_heading(tables),
+            *_attitude(tables),
+            imu,
+            *([truth] if truth else []),
+        ),
         settings,
         notes,
         recording.AUTOPILOT if truth else "",
@@ -178,7 +186,7 @@ def _ns(t_us: Array) -> Times:
 
 
 def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int, notes: list[str]) -> Stream:
-    usable = [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]  # others' is in counts of the chip
+    usable = _usable(tables, autopilot)
     name = next((n for n in ([wanted] if wanted else usable) if n in usable), None)
     if name is None:
         there = ", ".join(usable) or "none in physical units"
@@ -230,6 +238,32 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
     if table is None:
         return []
     return [recording.sensor("baro", table.t_ns, table.arrived_ns, table.vector("press_abs") * 100.0)]
+
+
+def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
+    """The magnetic field of the best IMU message that has one; a row that repeats the last one is no reading."""
+    for name in _usable(tables, autopilot):
+        table, unit = tables[name], sensors.GAUSS_T if name == "HIGHRES_IMU" else 1e-3 * sensors.GAUSS_T
+        field_b = unit * table.vector("xmag", "ymag", "zmag")
+        new = np.flatnonzero(np.any(np.diff(field_b, axis=0, prepend=0.0) != 0.0, axis=1))
+        if field_b.any():
+            return [recording.sensor("magnetometer", table.t_ns[new], table.arrived_ns[new], field_b[new])]
+    return []
+
+
+def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
+    """Of the first receiver with two antennas, hundredths of a degree; 0: it has one, 65535: not now."""
+    for table in (tables[name] for name in _RECEIVERS if name in tables):
+        rows = np.flatnonzero((table["yaw"] != 0.0) & (table["yaw"] != _UNKNOWN))
+        if len(rows):
+            azimuth = np.deg2rad(np.remainder(1e-2 * table["yaw"] + 180.0, 360.0) - 180.0)[rows]
+            return [recording.sensor("heading", table.t_ns[rows], table.arrived_ns[rows], azimuth[:, np.newaxis])]
+    return []
+
+
+def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:
+    """IMU messages in physical units, the best first; RAW_IMU of others is in counts of the chip."""
+    return [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]
 
 
 def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:

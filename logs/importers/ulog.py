@@ -1,7 +1,8 @@
 """PX4 logs (.ulg), by pyulog.
 
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
-    vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity
+    vehicle_magnetometer, else sensor_mag                ->  /mag
+    vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity, with two antennas /heading
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
@@ -28,7 +29,8 @@ Topic: TypeAlias = Mapping[str, Any]  # field -> column
 
 _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
-    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_gps_position", "sensor_gps",
+    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
+    "vehicle_gps_position", "sensor_gps",
     "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
@@ -49,8 +51,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     receiver = _receiver(log.data_list, notes)
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
-    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_attitude(topics, clock)]
-    aids += _odometry(topics, clock, notes)
+    aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
+    aids += [*_attitude(topics, clock), *_odometry(topics, clock, notes)]
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -207,7 +209,7 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))
-    return streams
+    return [*streams, *_heading(topic, clock_us)]
 
 
 def _squared(sigma: Array) -> Array:
@@ -221,6 +223,27 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
         return []
     t_ns, arrived_ns = _times(topic, clock_us)
     return [recording.sensor("baro", t_ns, arrived_ns, _vector(topic, "baro_pressure_pa"))]
+
+
+def _heading(topic: Topic, clock_us: int) -> list[Stream]:
+    """Of a receiver with two antennas; heading_offset is the angle of their line from the nose."""
+    if "heading" not in topic:
+        return []
+    azimuth = topic["heading"].astype(np.float64) - topic.get("heading_offset", 0.0)
+    rows = np.flatnonzero(np.isfinite(azimuth) & (topic["heading"] != 0.0))
+    t_ns, arrived_ns = _times(topic, clock_us)
+    azimuth = np.remainder(azimuth[rows] + np.pi, 2.0 * np.pi) - np.pi
+    return [recording.sensor("heading", t_ns[rows], arrived_ns[rows], azimuth[:, np.newaxis])] if len(rows) else []
+
+
+def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    """What the autopilot navigates by, with its calibration, else the raw magnetometer; gauss."""
+    topic, names = topics.get("vehicle_magnetometer"), ("magnetometer_ga[0]", "magnetometer_ga[1]", "magnetometer_ga[2]")
+    if topic is None:
+        topic, names = topics.get("sensor_mag"), ("x", "y", "z")
+    if topic is None or names[0] not in topic:
+        return []
+    return [recording.sensor("magnetometer", *_times(topic, clock_us), sensors.GAUSS_T * _vector(topic, *names))]
 
 
 def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:

@@ -116,7 +116,7 @@ class Decoder:
         if schema != expected and schema.replace("/", "/msg/", 1) != expected:
             return Unusable(arrived_ns, arrived_ns, topic, f"is {schema}, not {expected}")
         try:
-            if expected is schemas.IMU and (fast := cdr_fast.imu(data)) is not None:
+            if convert == self._general_imu and (fast := cdr_fast.imu(data)) is not None:
                 return self._imu(topic, arrived_ns, *fast)
             return convert(topic, STORE.deserialize_cdr(data, expected), arrived_ns)
         except Exception as error:  # bytes from outside: whatever they trip over, the flight goes on

@@ -14,6 +14,7 @@ from msgspec import Meta
 from logs.wire import axes, schemas
 from models.messages import Array, Reading
 
+_NOT_GIVEN: Final = 1e6
 _Topics: TypeAlias = tuple[str, ...]
 _Values: TypeAlias = tuple[tuple[float, ...], Array | None]
 
@@ -22,6 +23,9 @@ class SensorTopics(msgspec.Struct, frozen=True):
     """[inputs] of the optional sensors: off until a topic is named."""
 
     baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = ()
+    heading: Annotated[
+        _Topics, Meta(description="topics of sensor_msgs/msg/Imu whose orientation is that of two antennas; none: none is used")
+    ] = ()
     magnetometer: Annotated[
         _Topics, Meta(description="topics of sensor_msgs/msg/MagneticField; none: no magnetometer is used")
     ] = ()
@@ -59,6 +63,28 @@ def _field_message(reading: Reading) -> dict[str, Any]:
     return {"magnetic_field": vector(axes.body((x, y, z))), "magnetic_field_covariance": covariance.ravel()}
 
 
+def _azimuth(message: Any) -> _Values:
+    """Of the orientation of an Imu message, ENU, as drivers of receivers with two antennas write it; its variance about z."""
+    q, covariance = message.orientation, _known(message.orientation_covariance, 3)
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return (math.remainder(0.5 * math.pi - yaw, 2.0 * math.pi),), None if covariance is None else covariance[2:, 2:]
+
+
+def _azimuth_message(reading: Reading) -> dict[str, Any]:
+    half = 0.5 * (0.5 * math.pi - reading.values[0])
+    covariance = np.diag([_NOT_GIVEN, _NOT_GIVEN, 0.0 if reading.covariance is None else float(reading.covariance[0, 0])])
+    make: Any = schemas.STORE.types["geometry_msgs/msg/Quaternion"]
+    nothing = np.zeros(9)
+    return {
+        "orientation": make(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
+        "orientation_covariance": covariance.ravel() if reading.covariance is not None else nothing,
+        "angular_velocity": vector((0.0, 0.0, 0.0)),
+        "angular_velocity_covariance": nothing,
+        "linear_acceleration": vector((0.0, 0.0, 0.0)),
+        "linear_acceleration_covariance": nothing,
+    }
+
+
 def _pressure(reading: Reading) -> dict[str, Any]:
     variance = 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
     return {"fluid_pressure": reading.values[0], "variance": variance}
@@ -66,5 +92,6 @@ def _pressure(reading: Reading) -> dict[str, Any]:
 
 SENSORS: Final = {  # kind -> its message
     "baro": Sensor("/baro", schemas.PRESSURE, lambda m: ((m.fluid_pressure,), np.array([[m.variance]])), _pressure),
+    "heading": Sensor("/heading", schemas.IMU, _azimuth, _azimuth_message),  # rad, clockwise from north
     "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla
 }

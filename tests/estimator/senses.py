@@ -71,6 +71,30 @@ def loops(t: Array) -> Array:
     )
 
 
+def heading(
+    truth: Truth,
+    *,
+    seed: int = 0,
+    rate_hz: float = 5.0,
+    off_deg: float = 0.0,
+    stuck_after_s: float = math.inf,
+    late_s: float = 0.0,
+) -> list[Input]:
+    """Two antennas along the nose: 0.5 degrees of noise and 0.5 that stay."""
+    rng = np.random.default_rng(seed)
+    step = max(1, round(1e9 / rate_hz / float(truth.t_ns[1] - truth.t_ns[0])))
+    stays, held = off_deg + 0.5 * rng.standard_normal(), 0.0
+    readings: list[Input] = []
+    for k in range(0, len(truth.t_ns), step):
+        t = int(truth.t_ns[k])
+        r = truth.R_nb[k]
+        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
+            held = math.atan2(r[1, 0], r[0, 0]) + math.radians(stays + 0.5 * rng.standard_normal())
+        stamp = t + round(late_s * 1e9)
+        readings.append(Reading(stamp, stamp, "/heading", "heading", (math.remainder(held, 2.0 * math.pi),)))
+    return readings
+
+
 def magnetometer(
     truth: Truth,
     *,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.measurements import (
     DIRECTION_SCALE,
+    Heading,
     Height,
     Measurement,
     PartialPose,
@@ -55,6 +56,11 @@ def _pose(x: Array, attitude: str, position: list[int]) -> Pose:
     return Pose(x[X.P].copy(), x[X.Q].copy(), _noise(len(rows)), rows, attitude)
 
 
+def _heading(x: Array, direction_b: Array) -> Heading:
+    north, east, _ = so3.matrix(x[X.Q]) @ direction_b
+    return Heading(direction_b, math.atan2(east, north), _noise(1))
+
+
 def _models(x: Array) -> dict[str, Measurement]:
     """Every kind of measurement, reading exactly what the state x would give."""
     r, w = so3.matrix(x[X.Q]), GYRO - x[X.BG]
@@ -64,6 +70,7 @@ def _models(x: Array) -> dict[str, Measurement]:
         "horizontal position with lever": Position(x[X.P] + r @ LEVER, _noise(2), np.arange(2), LEVER),
         "velocity": Velocity(x[X.V].copy(), _noise(3), np.zeros(3)),
         "velocity with lever": Velocity(x[X.V] + r @ np.cross(w, LEVER), _noise(3), LEVER),
+        "heading": _heading(x, np.array([0.7, -0.4, 1.9])),
         "height": Height(-x[X.P][2], np.eye(1)),
     }
     for attitude in ATTITUDE_ROWS:

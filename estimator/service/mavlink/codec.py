@@ -31,6 +31,8 @@ _MILLI_G: Final = GRAVITY * 1e-3
 _ACCEL_AND_GYRO: Final = 0b111111  # of HIGHRES_IMU.fields_updated
 _PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE
 _HPA_PA: Final = 100.0
+_FIELD: Final[int] = mavlink.HIGHRES_IMU_UPDATED_XMAG | mavlink.HIGHRES_IMU_UPDATED_YMAG | mavlink.HIGHRES_IMU_UPDATED_ZMAG
+_GAUSS_T: Final = 1e-4
 _UNKNOWN: Final = 65535
 _SPEED_SIGMA_M_S: Final = 0.5  # where the receiver reports none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
@@ -216,7 +218,29 @@ def _pressure(message: Any) -> tuple[float, ...] | None:
     return (_HPA_PA * message.abs_pressure,)
 
 
+def _field(message: Any) -> tuple[float, ...] | None:
+    """Of a HIGHRES_IMU, gauss."""
+    if message.id != 0 or message.fields_updated & _FIELD != _FIELD:
+        return None
+    return _GAUSS_T * message.xmag, _GAUSS_T * message.ymag, _GAUSS_T * message.zmag
+
+
+def _coarse_field(message: Any) -> tuple[float, ...] | None:
+    """Of RAW_IMU (ArduPilot) and SCALED_IMU, milligauss; all zero where there is no magnetometer."""
+    field = message.xmag, message.ymag, message.zmag
+    return tuple(1e-3 * _GAUSS_T * m for m in field) if any(field) else None
+
+
+def _azimuth(message: Any) -> tuple[float, ...] | None:
+    """Of two antennas, hundredths of a degree; 0: the receiver has none, 65535: not now, 36000: north."""
+    return None if message.yaw in {0, _UNKNOWN} else (math.radians(1e-2 * message.yaw),)
+
+
 # Message -> the sensors whose readings it carries: kind, and values as logs/wire/sensors.py has them, None where there are none.
 SENSORS: Final[dict[str, dict[str, Callable[[Any], tuple[float, ...] | None]]]] = {
-    "HIGHRES_IMU": {"baro": _pressure},
+    "HIGHRES_IMU": {"baro": _pressure, "magnetometer": _field},
+    "RAW_IMU": {"magnetometer": _coarse_field},
+    "SCALED_IMU": {"magnetometer": _coarse_field},
+    "GPS_RAW_INT": {"heading": _azimuth},
+    "GPS2_RAW": {"heading": _azimuth},
 }

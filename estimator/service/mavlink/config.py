@@ -37,6 +37,8 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         bool, Meta(description="whether its receivers are the topics of [inputs] gnss and gnss_velocity, in order")
     ] = True
     baro: Annotated[bool, Meta(description="whether its barometer is the first topic of [inputs] baro")] = True
+    magnetometer: Annotated[bool, Meta(description="whether its magnetometer is the first topic of [inputs] magnetometer")] = True
+    heading: Annotated[bool, Meta(description="whether the yaw of its receivers is the first topic of [inputs] heading")] = True
     attitude_sigma_deg: Annotated[
         tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]],
         Meta(description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude, if any"),

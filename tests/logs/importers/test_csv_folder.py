@@ -276,6 +276,15 @@ def test_a_fix_arrives_when_the_file_says_so(tmp_path: Path) -> None:
     assert (fix.t_ns, fix.arrived_ns) == (EPOCH_NS + 50_000_000, EPOCH_NS + 250_000_000)
 
 
+@pytest.mark.parametrize(("unit", "value"), [("_t", 2e-5), ("_ut", 20.0), ("_gauss", 0.2), ("_mgauss", 200.0)])
+def test_a_magnetic_field_is_in_tesla_and_in_the_axes_of_the_imu(tmp_path: Path, unit: str, value: float) -> None:
+    table = f"t_s,mx{unit},my{unit},mz{unit}\n0,{value},{2 * value},{-value}\n"
+    recording = csv_folder.read(folder(tmp_path, imu=IMU, mag=table), ImportOptions(axes="flu"))
+    (message,) = of(recording, Reading)
+    assert message.kind == "magnetometer"
+    np.testing.assert_allclose(message.values, [2e-5, -4e-5, 2e-5])
+
+
 @pytest.mark.parametrize(
     ("header", "cell", "pascal"),
     [("pressure_pa", "95000", 95000.0), ("pressure_hpa", "950", 95000.0), ("baro_alt_m", "0", 101325.0)],

@@ -79,6 +79,8 @@ def test_fixes_are_as_regular_as_the_receiver_made_them(recording: Recording) ->
 
 def test_pressure_and_reference(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
     assert [m.values[0] for m in recording if isinstance(m, Reading) and m.kind == "baro"] == [r.Press for r in rows["BARO"]]
+    fields = [m.values for m in recording if isinstance(m, Reading) and m.kind == "magnetometer"]
+    np.testing.assert_allclose(fields, [(1e-7 * r.MagX, 1e-7 * r.MagY, 1e-7 * r.MagZ) for r in rows["MAG"]])
     truths = [m for m in recording if isinstance(m, Truth)]
     assert [m.p_n for m in truths] == [(r.PN, r.PE, r.PD) for r in rows["EKF1"]]
     assert [m.v_n for m in truths] == [(r.VN, r.VE, r.VD) for r in rows["EKF1"]]

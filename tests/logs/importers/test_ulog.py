@@ -94,6 +94,14 @@ def test_every_velocity_of_a_fix_that_has_one(case: Case) -> None:
     assert len(got) == {"px4_fmuv6c_6s.ulg": 13, "px4_sitl_groundtruth_28s.ulg": 0, "px4_sitl_v115_31s.ulg": 423}[case.version]
 
 
+def test_every_magnetic_field_is_in_tesla(case: Case) -> None:
+    name, axes = "vehicle_magnetometer", ("magnetometer_ga[0]", "magnetometer_ga[1]", "magnetometer_ga[2]")
+    if all(d.name != name for d in case.log.data_list):
+        name, axes = "sensor_mag", ("x", "y", "z")
+    got = [m.values for m in case.messages if isinstance(m, Reading) and m.kind == "magnetometer"]
+    np.testing.assert_allclose(got, 1e-4 * stack(case.topic(name), *axes), rtol=1e-9)
+
+
 def test_every_pressure(case: Case) -> None:
     topic = case.topic("vehicle_air_data")
     got = [m for m in case.messages if isinstance(m, Reading) and m.kind == "baro"]

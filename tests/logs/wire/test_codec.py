@@ -60,7 +60,9 @@ from models.messages import (
 )
 from models.state import E, X, retract
 
-ALL = Topics(baro=("/baro",), attitude=("/attitude",), odometry=("/odometry",))  # every input, the optional ones too
+ALL = Topics(
+    baro=("/baro",), magnetometer=("/mag",), heading=("/heading",), attitude=("/attitude",), odometry=("/odometry",)
+)  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
 
@@ -126,6 +128,10 @@ def inputs() -> list[Input]:
         OdometryDelta(T_NS, ARRIVED_NS, T_NS - 500_000_001, p, q, covariance(6), covariance(6, 7)[:, :2], epoch=3),
         OdometryDelta(T_NS, ARRIVED_NS, T_NS - 500_000_001, p, q, covariance(6)),
         OdometryPose(T_NS, ARRIVED_NS, p, q, "odom 2"),
+        Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5), 1e-14 * covariance(3)),
+        Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5)),
+        Reading(T_NS, ARRIVED_NS, "/heading", "heading", (-2.5,), np.eye(1) * 4e-4),
+        Reading(T_NS, ARRIVED_NS, "/heading", "heading", (3.0,)),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]

@@ -13,7 +13,7 @@ from estimator.service.mavlink.inputs import Inputs
 from logs.wire.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, Mode, Reading, vec3
+from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Mode, Reading, vec3
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -129,6 +129,39 @@ def test_a_pressure_is_in_pascal_and_reported_once() -> None:
     ]  # fmt: skip
     for off in (Inputs(MavlinkConfig(baro=False), Topics(baro=("/baro",)), 0.0), Inputs(MavlinkConfig(), Topics(), 0.0)):
         assert not any(isinstance(m, Reading) and m.kind == "baro" for m in off.measured(highres(950.25), T0, T0, codec.PX4))
+
+
+def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
+    highres = _over_the_wire(
+        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0.2, -0.1, 0.4, 0, 0, 0, 20.0, 63 | 448, id=0)
+    )
+    coarse = _over_the_wire(mavlink.MAVLink_raw_imu_message(5, 0, 0, -1000, 0, 0, 0, 200, -100, 400))
+    none = _over_the_wire(mavlink.MAVLink_raw_imu_message(6, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+    inputs = Inputs(MavlinkConfig(imu=False), Topics(magnetometer=("/mag",)), 0.0)
+    assert mavlink.MAVLINK_MSG_ID_HIGHRES_IMU in dict(inputs.requests(T0, codec.ARDUPILOT))
+    (read,) = inputs.measured(highres, T0, T0, codec.ARDUPILOT)
+    assert isinstance(read, Reading)
+    assert (read.topic, read.kind) == ("/mag", "magnetometer")
+    np.testing.assert_allclose(read.values, [2e-5, -1e-5, 4e-5], rtol=1e-6)
+    late = T0 + 4 * 10**9
+    assert mavlink.MAVLINK_MSG_ID_RAW_IMU in dict(inputs.requests(late, codec.ARDUPILOT))
+    inputs = Inputs(MavlinkConfig(), Topics(magnetometer=("/mag",)), 0.0)
+    list(inputs.requests(T0, codec.ARDUPILOT))
+    _, read = inputs.measured(coarse, late, late, codec.ARDUPILOT)
+    assert isinstance(read, Reading)
+    np.testing.assert_allclose(read.values, [2e-5, -1e-5, 4e-5], rtol=1e-6)
+    assert [type(m) for m in inputs.measured(none, late, late, codec.ARDUPILOT)] == [ImuSample]
+
+
+@pytest.mark.parametrize(("yaw", "degrees"), [(0, None), (65535, None), (36000, 360.0), (4500, 45.0)])
+def test_the_heading_of_two_antennas_is_given_or_not(yaw: int, degrees: float | None) -> None:
+    message = _over_the_wire(
+        mavlink.MAVLink_gps_raw_int_message(5, 6, 473977000, 85456000, 488000, 80, 120, 0, 0, 14, 536000, 0, 0, 0, 0, yaw=yaw)
+    )
+    inputs = Inputs(MavlinkConfig(gnss=False), Topics(heading=("/heading",)), 0.0)
+    assert mavlink.MAVLINK_MSG_ID_GPS_RAW_INT in dict(inputs.requests(T0, codec.ARDUPILOT))
+    read = [m for m in inputs.measured(message, T0, T0, codec.ARDUPILOT) if isinstance(m, Reading)]
+    assert [m.values for m in read] == ([] if degrees is None else [(pytest.approx(math.radians(degrees)),)])
 
 
 def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:

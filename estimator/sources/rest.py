@@ -1,0 +1,111 @@
+"""Rest: zero velocity, zero rotation, and the heading as it was when the rest began.
+
+The IMU finds it: for after_s neither rate nor specific force has wandered. The estimate confirms it: its velocity has to be
+known, and zero within the gate, or a car on a smooth road, an aircraft in calm air or a ship would stand still. At rest
+
+    0 = v + n_v,   w_mean = b_g + R_nb^T w_ie + n_w,   0 = psi - psi_0 + n_psi
+
+psi_0, the heading when the rest began, is estimated like the zero of a barometer: it has the errors that the estimate had then.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from estimator.sources.source import Aid, Refusal, SlowError, SourceRules, log_false, order
+from models import so3
+from models.measurements import Heading, Measurement
+from models.messages import Array
+from models.state import E, X
+
+TOPIC = "rest"
+BLOCK = f"{TOPIC}.heading"
+_ROWS = np.arange(7)
+_HEADING, _VELOCITY, _RATE = slice(0, 1), slice(1, 4), slice(4, 7)
+_WALK = 1e-12  # rad^2/s: of a heading that stays
+
+
+class RestConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """[rest]: zero-velocity and zero-rotation updates; for what stands on the ground, not what hovers or floats."""
+
+    enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
+    every_s: Annotated[float, Meta(ge=0.1, le=60, description="s: between two updates")] = 1.0
+    after_s: Annotated[float, Meta(ge=0.1, le=3600, description="s: of rest before the first update")] = 3.0
+    gyro: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: deviation over a second below which it may be at rest")] = (
+        0.01
+    )
+    accel: Annotated[float, Meta(ge=1e-6, le=100, description="m/s^2: deviation over a second below which it may be at rest")] = (
+        0.1
+    )
+    known_m_s: Annotated[
+        float, Meta(ge=1e-3, le=100, description="m/s: velocity sigma of the estimate above which nothing confirms a rest")
+    ] = 0.2
+    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
+    rate_sigma: Annotated[float, Meta(ge=1e-6, le=1, description="rad/s: of a vehicle at rest, mean of a second")] = 3e-4
+    heading_sigma_deg: Annotated[float, Meta(ge=1e-3, le=10, description="deg: by which its heading may have moved")] = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """psi_0 is near azimuth; gyro_b: mean rate (3,), rad/s; earth_n: rotation of the Earth in n, rad/s; noise (7, 7)."""
+
+    azimuth: float
+    gyro_b: Array
+    earth_n: Array
+    noise: Array
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _ROWS
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """nu = (wrap(azimuth - psi), -v, w - b_g - R^T w_ie). See Measurement."""
+        nu, h, earth_b = np.empty(7), np.zeros((7, E.SIZE)), so3.matrix(x[X.Q]).T @ self.earth_n
+        nu[_HEADING], h[_HEADING] = Heading(np.array([1.0, 0.0, 0.0]), self.azimuth, self.noise[:1, :1]).evaluate(x, gyro_b)
+        nu[_VELOCITY], h[_VELOCITY, E.V] = -x[X.V], np.eye(3)
+        nu[_RATE], h[_RATE, E.BG] = self.gyro_b - x[X.BG] - earth_b, np.eye(3)
+        h[_RATE, E.THETA] = so3.skew(earth_b)
+        return nu, h
+
+
+def _unmeasured(_: object) -> Measurement | Refusal | None:
+    return None
+
+
+def rest_aid(t_ns: int, config: RestConfig) -> Aid:
+    """The question whether the vehicle is at rest at t_ns, which the IMU samples before it answer."""
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=t_ns,
+        topic=TOPIC,
+        kind=TOPIC,
+        order=order(t_ns, TOPIC, TOPIC),
+        rules=config,
+        absolute=False,
+        log_false=log_false(config, [math.pi] + [10.0] * 3 + [1.0] * 3),
+        measurement=_unmeasured,
+        slow_errors=(SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK])),),
+        weighs=False,
+    )
+
+
+def is_quiet(u: Array, config: RestConfig) -> bool:
+    """Whether samples u (k, 6), gyro then accel, of a second are those of a vehicle at rest."""
+    deviation = u.std(axis=0)
+    return bool(deviation[:3].max() < config.gyro and deviation[3:].max() < config.accel)
+
+
+def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Rest:
+    """The measurement in samples u (k, 6)."""
+    sigmas = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3 + [config.rate_sigma] * 3
+    return Rest(azimuth, u[:, :3].mean(axis=0), earth_n, np.diag(np.square(sigmas)))
+
+
+def is_known(cov: Array, config: RestConfig) -> bool:
+    """Whether the velocity of P (n, n) is known well enough to confirm a rest."""
+    return bool(cov.diagonal()[E.V].max() < config.known_m_s**2)

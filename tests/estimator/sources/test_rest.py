@@ -1,0 +1,42 @@
+"""Rest as a measurement: its innovation and Jacobian, and which samples are quiet."""
+
+import numpy as np
+import pytest
+
+from estimator.sources.rest import RestConfig, at_rest, is_quiet
+from models import so3
+from models.messages import Array
+from models.state import E, X, retract
+
+EARTH_N = np.array([5e-2, 0.0, -6e-2])  # a thousand times as fast, so that its part of the Jacobian shows
+
+
+def _state(seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=X.SIZE)
+    x[X.Q] = so3.from_euler(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(-3.0, 3.0))
+    return x
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_at_rest_the_innovation_is_zero_and_the_jacobian_its_derivative(seed: int) -> None:
+    x = _state(seed)
+    x[X.V] = 0.0
+    rate = x[X.BG] + so3.matrix(x[X.Q]).T @ EARTH_N
+    z = at_rest(np.tile(np.r_[rate, 0.0, 0.0, -9.8], (50, 1)), so3.to_euler(x[X.Q])[2], EARTH_N, RestConfig())
+    nu, h = z.evaluate(x, np.zeros(3))
+    np.testing.assert_allclose(nu, 0.0, atol=1e-12)
+    for k in range(E.SIZE):
+        dx = np.zeros(E.SIZE)
+        dx[k] = 1e-6
+        change = (z.evaluate(retract(x, dx), np.zeros(3))[0] - z.evaluate(retract(x, -dx), np.zeros(3))[0]) / 2e-6
+        np.testing.assert_allclose(-change, h[:, k], atol=1e-7)
+
+
+def test_a_steady_rate_is_quiet_and_a_shake_is_not() -> None:
+    rng = np.random.default_rng(0)
+    quiet = rng.normal(scale=[2e-3] * 3 + [0.03] * 3, size=(50, 6))
+    assert is_quiet(quiet + np.array([0.1, 0.0, 0.0, 0.0, 0.0, -9.8]), RestConfig())
+    shaken = quiet.copy()
+    shaken[:, 4] += 0.3 * np.sin(np.arange(50))
+    assert not is_quiet(shaken, RestConfig())

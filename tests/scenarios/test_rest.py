@@ -1,0 +1,96 @@
+"""Rest: a vehicle that stands still keeps position and heading; what only looks at rest does not stop."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.rest import RestConfig
+from models.messages import Array, Estimate, ImuSample, Input, Reason
+from models.sim.scenario import EPOCH_NS
+from models.sim.sensors import GRADES, Imu
+from models.state import E
+from tests.estimator.scenes import Run, error, within
+from tests.estimator.senses import HOME, Ride, loops, ride
+
+MOVES_S, STANDS_S = 25.0, 90.0
+BEGINS_S = 2.0 + MOVES_S  # of the stand
+ON = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla, rest=RestConfig(enabled=True))
+OFF = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla)
+
+
+def _stop_and_go(t: Array) -> Array:
+    first, second = loops(np.minimum(t, MOVES_S)), loops(np.maximum(t - MOVES_S - STANDS_S, 0.0))
+    return first + np.where((t > MOVES_S + STANDS_S)[:, np.newaxis], second, 0.0)
+
+
+def _cruise(t: Array) -> Array:
+    """Loops, then straight on at 3 m/s, with the nose held."""
+    straight = np.column_stack([3.0 * np.maximum(t - MOVES_S, 0.0), np.zeros((len(t), 3))])
+    return loops(np.minimum(t, MOVES_S)) + straight
+
+
+def _imu() -> Imu:
+    return Imu(grade="hobby", rate_hz=50.0)
+
+
+@pytest.fixture(scope="module")
+def journey() -> Ride:
+    return ride(2.0, MOVES_S + STANDS_S + 20.0, seed=3, path=_stop_and_go, imu=_imu())
+
+
+def _dark(messages: list[Input], begin_s: float, end_s: float) -> list[Input]:
+    return [m for m in messages if isinstance(m, ImuSample) or not begin_s < (m.t_ns - EPOCH_NS) * 1e-9 < end_s]
+
+
+def _errors(run: Run, journey: Ride, begin_s: float, end_s: float) -> tuple[float, float]:
+    """Largest error of position [m], and mean NEES of position and attitude per component."""
+    some: list[Estimate] = within(run.aligned, begin_s, end_s)
+    nees, worst = [], 0.0
+    for e in some:
+        off = error(e, journey.truth)
+        worst = max(worst, float(np.linalg.norm(off[E.P])))
+        nees += [off[k] @ np.linalg.solve(e.covariance[k, k], off[k]) / 3.0 for k in (E.P, E.THETA)]
+    return worst, float(np.mean(nees))
+
+
+def _heading_sigma_deg(e: Estimate) -> float:
+    return math.degrees(math.sqrt(float(np.diag(e.covariance)[E.THETA].max())))
+
+
+def test_given_a_stand_without_gnss_then_position_and_heading_stay(journey: Ride) -> None:
+    dark = _dark(journey.messages, BEGINS_S + 10.0, BEGINS_S + STANDS_S)
+    on, off = Run(Fusion(ON)).feed(dark), Run(Fusion(OFF)).feed(dark)
+    assert on.internal_errors() == []
+    (kept_m, nees), (lost_m, _) = (_errors(run, journey, BEGINS_S + 70.0, BEGINS_S + 85.0) for run in (on, off))
+    assert kept_m < 1.5 < lost_m
+    assert nees < 2.5
+    assert on.reasons("rest")[Reason.FUSED] > STANDS_S - 10.0
+    begin, end = within(on.aligned, BEGINS_S + 8.0, BEGINS_S + 9.0)[0], within(on.aligned, BEGINS_S + 80.0, BEGINS_S + 85.0)[-1]
+    assert _heading_sigma_deg(end) < 1.1 * _heading_sigma_deg(begin)
+
+
+def test_given_that_it_moves_again_then_nothing_holds_it_back(journey: Ride) -> None:
+    run = Run(Fusion(ON)).feed(journey.messages)
+    worst, nees = _errors(run, journey, BEGINS_S + STANDS_S, BEGINS_S + STANDS_S + 18.0)
+    assert worst < 1.0
+    assert nees < 2.5
+    assert "rest" in run.health[-1].sources
+
+
+@pytest.mark.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
+def test_given_a_straight_cruise_that_feels_like_rest_then_it_is_not_stopped(is_dark: bool) -> None:
+    cruise = ride(2.0, MOVES_S + 40.0, seed=4, path=_cruise, imu=_imu())
+    messages = _dark(cruise.messages, BEGINS_S + 5.0, 1e9) if is_dark else cruise.messages
+    run = Run(Fusion(ON)).feed(messages)
+    assert run.internal_errors() == []
+    cruising = [s for s in run.last_words("rest").values() if s.t_ns > EPOCH_NS + (BEGINS_S + 5.0) * 1e9]
+    assert Reason.FUSED not in {s.reason for s in cruising}
+    assert Reason.GATED in {s.reason for s in cruising}
+    _, nees = _errors(run, cruise, BEGINS_S + 5.0, BEGINS_S + 38.0)
+    assert nees < 2.5
+
+
+def test_switched_off_nothing_is_asked(journey: Ride) -> None:
+    assert not Run(Fusion(OFF)).feed(journey.messages[:1000]).reasons("rest")
