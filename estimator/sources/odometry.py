@@ -40,7 +40,7 @@ _FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
-_SCALE_HOLDS_S = 600.0
+_SCALE_HOLDS_S, _DISPUTE_S = 600.0, 60.0
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
@@ -275,9 +275,18 @@ def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError
     return (SlowError(f"{delta.topic}.scale", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
-def slow_blocks(topic: str) -> tuple[str, str]:
+def disputed(topic: str, drift_m_s: float, seconds: float) -> SlowError:
+    """By so much its increments may be wrong, for as long as an outage lasts: considered."""
+    return SlowError(_dispute(topic), np.eye(_XYZ), _DISPUTE_S, np.eye(_SIX, _XYZ) * drift_m_s * seconds)
+
+
+def _dispute(topic: str) -> str:
+    return f"{topic}.disputed"
+
+
+def slow_blocks(topic: str) -> tuple[str, str, str]:
     """The blocks of errors that hold within an epoch."""
-    return f"{topic}.lasting", f"{topic}.scale"
+    return f"{topic}.lasting", f"{topic}.scale", _dispute(topic)
 
 
 def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
@@ -292,9 +301,13 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment of t_ns comes in. One that was found out comes back only beside a position, which vouches for the filter."""
-    state = state.arrive(rules, t_ns, alone=alone and state.held_until_ns == _NEVER)
-    return replace(state, held_until_ns=_NEVER) if state.phase is Phase.ACTIVE else state
+    """An increment of t_ns comes in. An odometry that positions have found out comes back only beside a position."""
+    was, drift = state.phase, state.drift_m_s
+    state = state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0))
+    if state.phase is not Phase.ACTIVE:
+        return replace(state, drift_m_s=drift)
+    is_cleared = not alone and was is not Phase.ACTIVE
+    return replace(state, held_until_ns=_NEVER, drift_m_s=0.0 if is_cleared else drift)
 
 
 def widest(state: SourceState, rules: SourceRules) -> float:
@@ -306,17 +319,24 @@ def widest(state: SourceState, rules: SourceRules) -> float:
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
-def judged(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, off: Array) -> SourceState:
-    """The increment passed its gate or not; off (k,): its innovations in sigma.
+def judged(
+    state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float
+) -> SourceState:
+    """The increment passed its gate or not; off (k,): its innovations in sigma; off_m_s: that of the translation, per second.
 
     It is stopped where they drift, in a sum that a single one cannot raise, also when it is alone: over the time of an increment
-    the IMU vouches for the filter.
+    the IMU vouches for the filter. Alone nobody knows which of the two is wrong: later increments may be as far off as this one.
     """
+    if state.phase is Phase.STARTING or state.drift_m_s:
+        state = replace(state, passed=state.passed + 1 if passed and not alone else 0)
     if state.phase is Phase.STARTING:
-        return replace(state, passed=state.passed + 1 if passed and not alone else 0)
+        return state
+    if state.drift_m_s and state.passed >= max(rules.probation, 1):
+        state = replace(state, passed=0, drift_m_s=0.0)
     if not rules.hold_s or state.phase is not Phase.ACTIVE:
         return state
     sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), rules.cusum_slack)
     if max(sums) > rules.cusum_limit:
-        return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
+        drift = max(state.drift_m_s, off_m_s) if alone else 0.0
+        return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=(), drift_m_s=drift)
     return replace(state, sums=sums)

@@ -239,6 +239,7 @@ class SourceState(msgspec.Struct, frozen=True):
     passed: int = 0  # in a row, while starting
     held_until_ns: int = _NEVER
     sums: tuple[float, ...] = ()
+    drift_m_s: float = 0.0  # of odometry that has contradicted the IMU with nobody to decide: by so much it may be wrong
 
     def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source."""

@@ -29,7 +29,7 @@ _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
 _BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
 _BREAK, _LOST = "no pose for {:.1f} s: begun anew", "the estimate has jumped since it began"
-_HELD = "held off: it contradicts the estimate"
+_HELD, _DISPUTED = "held off: it contradicts the estimate", "has contradicted the IMU: taken to be wrong by {:.2g} m/s"
 
 
 class Step(NamedTuple):
@@ -91,10 +91,16 @@ def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, stat
     """Compare, gate and fuse; afterwards no pose is kept for the topic."""
     block = clone_of(aid.topic)
     limit = gate(aid.rules.gate_probability, len(z.rows))
-    seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
-    if (first := seen[0]) is None:
+    if block not in bank.lead.clones:
         return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
+    seconds = (aid.t_ns - kept.t_ns) * 1e-9
+    if state.drift_m_s:
+        dispute = odometry.disputed(aid.topic, state.drift_m_s, seconds)
+        aid = replace(aid, slow_errors=(*aid.slow_errors, dispute))
+    seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
+    first = seen[0]
+    assert first is not None
     widest = odometry.widest(state, aid.rules)
     off = [None if s is None else np.abs(s.nu) / np.sqrt(s.s.diagonal()) for s in seen]
     passed = [
@@ -104,7 +110,8 @@ def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, stat
     was = state.phase
     moved = z.rows < _XYZ if (z.rows < _XYZ).any() else z.rows >= _XYZ
     drift = first.nu[moved] / np.sqrt(first.s.diagonal()[moved])
-    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=drift)
+    off_m_s = float(np.linalg.norm(first.nu[z.rows < _XYZ])) / seconds
+    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=drift, off_m_s=off_m_s)
     fused = was is Phase.ACTIVE and state.phase is Phase.ACTIVE and passed[0]
     if was is Phase.ACTIVE and state.phase is Phase.ACTIVE:
         _fuse(bank, aid, seen, passed)
@@ -118,7 +125,7 @@ def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, stat
     reason = Reason.FUSED if fused else Reason.GATED
     if not fused and passed[0]:
         reason = Reason.PROBATION if was is Phase.STARTING else Reason.STOPPED
-    said = _HELD if state.phase is Phase.STOPPED else ""
+    said = _HELD if state.phase is Phase.STOPPED else _DISPUTED.format(state.drift_m_s) if state.drift_m_s else ""
     return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
 
 

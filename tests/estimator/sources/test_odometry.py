@@ -142,7 +142,9 @@ def test_a_jump_leaves_the_line_by_more_than_a_vehicle_can() -> None:
 def _after(state: SourceState, off: float, times: int, *, alone: bool = True) -> SourceState:
     for k in range(times):
         state = odometry.arrived(state, PLAIN, T0 + k * SECOND // 2, alone=alone)
-        state = odometry.judged(state, PLAIN, T0 + k * SECOND // 2, alone=alone, passed=off < 5.0, off=np.array([off, 0.0]))
+        state = odometry.judged(
+            state, PLAIN, T0 + k * SECOND // 2, alone=alone, passed=off < 5.0, off=np.array([off, 0.0]), off_m_s=0.3
+        )
     return state
 
 
@@ -153,15 +155,29 @@ def test_one_outlier_stops_nothing_and_a_drift_does() -> None:
     assert _after(SourceState(), 100.0, 6).phase is Phase.STOPPED
 
 
-def test_what_was_stopped_comes_back_only_beside_a_position() -> None:
+def test_what_contradicted_the_imu_alone_comes_back_as_one_that_may_drift_as_much() -> None:
     held = _after(SourceState(), 100.0, 6)
+    assert held.drift_m_s == 0.3
+    assert odometry.arrived(held, PLAIN, T0 + 5 * SECOND, alone=True).phase is Phase.STOPPED
+    state = odometry.arrived(held, PLAIN, T0 + 14 * SECOND, alone=True)
+    assert state.phase is Phase.ACTIVE
+    assert state.drift_m_s == 0.3
+    for k in range(4):
+        state = odometry.arrived(state, PLAIN, T0 + (15 + k) * SECOND, alone=False)
+        state = odometry.judged(state, PLAIN, T0 + (15 + k) * SECOND, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
+    assert (state.phase, state.drift_m_s) == (Phase.ACTIVE, 0.0)
+
+
+def test_what_positions_have_stopped_comes_back_only_beside_a_position() -> None:
+    held = _after(SourceState(Phase.ACTIVE, silent_ns=2**62), 100.0, 6, alone=False)
+    assert held.phase is Phase.STOPPED
     later = T0 + 60 * SECOND
     state = held
     for k in range(20):
         state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=True)
-        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=True, passed=True, off=np.zeros(2))
+        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=True, passed=True, off=np.zeros(2), off_m_s=0.0)
     assert state.phase is not Phase.ACTIVE
     for k in range(20, 26):
         state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=False)
-        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=False, passed=True, off=np.zeros(2))
+        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
     assert state.phase is Phase.ACTIVE
