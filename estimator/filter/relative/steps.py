@@ -23,7 +23,7 @@ from estimator.sources.source import Phase, SourceState
 from models.messages import Reason
 from models.relative_pose import RelativePose
 
-_MOST_SAID = 2.0  # ln: c
+_MOST_SAID = 0.5  # ln: c
 _XYZ = 3
 _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"

@@ -131,7 +131,7 @@ def test_hypotheses_are_told_apart_by_little_and_each_fuses_what_it_foresaw() ->
     for f in (right, wrong):
         f.propagate(samples, samples.first_after(0), SECOND)
     steps.take(bank, end, kept, SourceState(Phase.ACTIVE, silent_ns=2**62), alone=False)
-    assert [m.weight for m in bank.members] == [0.0, -2.0]
+    assert [m.weight for m in bank.members] == [0.0, -0.5]
     assert wrong.x[X.V][0] > 4.5
 
 
