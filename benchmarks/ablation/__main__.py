@@ -1,4 +1,4 @@
-"""Predict and verify with one stage left out at a time: `python -m benchmarks.ablation [--sets ...] [--trials N] [--resume]`.
+"""Predict and verify with one stage left out at a time: `python -m benchmarks.ablation [--sets ...] [--stages ...] [--trials N]`.
 
 Every trial is drawn once and answered by the whole pipeline and by the pipeline without each stage. A stage that made no
 difference in a trial is not run again there. Printed are the differences to the whole pipeline: trials no longer recognised, or
@@ -30,6 +30,9 @@ def main() -> None:
         prog="python -m benchmarks.ablation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
+    parser.add_argument(
+        "--stages", nargs="+", metavar="NAME", help="that are left out, by their names in the table; default: each"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200, help="of each set; aerial sets may have fewer")
     parser.add_argument("--processes", type=int, default=1)
@@ -37,7 +40,11 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.trials < 1 or arguments.processes < 1:
         parser.error("--trials and --processes must be at least 1")
-    jobs = [(name, arguments.seed, number) for number in range(arguments.trials) for name in arguments.sets]
+    names = tuple(stage.name for stage in STAGES)
+    if unknown := set(arguments.stages or ()).difference(names):
+        parser.error(f"no stage {min(unknown)!r}: --stages takes {', '.join(map(repr, names))}")
+    stages = tuple(arguments.stages or names)
+    jobs = [(name, arguments.seed, number, stages) for number in range(arguments.trials) for name in arguments.sets]
     kept = OUT / f"outcomes_{arguments.seed}.jsonl"
     outcomes = run_jobs(jobs, run, Outcome, kept, processes=arguments.processes, resume=arguments.resume)
     sys.stdout.write(report(outcomes))
@@ -59,6 +66,8 @@ def table(title: str, outcomes: Sequence[Outcome]) -> Table:
     rows = [(WHOLE, str(n), f"{whole['recognised'] / n:.1%}", "", "", str(whole["wrong"]), "", "", f"{ms:.0f}")]
     for stage in STAGES:
         pairs = [(o.answers[WHOLE], o.answers[stage.name]) for o in outcomes if stage.name in o.answers]
+        if not pairs:
+            continue
         lost, gained = (sum(_is(a, b, "recognised") for a, b in some) for some in (pairs, [(b, a) for a, b in pairs]))
         fewer, more = (sum(_is(a, b, "wrong") for a, b in some) for some in (pairs, [(b, a) for a, b in pairs]))
         change = (gained - lost) / max(len(pairs), 1)

@@ -27,9 +27,9 @@ class Outcome(msgspec.Struct, frozen=True):
     answers: dict[str, Answer]
 
 
-def run(job: tuple[str, int, int]) -> Outcome:
-    """One trial by every variant."""
-    name, seed, number = job
+def run(job: tuple[str, int, int, tuple[str, ...]]) -> Outcome:
+    """One trial by the whole pipeline and without each of the stages named."""
+    name, seed, number, stages = job
     trial = drawn(next(s for s in SETS if s == name), seed, number)
     if trial is None:
         return Outcome("", {})
@@ -37,7 +37,7 @@ def run(job: tuple[str, int, int]) -> Outcome:
     with watched() as uses:
         whole = answered(trial)
     answers = {WHOLE: whole}
-    for stage in STAGES:
+    for stage in (one for one in STAGES if one.name in stages):
         use = uses[stage.name]
         if use.used:
             with left_out(stage):

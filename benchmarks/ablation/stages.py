@@ -79,7 +79,6 @@ SEARCH = (
     Stage("finer levels", coarse_search.Search, "_sizes", lambda f, s: f(s)[-1:], lambda r, _: len(r) > 1),
     Stage("second step at a level", coarse_search.Search, "_climb", lambda _, _s, _level, at, _n: at, lambda r, a: r is not a[2]),
     Stage("small landmarks again", fit.Fitter, "fit", _not_among, lambda _, a: len(a) > 5, saves=False),
-    Stage("two more positions in doubt", predict, "_MOST_TRIED", lambda _: 1),
     Stage("nearer and farther", predict, "nearer_and_farther", lambda *_: [], lambda r, _: bool(r)),
     Stage("position from one landmark", fit.Fitter, "fit_one", lambda *_: None, lambda r, _: r is not None),
     Stage("second round", fit.Fitter, "joined", lambda *a: a[5], lambda r, a: r is not a[4]),

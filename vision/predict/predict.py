@@ -40,7 +40,6 @@ PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the position lies farther off nothing is found
 _MOST_STEPS = 12  # positions that may be fitted beside a position
 _DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a position that is not sure is fitted as well
-_MOST_TRIED = 3  # positions that are fitted if the best one is not sure; all that are nearly as good are in any case
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -173,8 +172,8 @@ class PredictPath:
         if flaw := verify.flaw(evidence, v):
             return _Refused("not_found", flaw)
         likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
-        places = candidates[: max(likely, _MOST_TRIED)]
-        tried = [self._fit(pictures, marks, place, prior) for place in places[:likely]]
+        places = candidates[:likely]
+        tried = [self._fit(pictures, marks, place, prior) for place in places]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
             places = [*places, *nearer_and_farther(marks, best, self._trusted(best), prior)]

@@ -411,7 +411,7 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
     assert wrong == [False, True]
 
 
-@pytest.mark.parametrize(("kind", "number"), [("turned", 47), ("shifted", 71)])
+@pytest.mark.parametrize(("kind", "number"), [("shifted", 71)])
 def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int) -> None:
     """Odds of 3.5 and 2.9, 2.8 and 4.0, of one roof that lies on something else in both pictures, 20 and 8 m off."""
     view, pictures, prior, _ = decoy(101, number, kind)
