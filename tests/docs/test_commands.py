@@ -47,8 +47,9 @@ RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), n
 NOT_RUN = {
     "make px4_sitl ": "PX4", "param set ": "PX4 and ArduPilot", "commander ": "PX4", "failure ": "PX4", "listener ": "PX4",
     "sim_vehicle.py ": "ArduPilot", "mode ": "ArduPilot", "arm ": "ArduPilot", "takeoff ": "ArduPilot", "rc ": "ArduPilot",
-    "reboot": "ArduPilot",
+    "reboot": "ArduPilot", "param fetch": "ArduPilot",
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
+    "landfix doctor -c examples/ardupilot_sitl.toml --autopilot ": "needs a simulator",
     "landfix report out/sitl/": "of a flight in a simulator", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
     "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",

@@ -76,6 +76,9 @@ def _over_mavlink(folder: Path, endpoint: str) -> Iterator[tuple[Daemon, Mavlink
         until(lambda: len(daemon.mailbox) == 0, "all is handled")
 
 
+NEEDED = {105.0, 24.0, 30.0, 2.0}  # IMU, GNSS, attitude, system time; a coarse IMU where a busy machine makes the first one late
+
+
 def _asked(autopilot: Autopilot) -> set[float]:
     """The messages that were asked for."""
     return {m.param1 for m in autopilot.of("COMMAND_LONG")}
@@ -104,15 +107,14 @@ def test_an_autopilot_that_reboots_is_understood_from_its_fifth_message_on(tmp_p
         flight.until(lambda: ears.hears(Mode.AIDED), "it flies")
         autopilot.listen(0.5)  # it boots, and says nothing
         autopilot.booted_ns, booted_ns = time.monotonic_ns() - SECOND, daemon._clock.now_ns()
-        asked = _asked(autopilot)
+        assert _asked(autopilot) >= NEEDED
         autopilot.heard.clear()
         flight.until(lambda: ears.hears(Mode.AIDED, booted_ns), "it flies on")
-        flight.until(lambda: _asked(autopilot) == asked, "all is asked for again")
+        flight.until(lambda: _asked(autopilot) >= NEEDED, "all is asked for again")
         flight.until(lambda: autopilot.of("ODOMETRY"), "it is sent again")
         dropped, reboots = _dropped(link), link.report()["reboots"]
     (log,) = logs_of(tmp_path)
     assert reboots == 1
-    assert len(asked) == 4  # IMU, GNSS, attitude, system time
     assert len(records(log, "/imu")) >= flight.samples - (BELIEVED_AT - 1) - dropped
     assert _assert_consistent(log, text)[-1].t_ns > booted_ns
 
