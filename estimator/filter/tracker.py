@@ -291,6 +291,8 @@ class Tracker:
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
+        if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
+            return Decision(refusal.reason, detail=refusal.detail)
         z = self._rest(aid, samples) if aid.kind == rest.TOPIC else aid.measurement(self.origin)
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
@@ -312,7 +314,7 @@ class Tracker:
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
             self.absolute |= {aid.topic}
-        gyro_b = self._gyro(samples) if isinstance(z, Velocity) else _NO_RATE  # no other measurement asks for it
+        gyro_b = self._gyro(samples) if aid.uses_rate else _NO_RATE  # no other measurement asks for it
         self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):

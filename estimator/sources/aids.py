@@ -17,8 +17,10 @@ from estimator.sources.landmark import landmark_aid
 from estimator.sources.magnetometer import MagnetometerConfig
 from estimator.sources.odometry import OdometryConfig, increment_aid, odometry_pose_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
+from estimator.sources.range import RangeConfig
 from estimator.sources.rest import RestConfig
 from estimator.sources.source import Aid, Refusal, SensorRules
+from estimator.sources.velocity_body import VelocityBodyConfig
 from models.messages import (
     AttitudePrior,
     GnssFix,
@@ -40,6 +42,8 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     pose_fix: PoseConfig = PoseConfig()
     landmark_fix: LandmarkFixConfig = LandmarkFixConfig()
     baro: BaroConfig = BaroConfig()
+    velocity_body: VelocityBodyConfig = VelocityBodyConfig()
+    range: RangeConfig = RangeConfig()
     rest: RestConfig = RestConfig()
     heading: HeadingConfig = HeadingConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()

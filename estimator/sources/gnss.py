@@ -144,6 +144,7 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         absolute=False,
         log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
         measurement=lambda _: z,
+        uses_rate=True,
         receiver=velocity.topic.rpartition("/")[0] or None,  # /gnss/velocity comes from /gnss
         assumed=_NO_ACCURACY.format(f"velocity_sigma_m_s {config.velocity_sigma_m_s:g}") if is_assumed else "",
     )

@@ -78,7 +78,7 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
         year = round(year_of(reading.t_ns), 1)
 
         @cache  # a measurement that comes late has others done again
-        def measurement(origin: Origin | None) -> Heading | Refusal | None:
+        def measurement(origin: Origin | None) -> Heading | None:
             return self._heading(m_b, origin, year)
 
         seen = Heading(m_b, 0.0, np.zeros((1, 1)))
@@ -101,20 +101,27 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             measurement=measurement,
             slow_errors=(iron,) * (self.hard_iron_sigma_ut > 0) + (place,) * (self.slow_sigma_deg > 0),
             weighs=False,
+            check=lambda origin: self._check(m_b, origin, year),
         )
 
-    def _heading(self, m_b: Array, origin: Origin | None, year: float) -> Heading | Refusal | None:
+    def _check(self, m_b: Array, origin: Origin | None, year: float) -> Refusal | None:
+        """Whether the field is as strong as the Earth's is there."""
+        if origin is None:
+            return None
+        strength, expected = float(np.linalg.norm(m_b)), math.hypot(*field_n(origin, year))
+        if abs(strength / expected - 1.0) <= self.strength_within:
+            return None
+        found = f"a field of {strength / _UT:.0f} uT, {expected / _UT:.0f} expected"
+        return Refusal(
+            Reason.IMPLAUSIBLE, f"{found}: iron or currents near it, or [magnetometer] offset_ut and scale are missing"
+        )
+
+    def _heading(self, m_b: Array, origin: Origin | None, year: float) -> Heading | None:
         """The field in the body's axes against the one that is expected; None: neither origin nor declination is known."""
         noise, given = np.array([[math.radians(self.sigma_deg) ** 2]]), self.declination_deg
         if origin is None:
             return None if given is None else Heading(m_b, math.radians(given), noise)
         north, east, down = field_n(origin, year)
-        strength, expected = float(np.linalg.norm(m_b)), math.hypot(north, east, down)
-        if abs(strength / expected - 1.0) > self.strength_within:
-            found = f"a field of {strength / _UT:.0f} uT, {expected / _UT:.0f} expected"
-            return Refusal(
-                Reason.IMPLAUSIBLE, f"{found}: iron or currents near it, or [magnetometer] offset_ut and scale are missing"
-            )
         azimuth = math.atan2(east, north) if given is None else math.radians(given)
         elevation = -math.atan2(down, math.hypot(north, east))
         return Heading(m_b, azimuth, noise, elevation, math.radians(self.inclination_within_deg))

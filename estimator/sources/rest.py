@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.source import Aid, Refusal, SlowError, SourceRules, log_false, order
+from estimator.sources.source import Aid, SlowError, SourceRules, log_false, order
 from models import so3
 from models.measurements import Heading, Measurement
 from models.messages import Array
@@ -73,7 +73,7 @@ class Rest:
         return nu, h
 
 
-def _unmeasured(_: object) -> Measurement | Refusal | None:
+def _unmeasured(_: object) -> Measurement | None:
     return None
 
 

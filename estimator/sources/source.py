@@ -67,7 +67,8 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
     accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
     whose considered errors are larger than the rest: the next one says the same; begin: of a measurement over some time, what
-    takes a place of its own in the order where that time begins.
+    takes a place of its own in the order where that time begins; check(origin): why it is none at that place; uses_rate: the
+    angular rate takes part.
     """
 
     t_ns: int
@@ -78,7 +79,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     rules: SourceRules
     absolute: bool
     log_false: float
-    measurement: "Callable[[Origin | None], Measurement | Refusal | None]"
+    measurement: Callable[[Origin | None], Measurement | None]
     slow_errors: "tuple[SlowError, ...]" = ()
     geodetic: tuple[float, float, float] | None = None
     receiver: str | None = None
@@ -87,6 +88,8 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     assumed: str = ""
     log_misled: float | None = None
     weighs: bool = True
+    uses_rate: bool = False
+    check: "Callable[[Origin | None], Refusal | None] | None" = None
     begin: "Aid | None" = None
 
     @property

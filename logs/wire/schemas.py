@@ -15,6 +15,7 @@ NAV_SAT_FIX: Final = "sensor_msgs/msg/NavSatFix"
 TWIST: Final = "geometry_msgs/msg/TwistWithCovarianceStamped"
 POSE_FIX: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 PRESSURE: Final = "sensor_msgs/msg/FluidPressure"
+RANGE: Final = "sensor_msgs/msg/Range"
 MAGNETIC_FIELD: Final = "sensor_msgs/msg/MagneticField"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
@@ -214,7 +215,7 @@ def type_hash(name: str) -> str:
 SCHEMAS: Final = {
     name: schema_text(name)
     for name in (
-        HEADER, IMU, NAV_SAT_FIX, TWIST, POSE_FIX, PRESSURE, MAGNETIC_FIELD, ODOMETRY, POSE, TF, DIAGNOSTICS, IMAGE,
+        HEADER, IMU, NAV_SAT_FIX, TWIST, POSE_FIX, PRESSURE, MAGNETIC_FIELD, RANGE, ODOMETRY, POSE, TF, DIAGNOSTICS, IMAGE,
         COMPRESSED_IMAGE, CAMERA_INFO, *LANDFIX_MSGS,
     )
 }  # fmt: skip

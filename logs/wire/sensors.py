@@ -23,6 +23,10 @@ class SensorTopics(msgspec.Struct, frozen=True):
     """[inputs] of the optional sensors: off until a topic is named."""
 
     baro: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/FluidPressure; none: no barometer is used")] = ()
+    velocity_body: Annotated[
+        _Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, FLU; none: none is used")
+    ] = ()
+    range: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Range, downwards; none: none is used")] = ()
     heading: Annotated[
         _Topics, Meta(description="topics of sensor_msgs/msg/Imu whose orientation is that of two antennas; none: none is used")
     ] = ()
@@ -85,6 +89,32 @@ def _azimuth_message(reading: Reading) -> dict[str, Any]:
     }
 
 
+def _velocity(message: Any) -> _Values:
+    v = message.twist.twist.linear
+    covariance = _known(message.twist.covariance, 3)
+    return axes.body((v.x, v.y, v.z)), None if covariance is None else axes.body_covariance(covariance)
+
+
+def _velocity_message(reading: Reading) -> dict[str, Any]:
+    x, y, z = reading.values
+    covariance = np.zeros((6, 6))
+    if reading.covariance is not None:
+        covariance[:3, :3] = axes.body_covariance(reading.covariance)
+    make: Any = schemas.STORE.types
+    twist = make["geometry_msgs/msg/Twist"](linear=vector(axes.body((x, y, z))), angular=vector((0.0, 0.0, 0.0)))
+    return {"twist": make["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=covariance.ravel())}
+
+
+def _range(message: Any) -> _Values:
+    """REP 117: infinite is out of range; so is what is outside the limits of the message."""
+    is_within = message.min_range <= message.range <= message.max_range
+    return (message.range if is_within else math.inf,), None
+
+
+def _range_message(reading: Reading) -> dict[str, Any]:
+    return {"radiation_type": 1, "field_of_view": 0.0, "min_range": 0.0, "max_range": 1e4, "range": reading.values[0]}
+
+
 def _pressure(reading: Reading) -> dict[str, Any]:
     variance = 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
     return {"fluid_pressure": reading.values[0], "variance": variance}
@@ -92,6 +122,8 @@ def _pressure(reading: Reading) -> dict[str, Any]:
 
 SENSORS: Final = {  # kind -> its message
     "baro": Sensor("/baro", schemas.PRESSURE, lambda m: ((m.fluid_pressure,), np.array([[m.variance]])), _pressure),
+    "velocity_body": Sensor("/velocity_body", schemas.TWIST, _velocity, _velocity_message),  # m/s
+    "range": Sensor("/range", schemas.RANGE, _range, _range_message),  # m; infinite without an echo
     "heading": Sensor("/heading", schemas.IMU, _azimuth, _azimuth_message),  # rad, clockwise from north
     "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla
 }

@@ -236,11 +236,20 @@ def _azimuth(message: Any) -> tuple[float, ...] | None:
     return None if message.yaw in {0, _UNKNOWN} else (math.radians(1e-2 * message.yaw),)
 
 
+def _range(message: Any) -> tuple[float, ...] | None:
+    """Of a range finder that looks down, cm; outside its limits there is no echo."""
+    if message.orientation != mavlink.MAV_SENSOR_ROTATION_PITCH_270:
+        return None
+    is_within = message.min_distance <= message.current_distance <= message.max_distance
+    return (1e-2 * message.current_distance if is_within else math.inf,)
+
+
 # Message -> the sensors whose readings it carries: kind, and values as logs/wire/sensors.py has them, None where there are none.
 SENSORS: Final[dict[str, dict[str, Callable[[Any], tuple[float, ...] | None]]]] = {
     "HIGHRES_IMU": {"baro": _pressure, "magnetometer": _field},
     "RAW_IMU": {"magnetometer": _coarse_field},
     "SCALED_IMU": {"magnetometer": _coarse_field},
+    "DISTANCE_SENSOR": {"range": _range},
     "GPS_RAW_INT": {"heading": _azimuth},
     "GPS2_RAW": {"heading": _azimuth},
 }

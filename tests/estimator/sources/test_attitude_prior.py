@@ -18,7 +18,7 @@ from models import so3
 from models.frames import GRAVITY, Origin
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Pose
-from models.messages import AttitudePrior, GnssFix, ImuSample, Input, Reason, vec3
+from models.messages import AttitudePrior, GnssFix, ImuSample, Input, Reading, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, same, simulated
@@ -86,12 +86,13 @@ def test_a_late_prior_leads_where_a_punctual_one_does() -> None:
 
 
 def test_a_real_flight_begins_with_its_first_position(landfix_data: Path) -> None:
-    """A copter that stands: without a prior its heading shows a minute after the first fix, in the air."""
+    """A copter that stands: without prior and magnetometer its heading shows a minute after the first fix, in the air."""
     recording = dataflash.read(landfix_data / "native_logs/ardupilot_log171.bin")
     text = recording.settings.toml("dataflash", Path("log.bin"), tuple(s.topic for s in recording.streams))
     config = parse(text)
     assert config.inputs.attitude == ("/attitude",)
-    messages = [m for m in recording if not isinstance(m, Truth)]
+    everything = [m for m in recording if not isinstance(m, Truth)]
+    messages = [m for m in everything if not (isinstance(m, Reading) and m.kind == "magnetometer")]
     first_fix = next(m for m in messages if isinstance(m, GnssFix) and m.status >= 0)
     run = Run(Fusion(config.fusion())).feed(m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND)
     assert 0 < run.aligned[0].t_ns - first_fix.t_ns < 3 * SECOND
@@ -99,6 +100,11 @@ def test_a_real_flight_begins_with_its_first_position(landfix_data: Path) -> Non
         m for m in messages if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND and not isinstance(m, AttitudePrior)
     )
     assert not without.aligned
+    by_field = Run(Fusion(config.fusion())).feed(
+        m for m in everything if m.arrived_ns < first_fix.arrived_ns + 10 * SECOND and not isinstance(m, AttitudePrior)
+    )
+    assert 0 < by_field.aligned[0].t_ns - first_fix.t_ns < 3 * SECOND
+    assert by_field.reasons("/mag")[Reason.FUSED] > 5
 
 
 def _without_motion(rate: float, duration_s: float = 6.0) -> list[Input]:

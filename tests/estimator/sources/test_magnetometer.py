@@ -28,7 +28,8 @@ def _aid(field_b: Array, config: MagnetometerConfig | None = None) -> Aid | Refu
 def _heading(field_b: Array, config: MagnetometerConfig | None = None) -> Heading | Refusal | None:
     aid = _aid(field_b, config)
     assert isinstance(aid, Aid), aid
-    z = aid.measurement(HOME)
+    assert aid.check is not None
+    z = aid.check(HOME) or aid.measurement(HOME)
     assert isinstance(z, Heading | Refusal)
     return z
 

@@ -1,0 +1,95 @@
+"""Range to the ground: height above flat ground, along the body's down axis.
+
+    z cos(tilt) = -p_d + s_0 + n,   cos(tilt) = e_d^T R_nb e_z
+
+-s_0: height of the ground above the origin. It is unknown, so that the first reading sets it, and walks with the terrain; where
+ground_m gives it, the range is that above it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from models import so3
+from models.measurements import Conditional
+from models.messages import Array, Reading, Reason
+from models.state import E, X
+
+_FIRST = np.arange(1)
+_DOWN_B = np.array([0.0, 0.0, 1.0])
+_FALSE_HEIGHT_M = 50.0
+_Height: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e5)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeDown(Conditional):
+    """z_m above ground of height ground_m; noise (1, 1); steepest: tilt beyond which it is not used, rad."""
+
+    z_m: float
+    ground_m: float
+    noise: Array
+    steepest: float
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _FIRST
+
+    def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
+        """nu = z R_dz + ground + p_d;  H_pd = -1, H_theta = z e_d^T R [e_z]x. See Measurement."""
+        down_b, h = so3.matrix(x[X.Q])[2], np.zeros((1, E.SIZE))
+        h[0, E.P.stop - 1] = -1.0
+        h[0, E.THETA] = self.z_m * (down_b @ so3.skew(_DOWN_B))
+        return np.array([self.z_m * down_b[2] + self.ground_m + x[X.P][2]]), h
+
+    def objection(self, x: Array) -> str:
+        """See Conditional."""
+        tilt = math.acos(min(max(float(so3.matrix(x[X.Q])[2, 2]), -1.0), 1.0))
+        return f"tilted by {math.degrees(tilt):.0f} deg" if tilt > self.steepest else ""
+
+
+class RangeConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+    """[range]: a range finder that looks down; it is used where [inputs] range names a topic."""
+
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.02
+    fault_s: Annotated[
+        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (a roof, a tree)")
+    ] = 10.0
+    spacing_s: Annotated[
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 0.2
+    ground_m: Annotated[
+        _Height | None,
+        Meta(description="m: height of the flat ground above the origin; none: that of the first reading, drifting"),
+    ] = None
+    sigma_m: Annotated[float, Meta(ge=1e-3, le=100, description="m: of a reading, the ground's roughness included")] = 0.2
+    sigma_share: Annotated[float, Meta(ge=0, le=1, description="ratio: of the range, added")] = 0.01
+    terrain_m_sqrt_s: Annotated[float, Meta(ge=1e-6, le=1000, description="m/sqrt(s): by which the ground rises and falls")] = 0.5
+    steepest_deg: Annotated[float, Meta(ge=0, le=89, description="deg: tilt beyond which it is not used")] = 30.0
+
+    def aid(self, reading: Reading) -> Aid | Refusal:
+        """A range [m] as a measurement of height."""
+        z_m = reading.values[0]
+        if z_m <= 0.0:
+            return Refusal(Reason.IMPLAUSIBLE, f"a range of {z_m:.3g} m")
+        noise = np.array([[self.sigma_m**2 + (self.sigma_share * z_m) ** 2]])
+        z = RangeDown(z_m, self.ground_m or 0.0, noise, math.radians(self.steepest_deg))
+        walk = np.array([self.terrain_m_sqrt_s**2])
+        ground = SlowError(f"{reading.topic}.ground", np.zeros((1, 1)), math.inf, np.ones((1, 1)), walk)
+        return Aid(
+            t_ns=reading.t_ns,
+            arrived_ns=reading.arrived_ns,
+            topic=reading.topic,
+            kind=reading.kind,
+            order=order(reading.t_ns, reading.kind, reading.topic, z_m),
+            rules=self,
+            absolute=False,
+            log_false=log_false(self, [_FALSE_HEIGHT_M]),
+            measurement=lambda _: z,
+            slow_errors=(ground,) * (self.ground_m is None),
+        )
