@@ -153,9 +153,11 @@ def row(scored: Scored, note: str = "") -> tuple[str, ...]:
     nees = scored.nees.mean(axis=0).tolist()
     values = (
         float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]),
-        float(np.degrees(rms(scored.errors[:, 3:]))), *nees, float(inliers), float(np.median([step.residual_scale for step in good])),
+        float(np.degrees(rms(scored.errors[:, 3:]))), *nees, float(inliers),
+        float(np.median([step.residual_scale for step in good])),
     )  # fmt: skip
-    return (f"{scored.name} {note}".strip(), str(len(scored.steps)), str(scored.lost), *(number(v) for v in values))
+    counts = str(len(scored.steps)), str(scored.lost)
+    return (f"{scored.name} {note}".strip(), *counts, *(number(v) for v in values))
 
 
 def rms(e: Array) -> float:

@@ -44,7 +44,7 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 class OdometrySettings:
     """points: corners of a key frame. disparity_sigma_px: at least, of the rig's calibration.
 
-    Of the ground: relief_m: how far its mean lies off the given height, roughness_m: how far points lie off it, slope_deg: its tilt.
+    Of the ground: relief_m: its mean against the given height, roughness_m: points against their mean, slope_deg: its tilt.
     """
 
     points: int = 140

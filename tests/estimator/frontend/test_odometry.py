@@ -105,6 +105,7 @@ def test_a_request_gives_an_increment_and_a_report() -> None:
     assert report.topic == ODOMETRY_REPORT_TOPIC
     assert isinstance(delta, OdometryDelta)
     assert (delta.t0_ns, delta.t_ns) == (T0_NS, T1_NS)
+    assert delta.systematic is not None
     total = delta.covariance[:3, :3] + (delta.systematic @ delta.systematic.T)[:3, :3]
     off = delta.dp_b - scene.truth()[0]
     assert off @ np.linalg.solve(total, off) < 16.3
