@@ -1,135 +1,60 @@
 """Which measurements are true? A few filters side by side, each with its own answer, weighed by the evidence.
 
-One filter with a gate cannot tell a false fix after an outage, when almost anything passes, from the true ones that contradict
-it later: it keeps the lie and locks the truth out. So the decision stays open while it is open:
+One filter with a gate cannot separate a false fix after an outage, when almost anything passes, from the true ones that
+contradict it later: it keeps the false one and locks the true ones out. So the decision stays open while it is open:
 
 * a fix is fused although a false reading would explain it nearly as well (as after an outage): a *sceptic* goes on without it,
   and without whatever agrees with it;
-* a fix fails the gate: a *believer* goes on with it.
-
-A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
-sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are told with the chance that
-they are a look-alike, until that is less than 1 in 10,000: 500 m with a chance of 1 in a million make no ellipsoid of use.
+* a fix fails the gate: a *believer* goes on with it;
+* a receiver may be misled for long: one goes on *without* it (left_out.py).
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
 
-j: who believes in the source; e is the share of false readings, u their uniform density, tau how long a fault that repeats
-itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin
-a reading must be better foretold as the last falsehood than as true, where a gate was all that spoke against the last one.
+j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density, tau: how long a fault
+that repeats itself lasts. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By
+the same margin a reading must be better predicted as the last false one than as true, where a gate was all that spoke against
+the last one.
 
-A receiver (GNSS) may be misled for minutes, slowly, by an error that all of its readings share. So where the leading hypothesis
-fuses it and another absolute source, one goes on *without* it. That one takes no reading of the receiver, and none is evidence
-for or against it. Each fix may raise it by ln 1/e at most; its weight stays above ln(1 - trust). A fix that it takes and the
-leading one refuses is a conflict: both count alike in the covariance until it is decided. (Solution separation: Blanch et al.,
-Baseline advanced RAIM user algorithm, 2015, sec. IV.)
+A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
+sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
+that they are a look-alike, until that is less than 1 in 10,000: 500 m with a chance of 1 in a million make no ellipsoid of use.
+
+Readings of a receiver are no evidence for or against the hypothesis without it. Each fix may raise that one by ln 1/e at most;
+its weight stays above ln(1 - trust). A fix that a hypothesis takes and the leading one refuses is a conflict of sources: both
+count alike in the covariance until it is decided, and once decided it is not open again while other sources confirm the leading
+one.
 
 A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
-believed in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to reset_after_s),
-sooner when it has long been unaided. A cluster of consistent lies that is shorter does not win. (Multiple hypothesis tracking;
-Blackman and Popoli 1999, ch. 16.)
+accepted in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to reset_after_s),
+sooner when it has long been unaided. A cluster of consistent false fixes that is shorter does not win. (Multiple hypothesis
+tracking; Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.hypotheses import left_out
+from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
+from estimator.filter.hypotheses.innovation import innovation
+from estimator.filter.hypotheses.left_out import AGREES, LEFT_OUT_S
+from estimator.filter.hypotheses.mixture import covariance, ln_sum
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models.measurements import Measurement
 from models.messages import Array
-from models.relative_pose import RelativePose
-from models.state import E, X, local
+from models.state import X
 
-_N = E.SIZE  # compiled code reads plain integers
-_OF_STATE = (slice(0, _N), slice(0, _N))  # of P
-MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
-_MOST = 4  # hypotheses at a time
-_HALF_TURN = 3.14  # rad
+_MOST = 4  # hypotheses at a time, those without a receiver not counted
 _MARGIN = 3.0  # ln: by which another must be better
-_FORGET = 20.0  # ln: further behind than this, a hypothesis is dropped
-_SHOWS = 9.2  # ln 10,000: further behind, it is not told in the covariance; a gate refuses one in as many good readings
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
-_LEAST_CONTRADICTION_S = 2.0  # s: contradiction shorter than this never wins
-_LEAST_PATIENCE_S = 5.0  # s: nor one shorter than this against a hypothesis that is being aided
-_TRUST_FADES_S = 10.0  # s: without an absolute fix for so long, the filter itself is doubted twice as fast
-_LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
+_LEAST_CONTRADICTION_S = 2.0  # contradiction shorter than this never wins
 _TINY = 1e-9
-_AGREES = 0.5  # share of good fixes that are so near
-_SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
-
-
-@dataclass(slots=True)
-class Doubt:
-    """A hypothesis disbelieves a source: since the fix at last_ns at least; deliberate: though the fix passed the gate."""
-
-    last_ns: int
-    deliberate: bool
-
-
-@dataclass(slots=True, eq=False)
-class Hypothesis:
-    """One filter and the logarithm of its weight.
-
-    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break;
-    parted_ns: when it last differed from the leading one; doubts: what it disbelieves, by topic; benefit: ln, of the doubt that a
-    sceptic stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that
-    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
-    topics that it rejects since a conflict that it has won.
-    """
-
-    filter: Eskf
-    weight: float = 0.0
-    fused_ns: int = 0
-    established_ns: int = 0
-    parted_ns: int = 0
-    doubts: dict[str, Doubt] = field(default_factory=dict)
-    benefit: float = 0.0
-    without: str = ""
-    least: float = -math.inf
-    decided: frozenset[str] = frozenset()
-
-    def copy(self) -> "Hypothesis":
-        """An independent hypothesis in the same state."""
-        doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
-        return replace(self, filter=self.filter.copy(), doubts=doubts)
-
-    def note_fused(self, t_ns: int) -> None:
-        """A position was fused."""
-        if (t_ns - self.fused_ns) * 1e-9 > _LEAST_PATIENCE_S:
-            self.established_ns = t_ns
-        self.fused_ns = t_ns
-
-    @property
-    def rejected(self) -> set[str]:
-        """Topics whose last reading was false to it, or that it leaves out."""
-        return {topic for topic, doubt in self.doubts.items() if not doubt.deliberate or topic == self.without}
-
-    def matters_beside(self, lead: "Hypothesis") -> bool:
-        """It may still lead, or it shows in the covariance."""
-        return self.weight > lead.weight - _FORGET or self.shows_beside(lead)
-
-    def shows_beside(self, lead: "Hypothesis") -> bool:
-        """It is likely enough for the covariance to tell of it."""
-        if self.without and not self.benefit:
-            return False
-        return self.weight + self.benefit > lead.weight - _SHOWS
-
-    def has_settled(self, t_ns: int) -> bool:
-        """It has agreed with the leading hypothesis for so long that there is no question any more."""
-        return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
-
-    def patience_s(self, t_ns: int, most_s: float) -> float:
-        """How long consistent contradiction must last: as long as the hypothesis itself has stood, less when it is unaided."""
-        stood_s = (self.fused_ns - self.established_ns) * 1e-9
-        unaided_s = (t_ns - self.fused_ns) * 1e-9
-        return min(max(stood_s, _LEAST_PATIENCE_S), most_s) / (1.0 + unaided_s / _TRUST_FADES_S)
 
 
 class Verdict(NamedTuple):
@@ -170,22 +95,8 @@ class Hypotheses:
         return self.members[0].filter
 
     def covariance(self) -> Array:
-        """Of the leading state's error, (15, 15): sum of w_k (P_k + d_k d_k^T), d_k = x_k (-) x, over all that is told."""
-        lead = self.members[0]
-        if len(self.members) == 1:  # most of the time
-            cov, factor = lead.filter.cov[_OF_STATE], lead.filter.variance_factor
-            return cov.copy() if factor == 1.0 else _scaled(cov, factor)
-        shown = [lead, *(m for m in self.members[1:] if m.shows_beside(lead))]
-        weights = [math.exp(m.weight + m.benefit) for m in shown]
-        total, whole = np.zeros((E.SIZE, E.SIZE)), sum(weights)
-        for weight, member in zip(weights, shown, strict=True):
-            _mix(
-                total,
-                weight / whole,
-                member.filter.cov,
-                local(lead.filter.x, member.filter.x) / math.sqrt(lead.filter.variance_factor),
-            )
-        return _scaled(total, lead.filter.variance_factor)
+        """Of the leading state's error, (15, 15), with all hypotheses that are likely enough."""
+        return covariance(self.members)
 
     @property
     def conflict(self) -> tuple[frozenset[str], float] | None:
@@ -226,15 +137,15 @@ class Hypotheses:
                 if fits:
                     member.filter.update(by_member)
             return Verdict(seen[0], limit, passed[0], passed[0], foreseen=any(passed))
-        if vouched and passed[0] and self._leave_out(aid):
+        if vouched and passed[0] and left_out.add(self.members, aid):
             seen.append(seen[0])
             passed.append(True)
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
-        # Position and velocity of one receiver are false together: to who doubts the position, its velocity is no more news.
-        by_receiver = self._told([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
+        # One receiver gives true positions and velocities or false ones: its velocity is no evidence where its position is doubted.
+        by_receiver = self._predicted([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
         fused = [False] * len(seen)
 
         def answer(k: int) -> float:
@@ -257,7 +168,8 @@ class Hypotheses:
             else:  # no other one follows the receiver: it is judged again
                 member.without = ""
                 answer(k)
-        self._begin_again(aid, fused, believer, agrees=seen[0].distance2 <= gate(_AGREES, len(z.rows)))
+        agrees = seen[0].distance2 <= gate(AGREES, len(z.rows))
+        left_out.begin_again(self.members, aid, fused, believer, agrees=agrees)
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
@@ -266,18 +178,6 @@ class Hypotheses:
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 
-    def _leave_out(self, aid: Aid) -> bool:
-        """Whether from now on a hypothesis goes on without this receiver, which may be misled for long."""
-        lead = self.members[0]
-        if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in self.members):
-            return False
-        other = lead.copy()
-        other.weight = other.least = aid.log_misled
-        other.without, other.parted_ns = aid.topic, aid.t_ns
-        other.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
-        self.members.append(other)
-        return True
-
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
         """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
         member = self.members[k]
@@ -285,19 +185,6 @@ class Hypotheses:
             return
         member.weight += min(0.0, gained.get(0, 0.0) - math.log(aid.rules.false_share) - gained[k])
         member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
-
-    def _begin_again(self, aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
-        """A hypothesis without a receiver that refuses a fix begins again as the leading one or the believer that takes it."""
-        for member, was_fused in zip(self.members, fused, strict=True):
-            if not member.without or member is self.members[0] or not aid.absolute or member.without == aid.witness:
-                continue
-            if was_fused and not (agrees and fused[0]):
-                continue
-            if fused[0] or believer is not None:
-                right = self.members[0] if fused[0] else believer
-                assert right is not None
-                member.filter, member.fused_ns = right.filter.copy(), aid.t_ns
-                member.doubts.pop(aid.topic, None)
 
     def leave(self, topic: str) -> None:
         """The receiver has been found out: the hypothesis without it leads, where there is one."""
@@ -334,16 +221,16 @@ class Hypotheses:
     def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool]) -> list[float | None]:
         """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.
 
-        Those who believe in the source say what it reads next, each with his weight: so who disbelieves never gains on them. No
-        hypothesis is made about a reading that is not absolute, so there who believes in it again speaks too: it must not be news
-        that only those pay for who do not foresee it.
+        The hypotheses that take the source for true predict its next reading, each with its weight: so the others never gain on
+        them. No hypothesis is made about a reading that is not absolute, so there those predict too that take it for true
+        again: it must not be evidence against those alone that do not predict it.
         """
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
         fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.fault_s if doubt else 0.0 for doubt in doubts]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
-        told = self._told(believe, seen)
+        predicted = self._predicted(believe, seen)
         again = [
             j
             for j, doubt in enumerate(doubts)
@@ -351,13 +238,13 @@ class Hypotheses:
             and doubt
             and not doubt.deliberate
             and not aid.absolute
-            and told + fades[j] <= seen[j].log_likelihood + _MARGIN
+            and predicted + fades[j] <= seen[j].log_likelihood + _MARGIN
         ]
-        told_by_all = self._told(believe + again, seen)
-        agreement = [(told if passed[k] else told_by_all) + fade for k, fade in enumerate(fades)]
+        predicted_by_all = self._predicted(believe + again, seen)
+        agreement = [(predicted if passed[k] else predicted_by_all) + fade for k, fade in enumerate(fades)]
         return [a if doubt and a > -math.inf else None for a, doubt in zip(agreement, doubts, strict=True)]
 
-    def _told(self, by: list[int], seen: list[Innovation]) -> float:
+    def _predicted(self, by: list[int], seen: list[Innovation]) -> float:
         """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
         if not by:
             return -math.inf
@@ -379,8 +266,8 @@ class Hypotheses:
     ) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
 
-        doubted: weight of the heaviest sceptic that there is already; by_receiver: ln of the density of a velocity to those who
-        believe in its receiver's positions, -inf where nobody does; lead_refuses: the leading hypothesis took it for false.
+        doubted: weight of the heaviest sceptic that there is already; by_receiver: ln of the density of a velocity to those that
+        take its receiver's positions for true, -inf without any; lead_refuses: the leading hypothesis took it for false.
         """
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
@@ -395,7 +282,7 @@ class Hypotheses:
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
             may_doubt = aid.absolute and (k == 0 or not member.without)
-            if may_doubt and margin < _FORGET and member.weight + true - margin > doubted:
+            if may_doubt and margin < FORGET and member.weight + true - margin > doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
@@ -410,10 +297,8 @@ class Hypotheses:
                 member.note_fused(aid.t_ns)
                 behind = self.members[0].weight - member.weight
                 member.decided -= {aid.topic}
-                if (
-                    lead_refuses and behind < _FORGET and not self._is_decided(aid)
-                ):  # until it is decided, the covariance covers both
-                    member.benefit = max(member.benefit, behind)
+                if lead_refuses and behind < FORGET and not self._is_decided(aid):
+                    member.benefit = max(member.benefit, behind)  # until it is decided, the covariance covers both
             return True
         member.weight += aid.log_false
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
@@ -468,7 +353,7 @@ class Hypotheses:
             lead = best
             lead.benefit = 0.0
             self.switches += 1
-        kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < _LEFT_OUT_S]
+        kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
         others = [m for m in others if not m.without and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
         self.members = [lead, *others[: _MOST - 1], *kept]
@@ -491,56 +376,4 @@ class Hypotheses:
     def _is_decided(self, aid: Aid) -> bool:
         """The leading hypothesis has won against this source, and other ones still confirm it: it is not in question again."""
         lead = self.members[0]
-        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < _LEFT_OUT_S
-
-
-def _scaled(cov: Array, factor: float) -> Array:
-    """f P (15, 15); an attitude has no sigma beyond half a turn."""
-    if factor == 1.0:
-        return cov
-    scaled = factor * cov
-    sigma = math.sqrt(max(scaled.diagonal()[E.THETA].tolist()))
-    if sigma > _HALF_TURN:
-        scaled[E.THETA] *= _HALF_TURN / sigma
-        scaled[:, E.THETA] *= _HALF_TURN / sigma
-    return scaled
-
-
-def ln_sum(terms: list[float]) -> float:
-    """ln of the sum of exp(terms)."""
-    top = max(terms)
-    return top + math.log(sum(math.exp(term - top) for term in terms))
-
-
-@njit(cache=True)
-def _mix(total: Array, weight: float, cov: Array, off: Array) -> None:
-    """Add weight (P + d d^T) of the 15 error states to total (15, 15), in place; cov: (n, n), off: d (15,)."""
-    for i in range(_N):
-        for j in range(_N):
-            total[i, j] += weight * (cov[i, j] + off[i] * off[j])
-
-
-def clone_of(topic: str) -> str:
-    """The block of the pose that is kept for an odometry."""
-    return f"{topic}.kept"
-
-
-def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
-    """The measurement seen from one filter, with its slow errors."""
-    carried = [(slow.block, slow.moves(eskf.x)) for slow in aid.slow_errors]
-    if isinstance(z, RelativePose):
-        kept = clone_of(aid.topic)
-        z = z.since(eskf.clones[kept])
-        carried.append((kept, z.by_origin(eskf.x)))
-    eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
-    for slow, block in zip(aid.slow_errors, carried, strict=False):  # a kept pose, behind them, is there
-        known = eskf.slow.columns.get(slow.block)
-        if known and known.stop - known.start != len(slow.covariance):  # told otherwise than before: another error
-            eskf.forget(slow.block)
-        if slow.block not in eskf.slow.columns:
-            if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
-                eskf.forget(oldest)
-            eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
-            if slow.walk is not None and not slow.starts_at_zero:
-                eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
-    return eskf.innovation(z, gyro_b, carried)
+        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S

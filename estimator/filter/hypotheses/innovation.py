@@ -1,0 +1,35 @@
+"""A measurement seen from one filter, with the systematic errors that it carries."""
+
+from estimator.filter.eskf import Eskf, Innovation
+from estimator.sources.source import Aid
+from models.measurements import Measurement
+from models.messages import Array
+from models.relative_pose import RelativePose
+
+MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
+
+
+def clone_of(topic: str) -> str:
+    """The block of the pose that is kept for an odometry."""
+    return f"{topic}.kept"
+
+
+def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
+    """The measurement seen from one filter, with its slow errors."""
+    carried = [(slow.block, slow.moves(eskf.x)) for slow in aid.slow_errors]
+    if isinstance(z, RelativePose):
+        kept = clone_of(aid.topic)
+        z = z.since(eskf.clones[kept])
+        carried.append((kept, z.by_origin(eskf.x)))
+    eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
+    for slow, block in zip(aid.slow_errors, carried, strict=False):  # a kept pose, behind them, is there
+        known = eskf.slow.columns.get(slow.block)
+        if known and known.stop - known.start != len(slow.covariance):  # of another size than before: another error
+            eskf.forget(slow.block)
+        if slow.block not in eskf.slow.columns:
+            if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
+                eskf.forget(oldest)
+            eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
+            if slow.walk is not None and not slow.starts_at_zero:
+                eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
+    return eskf.innovation(z, gyro_b, carried)

@@ -1,0 +1,39 @@
+"""Hypotheses without a receiver: one goes on without GNSS, which may be misled for minutes by an error that all readings share.
+
+It takes no reading of the receiver, and with each fix that confirms the leading hypothesis it begins again as that one, so that
+it is never older than the last confirmation. (Solution separation: Blanch et al., Baseline advanced RAIM user algorithm, 2015,
+sec. IV.)
+"""
+
+from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis
+from estimator.sources.source import Aid
+
+LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
+AGREES = 0.5  # share of good fixes that are near enough to confirm
+
+
+def add(members: list[Hypothesis], aid: Aid) -> bool:
+    """Whether from now on a hypothesis goes on without the receiver of this fix."""
+    lead = members[0]
+    if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
+        return False
+    other = lead.copy()
+    other.weight = other.least = aid.log_misled
+    other.without, other.parted_ns = aid.topic, aid.t_ns
+    other.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
+    members.append(other)
+    return True
+
+
+def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
+    """After a fix of another source: as the leading one where that fused it and agrees, or where this one refused it.
+
+    Where both refused it: as the believer, which took it. fused: by each member.
+    """
+    right = members[0] if fused[0] else believer
+    if right is None or not aid.absolute:
+        return
+    for member, was_fused in zip(members[1:], fused[1:], strict=True):
+        if member.without and member.without != aid.witness and (not was_fused or (agrees and fused[0])):
+            member.filter, member.fused_ns = right.filter.copy(), aid.t_ns
+            member.doubts.pop(aid.topic, None)
