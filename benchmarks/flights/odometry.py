@@ -2,7 +2,7 @@
 
 python -m benchmarks.flights.odometry                            all variants on all flights (some minutes on one core)
 python -m benchmarks.flights.odometry --variants none poses      only these
-python -m benchmarks.flights.odometry --flights MH_03_medium --every 10 --config odometry.toml
+python -m benchmarks.flights.odometry --flights MH_03_medium --every 5 --config odometry.toml
 
 One pass through each flight with a fix every half second; from every few seconds of it a copy of the estimator goes on without
 fixes for up to 60 s. Its error, NEES/3 and the share inside the 95 % ellipsoid are those of the position after 10, 30 and 60 s.
@@ -264,7 +264,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", nargs="+", metavar="NAME")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
-    parser.add_argument("--every", type=float, default=10.0, metavar="S", help="an outage begins every so many seconds")
+    parser.add_argument("--every", type=float, default=15.0, metavar="S", help="an outage begins every so many seconds")
     parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the task's own")
     parser.add_argument("--verbose", action="store_true", help="a table for each flight")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_odometry")

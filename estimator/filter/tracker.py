@@ -239,6 +239,11 @@ class Tracker:
             found.append(conflict)
         if self.is_aligned and self.without_sensor is not None:
             found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
+        found += [
+            f"{topic} and the IMU have contradicted each other: each may be wrong by {s.drift_m_s:.2g} m/s"
+            for topic, s in sorted(self.sources.items())
+            if s.drift_m_s
+        ]
         if (f := self.variance_factor.value) >= _WORTH_SAYING:
             found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
         return found

@@ -106,6 +106,7 @@ def test_a_scale_that_goes_wrong_in_an_outage_is_held_and_reported(simulation: S
     assert stopped
     assert {h.sources[TOPIC] for h in run.health if h.t_ns > stopped[0].t_ns} == {"stopped", "active"}
     assert "contradicted the IMU" in run.statuses[-1].detail
+    assert "contradicted each other" in run.health[-1].detail
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
