@@ -10,8 +10,8 @@ import msgspec
 from msgspec import Meta
 
 from estimator import strict_toml
+from estimator.filter.alignment import InitialiseConfig
 from estimator.filter.bounds import BoundsConfig
-from estimator.filter.initialise import InitialiseConfig
 from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig

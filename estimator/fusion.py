@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from estimator.filter.alignment import FilterConfig, TrackerConfig
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf
 from estimator.filter.history import Entry, History
-from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
+from estimator.filter.tracker import Tracker
 from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
 from estimator.sources.rest import rest_aid

@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from estimator.filter.initialise import InitialiseConfig
+from estimator.filter.alignment import InitialiseConfig
 from estimator.fusion import FusionConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import PoseConfig

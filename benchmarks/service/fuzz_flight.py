@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.service.fuzz_messages import BEGIN_NS, SECOND, Datagram, flight
 from benchmarks.service.vehicle import ORIGIN
 from estimator.config import parse
+from estimator.filter.alignment import Decision
 from estimator.filter.history import Entry, History
-from estimator.filter.tracker import Decision
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
 from estimator.service.autopilot.output_policy import Handover

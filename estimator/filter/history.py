@@ -19,8 +19,9 @@ before it and passes it over from then on.
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
+from estimator.filter.alignment import Decision
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.tracker import Decision, Tracker
+from estimator.filter.tracker import Tracker
 from estimator.sources.source import Aid
 from models.messages import ImuSample, Reason
 

@@ -22,9 +22,10 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.filter.alignment import FilterConfig, TrackerConfig
 from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.tracker import FilterConfig, Tracker, TrackerConfig
+from estimator.filter.tracker import Tracker
 from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
 from estimator.sources.odometry import OdometryAid

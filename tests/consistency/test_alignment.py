@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.campaign.runs import error_of, normalised_squared
-from estimator.filter.initialise import InitialiseConfig
+from estimator.filter.alignment import InitialiseConfig
 from estimator.fusion import FusionConfig
 from estimator.sources.gnss import GnssConfig
 from estimator.sources.pose import PoseConfig

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from estimator.filter.alignment import Decision
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.history import History
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.tracker import Decision, Tracker
+from estimator.filter.tracker import Tracker
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.source import Aid
 from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason

@@ -144,7 +144,7 @@ class Hypotheses:
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
-        # A receiver's positions and velocities are true or false together: where the former are doubted, the latter are no evidence.
+        # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
         by_receiver = self._predicted([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
         fused = [False] * len(seen)
 

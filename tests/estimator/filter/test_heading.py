@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimator.filter.heading import from_course
-from estimator.filter.initialise import InitialiseConfig, level
+from estimator.filter.alignment.heading import from_course
+from estimator.filter.alignment.initialise import InitialiseConfig, level
 from estimator.frontend.requests import Track
 from estimator.fusion import Fusion, FusionConfig
 from estimator.service.autopilot.output_policy import newest

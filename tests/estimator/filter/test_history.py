@@ -9,10 +9,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from estimator.filter.alignment import Decision, InitialiseConfig, TrackerConfig
 from estimator.filter.history import History
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.initialise import InitialiseConfig
-from estimator.filter.tracker import Decision, Tracker, TrackerConfig
+from estimator.filter.tracker import Tracker
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.sources.pose import PoseConfig
 from estimator.sources.source import Aid

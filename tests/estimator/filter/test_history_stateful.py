@@ -9,9 +9,9 @@ from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from estimator.filter.alignment import InitialiseConfig, TrackerConfig
 from estimator.filter.history import History
-from estimator.filter.initialise import InitialiseConfig
-from estimator.filter.tracker import Tracker, TrackerConfig
+from estimator.filter.tracker import Tracker
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise
 from models.messages import ImuSample, Reason

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.filter.initialise import (
+from estimator.filter.alignment.initialise import (
     InitialiseConfig,
     Level,
     aligned,

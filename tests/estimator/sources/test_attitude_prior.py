@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.config import parse
-from estimator.filter.initialise import InitialiseConfig, agrees, start_from_pose
+from estimator.filter.alignment.initialise import InitialiseConfig, agrees, start_from_pose
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.aids import aid_of
 from estimator.sources.source import Aid, Refusal

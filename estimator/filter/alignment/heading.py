@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.filter import initialise
+from estimator.filter.alignment import initialise
+from estimator.filter.alignment.initialise import InitialiseConfig, Level
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.initialise import InitialiseConfig, Level
 from estimator.filter.relinearise import Stretch
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid

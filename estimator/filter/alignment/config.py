@@ -1,0 +1,32 @@
+"""What filter, smoother and tracker are configured with."""
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from estimator.filter.alignment.initialise import InitialiseConfig
+from estimator.filter.bounds import BoundsConfig
+from estimator.sources.aids import SourcesConfig
+from models.frames import Origin
+from models.imu import Coast, ImuNoise
+
+
+class FilterConfig(SourcesConfig, frozen=True, kw_only=True):
+    """What filter and smoother are configured with; origin is (lat_deg, lon_deg, alt_m) or None."""
+
+    imu: ImuNoise = ImuNoise()
+    coast: Coast = Coast()
+    initialise: InitialiseConfig = InitialiseConfig()
+    origin: tuple[float, float, float] | None = None
+
+
+class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What a tracker is made with; origin None: the first GNSS fix becomes the origin."""
+
+    imu: ImuNoise
+    coast: Coast
+    initialise: InitialiseConfig
+    origin: Origin | None
+    dead_reckoning_after_s: Annotated[float, Meta(gt=0)] = 3.0
+    bounds: BoundsConfig = BoundsConfig()
