@@ -1,4 +1,4 @@
-"""The whole way on real images: a log of IMU and pairs of EuRoC MH_01 whose pose fixes end, replayed with odometry and without."""
+"""The whole way on real images: a log of IMU and pairs of EuRoC MH_01 whose fixes end, replayed with odometry and without."""
 
 import gzip
 from pathlib import Path
