@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.flights.tasks import data_folder
+from benchmarks.odometry import outage as outages
 from benchmarks.odometry import sets
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
@@ -141,7 +142,23 @@ def speed() -> list[Table]:
     return [Table("Processor time, ms a pair", ("size", "frame p50", "step p50", "both p50", "both p99"), rows)]
 
 
-TABLES = {"recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed}
+def outage() -> list[Table]:
+    """Estimator and visual odometry together on real images and IMU."""
+    if not (data_folder() / "odometry").is_dir():
+        return []
+    columns = (
+        "s after the last fix",
+        "without: error m",
+        "1-sigma",
+        "with odometry: error m",
+        "1-sigma",
+        "4 s dark: error m",
+        "1-sigma",
+    )
+    return [Table("Outage, EuRoC MH_01 hand-held, through the estimator", columns, outages.run(OUT / "outage"))]
+
+
+TABLES = {"recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed, "outage": outage}
 
 
 def row(scored: Scored, note: str = "") -> tuple[str, ...]:

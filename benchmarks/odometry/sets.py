@@ -63,7 +63,7 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
     with gzip.open(folder / "truth.csv.gz") as file:
         truth = np.loadtxt(file, delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
-    frames = [Frame(t, _pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
+    frames = [Frame(t, pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
     return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0))
 
 
@@ -186,7 +186,7 @@ def _orthonormal(R: Array) -> Array:
     return turned
 
 
-def _pose_at(truth: Array, t: float) -> Pose:
+def pose_at(truth: Array, t: float) -> Pose:
     """Between the two nearest rows t, p, v, q."""
     i = int(np.clip(np.searchsorted(truth[:, 0], t), 1, len(truth) - 1))
     a, b = truth[i - 1], truth[i]
