@@ -137,6 +137,8 @@ class Hypotheses:
                 if fits:
                     member.filter.update(by_member)
             return Verdict(seen[0], limit, passed[0], passed[0], foreseen=any(passed))
+        if passed[0]:
+            left_out.end(self.members[0], aid)
         if vouched and passed[0] and left_out.add(self.members, aid):
             seen.append(seen[0])
             passed.append(True)

@@ -9,6 +9,7 @@ from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis
 from estimator.sources.source import Aid
 
 LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
+_UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
 AGREES = 0.5  # share of good fixes that are near enough to confirm
 
 
@@ -23,6 +24,13 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     other.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
     members.append(other)
     return True
+
+
+def end(lead: Hypothesis, aid: Aid) -> None:
+    """The leading hypothesis follows the receiver again when nothing else confirms it and a position is inside its gate."""
+    if aid.absolute and lead.without == aid.topic and (aid.t_ns - lead.fused_ns) * 1e-9 > _UNAIDED_S:
+        lead.without = ""
+        lead.doubts.pop(aid.topic, None)
 
 
 def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
