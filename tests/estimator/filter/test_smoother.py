@@ -144,7 +144,7 @@ def test_it_ends_as_the_filter_does() -> None:
 def test_odometry_is_left_out() -> None:
     """An increment links two nodes, which a backward pass over 15 states cannot take."""
     simulation = flight(1)
-    odometry = [*increments(simulation, 2.0, 8.0), *poses(simulation, 2.0, 8.0)]
+    odometry: list[Input] = [*increments(simulation, 2.0, 8.0), *poses(simulation, 2.0, 8.0)]
     with_odometry = smooth([*simulation.messages, *odometry], parse(simulation.config_toml).fusion())
     assert with_odometry.nav.tobytes() == smoothed(1).nav.tobytes()
 
