@@ -46,8 +46,8 @@ _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
 _NO_ERRORS: tuple[SlowError, ...] = ()
 
-_Row: TypeAlias = Literal["x", "y", "z", "roll", "pitch", "yaw"]
-_NAMES: tuple[_Row, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
+Row: TypeAlias = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+_NAMES: tuple[Row, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
 _Rows: TypeAlias = NDArray[np.intp]
 
 
@@ -73,7 +73,7 @@ class OdometryConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     )
     longest_s: Annotated[float, Meta(ge=0.02, le=60, description="s: an increment over more time than this is not used")] = 3.0
     rows: Annotated[
-        tuple[_Row, ...],
+        tuple[Row, ...],
         Meta(description="of poses, what is measured: x y z forward, right, down, and roll pitch yaw; wheels: x, y and yaw"),
     ] = _NAMES
     position_sigma_m: Annotated[float, Meta(ge=1e-4, le=100, description="m: white error of an increment, at least")] = 0.005

@@ -4,12 +4,15 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from estimator.fusion import FusionConfig
+from estimator.sources.odometry import OdometryConfig, Row
 from models.messages import ImuSample, Input, Mode, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
 from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
-from tests.estimator.scenes import Run, by_arrival, error, fly, position_errors, simulated, within
+from tests.estimator.scenes import Run, by_arrival, config_of, error, fly, position_errors, simulated, within
 
 FLIGHT = """
 duration_s = 80.0
@@ -30,11 +33,11 @@ def simulation() -> Simulation:
     return simulated(FLIGHT, seed=4)
 
 
-def _with(simulation: Simulation, odometry: Iterable[Input] = ()) -> Run:
+def _with(simulation: Simulation, odometry: Iterable[Input] = (), config: FusionConfig | None = None) -> Run:
     """The flight without positions since LOST_S."""
     lost_ns = EPOCH_NS + round(LOST_S * 1e9)
     kept = [m for m in simulation.messages if isinstance(m, ImuSample) or m.t_ns < lost_ns]
-    return fly(simulation, messages=by_arrival([*kept, *odometry]))
+    return fly(simulation, config, by_arrival([*kept, *odometry]))
 
 
 def _ratio(run: Run, simulation: Simulation, start_s: float, end_s: float) -> float:
@@ -63,6 +66,19 @@ def test_poses_in_a_frame_of_their_own_do_the_same(simulation: Simulation) -> No
     fused = [s for s in run.statuses if s.topic == TOPIC and s.reason is Reason.FUSED]
     assert 110 <= len(fused) <= 130  # of 650 poses
     assert not run.internal_errors()
+
+
+def test_some_components_alone_help_as_far_as_they_go(simulation: Simulation) -> None:
+    """Translation without rotation, as wheels or optical flow give it, and its forward component alone."""
+    alone = position_errors(_with(simulation).estimates[-1:], simulation.truth)[0]
+    rows: tuple[Row, ...] = ("x", "y", "z")
+    for given, limit in ((rows, 2.0), (rows[:1], 0.8 * alone)):
+        config = replace(config_of(simulation), odometry=OdometryConfig(rows=given))
+        run = _with(simulation, poses(simulation, 15.0, END_S), config)
+        fused = [s for s in run.statuses if s.topic == TOPIC and s.reason is Reason.FUSED]
+        assert {len(s.innovation) for s in fused} == {len(given)}
+        assert position_errors(run.estimates[-1:], simulation.truth)[0] < limit
+        assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
 def test_another_frame_begins_anew(simulation: Simulation) -> None:

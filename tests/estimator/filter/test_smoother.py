@@ -12,6 +12,7 @@ from models.messages import Array, Estimate, ImuSample, Input
 from models.sim.scenario import EPOCH_NS, Simulation, simulate
 from models.sim.scenario_file import loads
 from models.state import E, NavState, X, local, retract
+from tests.estimator.filter.relative.odometers import increments, poses
 
 SEEDS = range(20)
 OUTAGE_S = (12.0, 24.0)
@@ -138,6 +139,14 @@ def test_it_ends_as_the_filter_does() -> None:
     np.testing.assert_array_equal(s.nav[-1], last.nav)
     np.testing.assert_array_equal(s.covariance[-1], last.covariance)
     np.testing.assert_allclose(s.gyro_b[-1], last.gyro_b, atol=1e-15)
+
+
+def test_odometry_is_left_out() -> None:
+    """An increment links two nodes, which a backward pass over 15 states cannot take."""
+    simulation = flight(1)
+    odometry: list[Input] = [*increments(simulation, 2.0, 8.0), *poses(simulation, 2.0, 8.0)]
+    with_odometry = smooth([*simulation.messages, *odometry], parse(simulation.config_toml).fusion())
+    assert with_odometry.nav.tobytes() == smoothed(1).nav.tobytes()
 
 
 def test_nodes_stand_at_every_fix_and_every_tenth_of_a_second() -> None:
