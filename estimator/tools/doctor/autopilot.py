@@ -86,7 +86,7 @@ def _ardupilot(answers: Answers, config: Config) -> Iterator[Check]:
 
 
 def _receiver(p: _Parameters, config: Config) -> Iterator[Check]:
-    """Fixes are those of a receiver, beside the true one."""
+    """Fixes are those of a second receiver."""
     has = any(p.get(name) == _MAVLINK for name in _RECEIVERS)
     advice = "set GPS2_TYPE 14 (before 4.6: GPS_TYPE2), and reboot: GPS_INPUT is taken by such a receiver only"
     yield judge("receiver for GPS_INPUT", "yes" if has else "none of type 14", fail=not has, advice=advice)
