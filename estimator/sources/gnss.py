@@ -76,7 +76,7 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=1, description="probability that the receiver is not misled (spoofed) for long; 1: never questioned")
     ] = 0.99
     slow_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: slow part of the position error, horizontal; 0: none")] = (
-        0.5
+        1.5
     )
     slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of the slow part")] = 60.0
 
