@@ -100,7 +100,7 @@ def _outcome(report: Encoded) -> str:
 
 def _kernels() -> set[tuple[str, str]]:
     """Name and signature of every kernel that is compiled or loaded in this process."""
-    found = (d for d in gc.get_objects() if isinstance(d, Dispatcher))
+    found: list[Any] = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
     return {(f"{d.__module__}.{d.__name__}", str(signature)) for d in found for signature in d.signatures}
 
 
