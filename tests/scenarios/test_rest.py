@@ -12,7 +12,7 @@ from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
 from tests.estimator.scenes import Run, error, within
-from tests.estimator.senses import HOME, Ride, loops, ride
+from tests.scenarios.senses import HOME, Ride, loops, ride
 
 MOVES_S, STANDS_S = 25.0, 90.0
 BEGINS_S = 2.0 + MOVES_S  # of the stand

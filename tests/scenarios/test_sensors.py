@@ -12,7 +12,7 @@ from models.sim.scenario import EPOCH_NS, Truth
 from models.sim.sensors import GRADES
 from models.state import E, X
 from tests.estimator.scenes import Run, by_arrival, error, within
-from tests.estimator.senses import HOME, Ride, heading, magnetometer, ride
+from tests.scenarios.senses import HOME, Ride, heading, magnetometer, ride
 
 REST_S, MOVING_S = 12.0, 25.0
 CONFIG = FusionConfig(imu=GRADES["flight_controller"].noise, origin=HOME.lla)

@@ -17,7 +17,7 @@ LOOK = """
 import hashlib
 import numpy as np
 from vision.pose.observation import distance_from_roof
-from vision.outline.profiles import search
+from vision.outline.edge_search import search
 
 rng = np.random.default_rng(1)
 picture = rng.integers(60, 100, (480, 640, 3), dtype=np.uint8)

@@ -19,7 +19,7 @@ from models import so3
 from models.camera import Mount, StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.outline import profiles, step_fit
+from vision.outline import edge_search, profiles, roof_colour, step_fit
 from vision.outline.edge_lines import EdgeLines, compress, lines_of
 from vision.outline.visibility import Kind, ModelEdges, Prisms, visible_edges
 from vision.pose import small_landmarks
@@ -200,7 +200,7 @@ def _looked(
             image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, search
         )
         usable &= ~hidden
-        offsets = profiles.search(distance, edge, len(kind), 1.0, usable)
+        offsets = edge_search.search(distance, edge, len(kind), 1.0, usable)
         opened[k] = 0.0
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
@@ -301,11 +301,11 @@ def distance_from_roof(
     something covers (N,); ends (2 E, 2) px of the edges.
     """
     roof = kind == _ROOF
-    usable = seen & ~profiles.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
+    usable = seen & ~edge_search.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
     values = profiles.profiles(image, px, normal, half, 1.0, 1, usable)
     beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
-    hidden = profiles.covered(values, beside, edge, landmark, roof, usable)
-    distance = profiles.off_roof(values, beside, edge, roof, usable)
+    hidden = roof_colour.covered(values, beside, edge, landmark, roof, usable)
+    distance = roof_colour.off_roof(values, beside, edge, roof, usable)
     return distance, usable, hidden
 
 
@@ -319,7 +319,7 @@ def _roof_beside(
     """
     inside = usable & (roof & raised)[edge]
     interior = profiles.profiles(image, px - (half + _DEEPER_PX) * normal, normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
-    return profiles.roof_beside(values, interior, inside, edge, landmark, roof, usable)
+    return roof_colour.roof_beside(values, interior, inside, edge, landmark, roof, usable)
 
 
 def _fit_steps(
@@ -329,12 +329,12 @@ def _fit_steps(
     """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
     count, roof, reach = len(kind), kind == _ROOF, half + _BESIDE_PX
     near = np.abs(gap) < reach  # base edges there are fitted along with the roof edge
-    usable = seen & ~profiles.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)
+    usable = seen & ~edge_search.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)
     usable &= ~((kind == _BASE) & near)[edge]
     values = profiles.profiles(image, px, normal, half, 1.0, 3, usable)
     beside = _roof_beside(image, values, px, normal, edge, landmark, roof, raised, half, usable)
-    usable &= ~profiles.covered(values, beside, edge, landmark, roof, usable)
-    usable &= ~(raised & profiles.alien(values, beside, edge, roof, usable))[edge]
+    usable &= ~roof_colour.covered(values, beside, edge, landmark, roof, usable)
+    usable &= ~(raised & roof_colour.alien(values, beside, edge, roof, usable))[edge]
     narrow = roof & (gap > 0.0) & near
     grey, clipped = profiles.along_contrast(values, edge, roof & ~narrow, usable)
     double = np.where(narrow & (gap > _SEEN_GAP_PX), gap, 0.0)

@@ -20,7 +20,7 @@ from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.image.rectify import Image
-from vision.outline import profiles
+from vision.outline import edge_search
 from vision.outline.visibility import Kind, Prisms, visible_edges
 from vision.pose import small_landmarks
 from vision.pose.observation import LookConfig, channels, distance_from_roof
@@ -123,7 +123,7 @@ def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies:
     distance, usable, hidden = distance_from_roof(
         image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, _HALF_PX
     )
-    offset = profiles.search(distance, edge, len(kind), 1.0, usable)
+    offset = edge_search.search(distance, edge, len(kind), 1.0, usable)
     small_landmarks.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
     sums = across(image, px, normal, block, len(kind), seen)
     points, t, edge = walls

@@ -15,7 +15,7 @@ from models.measurements import Heading
 from models.messages import Array, Reading, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import X
-from tests.estimator.senses import HOME
+from tests.scenarios.senses import HOME
 
 FIELD_N = np.array(field_n(HOME, round(year_of(EPOCH_NS), 1)))
 

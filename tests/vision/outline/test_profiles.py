@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from vision.outline.profiles import alien, along_contrast, covered, crossed, off_roof, profiles, roof_beside, search
+from vision.outline.edge_search import crossed, search
+from vision.outline.profiles import along_contrast, profiles
+from vision.outline.roof_colour import alien, covered, off_roof, roof_beside
 
 POINTS, HALF = 12, 12
 ONE = np.zeros(POINTS, dtype=np.int64)

@@ -1,8 +1,11 @@
-"""Looks of all kinds in a process that has warmed up, as vision's worker does: prints what was compiled for them, as JSON.
+"""Images of all kinds in a process that has warmed up, as vision's worker does: prints what was compiled for them, as JSON.
+
+compiled: as the daemon's own report counts it; new: kernels that have more signatures than after the warm-up.
 
 python -m tests.estimator.service.vision.many_looks
 """
 
+import gc
 import json
 from collections import Counter
 from collections.abc import Iterator
@@ -10,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 from estimator.frontend.processor import Sight
 from estimator.frontend.requests import Shot
@@ -94,10 +98,17 @@ def _outcome(report: Encoded) -> str:
     return str(report_of.outcome)
 
 
+def _kernels() -> set[tuple[str, str]]:
+    """Name and signature of every kernel that is compiled or loaded in this process."""
+    found: list[Any] = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
+    return {(f"{d.__module__}.{d.__name__}", str(signature)) for d in found for signature in d.signatures}
+
+
 def main() -> None:
     from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415
 
     warm_up()
+    warm = _kernels()
     compiled = list[str]()
     compilation.listen(lambda kernel, _: compiled.append(kernel) if kernel else None)
     outcomes, count = Counter[str](), 0
@@ -111,7 +122,8 @@ def main() -> None:
         outcomes[_outcome(said[0])] += 1
         sight.draw("aided")
     ours = [kernel for kernel in compiled if not kernel.startswith("vision.synthetic")]
-    print(json.dumps({"looks": count, "compiled": ours, "outcomes": outcomes}))
+    new = sorted({name for name, _ in _kernels() - warm if not name.startswith("vision.synthetic")})
+    print(json.dumps({"warm": len(warm), "new": new, "looks": count, "compiled": ours, "outcomes": outcomes}))
 
 
 if __name__ == "__main__":
