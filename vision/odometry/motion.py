@@ -210,7 +210,7 @@ def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[A
 
 
 class _System(NamedTuple):
-    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), sigma of the first two (N, 2); r = 3, or 4 with a plane."""
+    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), sigma of two (N, 2); r = 3, or 4 with a plane."""
 
     e: Array
     C: Array
