@@ -72,13 +72,14 @@ class Plane:
 class Solution(NamedTuple):
     """motion; covariance (6, 6) of what is new in this step; squared distances (N,); scale of the residuals, 1 = as expected.
 
-    systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. converged: False: the
-    rest means nothing.
+    systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. residuals: (N, 2) of
+    (u_l, v_l) at t1, in sigma. converged: False: the rest means nothing.
     """
 
     motion: Motion
     covariance: Array
     systematic: Array
+    residuals: Array
     distances: Array
     scale: float
     converged: bool
@@ -182,9 +183,11 @@ def solve(
         motion = Motion(motion.p + step[:3], motion.R @ so3.matrix(so3.quat_exp(step[3:6])))
         pi = None if plane is None else plane.pi + unknowns[7:]
         if np.linalg.norm(L.T @ step) < _CONVERGED:
-            return Solution(motion, *_errors(N, disparity_sigma_px, plane), distances, scale, True)
+            return Solution(
+                motion, *_errors(N, disparity_sigma_px, plane), system.e[:, :2] / system.sigma, distances, scale, True
+            )
     nothing = np.full((6, 6), np.nan)
-    return Solution(motion, nothing, nothing[:, :2], np.full(len(y0), np.inf), np.inf, False)
+    return Solution(motion, nothing, nothing[:, :2], np.zeros((len(y0), 2)), np.full(len(y0), np.inf), np.inf, False)
 
 
 def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
@@ -207,12 +210,13 @@ def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[A
 
 
 class _System(NamedTuple):
-    """Of each point: residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r); r = 3, with a plane 4."""
+    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), sigma of two (N, 2); r = 3, or 4 with a plane."""
 
     e: Array
     C: Array
     G: Array
     S_inverse: Array
+    sigma: Array
 
 
 def _filled(geometry: Geometry, y0: Array, sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
@@ -255,7 +259,7 @@ def _linearised(
     S = np.matmul(G * variance0[:, None, :], G.transpose(0, 2, 1))
     index = np.arange(S.shape[1])
     S[:, index, index] += noise
-    return _System(e, C, G, np.linalg.inv(S))
+    return _System(e, C, G, np.linalg.inv(S), np.sqrt(S[:, [0, 1], [0, 1]]))
 
 
 def _with_plane(

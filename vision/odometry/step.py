@@ -36,6 +36,8 @@ _TURN_CHI2: Final = 50.0  # of 3: further from the predicted rotation, which is 
 _DOUBTFUL_CHI2: Final = 22.5  # of 6, 99.9 %: so far from the prediction one motion is rarely
 _NEAR_CHI2, _FAR_CHI2 = 16.8, 40.0  # of 6: inside the prediction (99 %), and outside
 _GUIDE: Final = 4.0  # times the covariance of the prediction, where it chooses points
+_NEIGHBOURS: Final = 3
+_SHARED, _SHARED_SAID = 0.3, 0.5  # correlation of neighbours' residuals: up to here as usual, and from here said
 _INFLATION: Final = 4.0  # of the covariance: errors of neighbouring tracks are alike
 _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
@@ -200,24 +202,29 @@ class StereoOdometry:
         """The motion that tracks show, checked."""
         plane = self._plane(prediction)
         n = len(tracks.y0)
-        everything = np.ones(n, np.bool_)
+        everything = chosen = np.ones(n, np.bool_)
         solution, inliers, lost = self._checked(tracks, everything, prediction, plane)
         doubtful = solution.scale > _DOUBTFUL_SCALE or _distance(solution, prediction) > _DOUBTFUL_CHI2
         if lost or doubtful:  # several motions may have been mixed: begin with the points that fit the prediction
             near = self._solve(tracks, everything, prediction, plane, np.asarray(np.linalg.inv(_GUIDE * prediction.covariance)))
-            if near.converged and (chosen := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
+            if near.converged and (fitting := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
+                chosen = fitting
                 solution, inliers, lost = self._checked(tracks, chosen, prediction, plane)
             else:
                 lost = lost or f"residuals {solution.scale:.1f} times as large as expected"
         if lost:
             return Step(lost, points=n, residual_scale=solution.scale, tracks=tracks, inliers=inliers)
         reason, remark = self._second_motion(tracks, inliers, solution, prediction, plane)
+        shared = _shared(tracks.y0[inliers], solution.residuals[inliers[chosen]])
+        if shared > _SHARED_SAID:
+            remark = remark or f"neighbouring tracks err alike (correlation {shared:.2f}): part of the scene may move"
+        alike = 1.0 + int(inliers.sum()) * max(shared - _SHARED, 0.0) / (1.0 - _SHARED)
         floor = np.diag(_FLOOR**2)
         return Step(
             reason,
             solution.motion.p,
             so3.from_matrix(np.ascontiguousarray(solution.motion.R)),
-            _INFLATION * solution.scale**2 * solution.covariance + floor,
+            _INFLATION * alike * solution.scale**2 * solution.covariance + floor,
             solution.systematic,
             n,
             solution.scale,
@@ -271,6 +278,19 @@ class StereoOdometry:
         what = f"two motions: {int(inliers.sum())} and {together} of {len(inliers)} points"
         of_first, of_second = (_distance(s, prediction) for s in (solution, second))
         return ("", what) if of_first < _NEAR_CHI2 and of_second > _FAR_CHI2 else (what, "")
+
+
+def _shared(px: Array, residuals: Array) -> float:
+    """Correlation of the residuals (N, 2) with those of the nearest points px (N, 3).
+
+    That of tracks is small. Where it is not, points share an error, such as a part of the scene that moves slowly, and what they
+    share does not become smaller with their number.
+    """
+    apart = np.linalg.norm(px[:, None, :2] - px[None, :, :2], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    nearest = np.argsort(apart, axis=1, kind="stable")[:, :_NEIGHBOURS]
+    power = float((residuals**2).sum())
+    return float((residuals[:, None] * residuals[nearest]).sum()) / (_NEIGHBOURS * power) if power > 0.0 else 0.0
 
 
 def _turn_flaw(solution: Solution, prediction: Prediction) -> str:

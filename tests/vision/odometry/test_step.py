@@ -134,3 +134,12 @@ def test_two_motions_that_nothing_tells_apart_are_lost() -> None:
 
 def test_scene_is_what_it_says() -> None:
     assert np.linalg.norm(P_N[1] - P_N[0]) == pytest.approx(1.42, abs=0.01)
+
+
+def test_a_slow_motion_of_half_of_the_scene_is_no_certainty() -> None:
+    """8 cm, 2 px: it cannot be told from depth and rotation, but neighbouring tracks err alike."""
+    still = ODOMETRY.step(frame(*pair(0)), frame(*pair(1)), prediction())
+    step = ODOMETRY.step(frame(*pair(0)), half_moving(0.08), prediction())
+    if not step.reason:
+        assert np.trace(step.covariance[:3, :3]) > 4.0 * np.trace(still.covariance[:3, :3])
+        assert chi2(step) < 22.5
