@@ -49,7 +49,7 @@ def ride(
         BSpline(knots, points[:, :3], _DEGREE, extrapolate=False), BSpline(knots, points[:, 3], _DEGREE, extrapolate=False), total
     )
     t_ns = EPOCH_NS + np.arange(0, round(total * 1e9), round(1e9 / imu.rate_hz))
-    motion = course.at((t_ns - EPOCH_NS) * 1e-9)
+    motion = course.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
     record = measure(imu, motion, HOME, 1.0 / imu.rate_hz, rng)
     samples: list[Input] = [
         ImuSample(int(t), int(t), vec3(g), vec3(a)) for t, g, a in zip(t_ns, record.gyro_b, record.accel_b, strict=True)
