@@ -31,6 +31,7 @@ _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
+_NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
@@ -212,6 +213,8 @@ class Tracker(Alignment):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
             self.sensed = None if self.is_aligned else (aid, z)
+        elif not aid.weighs and not self.is_aligned:
+            return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
@@ -306,6 +309,8 @@ class Tracker(Alignment):
         )
         if state.held_until_ns > aid.t_ns and trusted:
             self.hypotheses.leave(aid.witness)
+        if not aid.weighs and not verdict.passed:
+            state = state.held(aid.rules, aid.t_ns)
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state

@@ -258,6 +258,10 @@ class SourceState(msgspec.Struct, frozen=True):
         """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
+    def held(self, rules: SourceRules, t_ns: int) -> "SourceState":
+        """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
+        return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + round(rules.hold_s * 1e9))
+
     def judge(
         self, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
     ) -> "SourceState":

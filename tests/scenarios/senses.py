@@ -49,7 +49,11 @@ def ride(
         BSpline(knots, points[:, :3], _DEGREE, extrapolate=False), BSpline(knots, points[:, 3], _DEGREE, extrapolate=False), total
     )
     t_ns = EPOCH_NS + np.arange(0, round(total * 1e9), round(1e9 / imu.rate_hz))
+<<<<<<< HEAD:tests/scenarios/senses.py
     motion = course.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, np.float64))
+=======
+    motion = course.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
+>>>>>>> 828d6be53e2a141df3aef80d1ce6dae6ae6ab090:tests/estimator/senses.py
     record = measure(imu, motion, HOME, 1.0 / imu.rate_hz, rng)
     samples: list[Input] = [
         ImuSample(int(t), int(t), vec3(g), vec3(a)) for t, g, a in zip(t_ns, record.gyro_b, record.accel_b, strict=True)
@@ -123,4 +127,40 @@ def magnetometer(
         held = m_b
         stamp = t + round(late_s * 1e9)
         readings.append(Reading(stamp, stamp, "/mag", "magnetometer", vec3(m_b)))
+    return readings
+
+
+def velocity_body(
+    truth: Truth, *, seed: int = 0, sign: Array | None = None, bias_m_s: float = 0.0, stuck_after_s: float = math.inf,
+    late_s: float = 0.0, wheels: bool = False,
+) -> list[Input]:  # fmt: skip
+    """Along the body's axes, 10 Hz, noise of 0.05 m/s; wheels: forward alone is given."""
+    rng = np.random.default_rng(seed)
+    step = round(1e8 / float(truth.t_ns[1] - truth.t_ns[0]))
+    variances = np.array([0.05**2, 1e6, 1e6]) if wheels else np.full(3, 0.05**2)
+    readings: list[Input] = []
+    held = np.zeros(3)
+    for k in range(0, len(truth.t_ns), step):
+        t = int(truth.t_ns[k])
+        v_b = truth.R_nb[k].T @ truth.v_n[k] + 0.05 * rng.standard_normal(3) + [bias_m_s, 0.0, 0.0]
+        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
+            held = v_b if sign is None else sign @ v_b
+        stamp = t + round(late_s * 1e9)
+        readings.append(Reading(stamp, stamp, "/velocity_body", "velocity_body", vec3(held), np.diag(variances)))
+    return readings
+
+
+def range_down(
+    truth: Truth, *, seed: int = 0, ground_m: float = -3.0, scale: float = 1.0, stuck_after_s: float = math.inf
+) -> list[Input]:
+    """To flat ground of height ground_m, 10 Hz, noise of 0.05 m."""
+    rng = np.random.default_rng(seed)
+    step = round(1e8 / float(truth.t_ns[1] - truth.t_ns[0]))
+    readings: list[Input] = []
+    held = 0.0
+    for k in range(0, len(truth.t_ns), step):
+        t = int(truth.t_ns[k])
+        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
+            held = scale * (-truth.p_n[k, 2] - ground_m) / truth.R_nb[k][2, 2] + 0.05 * rng.standard_normal()
+        readings.append(Reading(t, t, "/range", "range", (float(held),)))
     return readings

@@ -61,7 +61,13 @@ from models.messages import (
 from models.state import E, X, retract
 
 ALL = Topics(
-    baro=("/baro",), magnetometer=("/mag",), heading=("/heading",), attitude=("/attitude",), odometry=("/odometry",)
+    baro=("/baro",),
+    magnetometer=("/mag",),
+    heading=("/heading",),
+    velocity_body=("/velocity_body",),
+    range=("/range",),
+    attitude=("/attitude",),
+    odometry=("/odometry",),
 )  # every input, the optional ones too
 T_NS, ARRIVED_NS = 1_700_000_000_123_456_789, 1_700_000_000_200_000_000
 
@@ -132,6 +138,8 @@ def inputs() -> list[Input]:
         Reading(T_NS, ARRIVED_NS, "/mag", "magnetometer", (2e-5, -3e-6, 4e-5)),
         Reading(T_NS, ARRIVED_NS, "/heading", "heading", (-2.5,), np.eye(1) * 4e-4),
         Reading(T_NS, ARRIVED_NS, "/heading", "heading", (3.0,)),
+        Reading(T_NS, ARRIVED_NS, "/velocity_body", "velocity_body", (5.0, -0.1, 0.2), covariance(3)),
+        Reading(T_NS, ARRIVED_NS, "/range", "range", (12.5,)),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]
