@@ -49,11 +49,7 @@ def ride(
         BSpline(knots, points[:, :3], _DEGREE, extrapolate=False), BSpline(knots, points[:, 3], _DEGREE, extrapolate=False), total
     )
     t_ns = EPOCH_NS + np.arange(0, round(total * 1e9), round(1e9 / imu.rate_hz))
-<<<<<<< HEAD:tests/scenarios/senses.py
     motion = course.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, np.float64))
-=======
-    motion = course.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
->>>>>>> 828d6be53e2a141df3aef80d1ce6dae6ae6ab090:tests/estimator/senses.py
     record = measure(imu, motion, HOME, 1.0 / imu.rate_hz, rng)
     samples: list[Input] = [
         ImuSample(int(t), int(t), vec3(g), vec3(a)) for t, g, a in zip(t_ns, record.gyro_b, record.accel_b, strict=True)
