@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.estimator.senses import HOME, Ride, range_down, ride, velocity_body
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.velocity_body import VelocityBodyConfig
@@ -11,6 +10,7 @@ from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
 from tests.estimator.scenes import Run, by_arrival, error, within
+from tests.scenarios.senses import HOME, Ride, range_down, ride, velocity_body
 
 DARK_S, END_S = 35.0, 65.0
 CONFIG = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla)
