@@ -38,7 +38,6 @@ def serve_odometry(pipe: Connection, rig_file: Path) -> None:
 class OdometryWorker(VisionWorker):
     """As VisionWorker; asks about the pair of each key frame and the one before."""
 
-    _serve = staticmethod(serve_odometry)
     _measurement = ODOMETRY_DELTA_TOPIC
 
     def __init__(
@@ -54,6 +53,10 @@ class OdometryWorker(VisionWorker):
     ) -> None:
         self._key_frames = KeyFrames(config)
         super().__init__((rig_file,), vision_config(config, vision), sides, clock, stamps, track, tell)
+
+    @staticmethod
+    def _target() -> Callable[..., None]:
+        return serve_odometry
 
     def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, tuple[Any, ...]] | None:
         asked = self._key_frames.request(pair, self._track, asked_ns)

@@ -107,7 +107,6 @@ def _give_way() -> None:
 class VisionWorker:
     """put() takes images from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
 
-    _serve: Callable[..., None] = staticmethod(serve)
     _measurement = LANDMARK_FIX_TOPIC  # what an answer is to give
 
     def __init__(
@@ -250,6 +249,11 @@ class VisionWorker:
             self._drawn += 1
             screen.show(picture)
 
+    @staticmethod
+    def _target() -> Callable[..., None]:
+        """The process."""
+        return serve
+
     def _patience_s(self) -> float:
         """timeout_s; twice as long after each restart: what takes long once comes to its end."""
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
@@ -305,7 +309,7 @@ class VisionWorker:
     def _start(self) -> bool:
         """Start the process and wait until it can see."""
         self._pipe, theirs = SPAWNED.Pipe()
-        process = SPAWNED.Process(target=self._serve, args=(theirs, *self._files), name="landfix-vision")
+        process = SPAWNED.Process(target=self._target(), args=(theirs, *self._files), name="landfix-vision")
         process.start()
         self._process = process  # not before: close() kills it, and what has not begun cannot be killed
         theirs.close()
