@@ -7,7 +7,7 @@ IMU's. The prediction is integrated from velocity and angular rate, so that a fi
 is no motion.
 """
 
-from typing import Annotated, Final
+from typing import Annotated, Final, TypeAlias
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ from models.state import E, X
 _VELOCITY_SIGMA, _RATE_SIGMA = 0.05, 0.002  # m/s and rad/s: what the prediction is uncertain by at least
 _TURN_SIGMA: Final = 0.001  # rad
 
+_Height: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4)]
+
 
 class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[visual_odometry]: the cameras of [rig] measure the motion between pairs."""
@@ -29,7 +31,7 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     interval_s: Annotated[float, Meta(ge=0.02, le=10, description="s: from one key frame to the next")] = 0.5
     longest_s: Annotated[float, Meta(ge=0.02, le=10, description="s: pairs further apart than this are not compared")] = 1.5
     ground_m: Annotated[
-        float | None, Meta(description="m: height of the ground above the map's origin, where it is level; not given: not used")
+        _Height | None, Meta(description="m: height of the ground above the map's origin, where it is level; not given: not used")
     ] = None
     ground_sigma_m: Annotated[float, Meta(ge=0.01, le=1000, description="m: 1-sigma of that height around the vehicle")] = 2.0
     timeout_s: Annotated[
