@@ -33,7 +33,7 @@ from models.state import E, NavState, X
 _HEADINGS = 8
 _LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
 NO_HEADING = math.pi / math.sqrt(3.0)  # rad: sigma of a heading that may be any
-_ANY_HEADING_DEG = 90.0  # a sigma beyond this (104 is that of no knowledge at all) tells nothing
+_ANY_HEADING_DEG = 60.0  # a sigma beyond this (104 is that of no knowledge at all) says nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 

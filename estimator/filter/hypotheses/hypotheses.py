@@ -159,7 +159,7 @@ class Hypotheses:
             )
             return member.weight - before
 
-        following = [k for k, m in enumerate(self.members) if aid.witness not in m.doubts]
+        following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
         for k, member in enumerate(self.members):

@@ -121,14 +121,20 @@ class _Alignment:
         return judge("alignment", f"first estimate {summary.first_estimate_s:.1f} s after the log's first measurement")
 
 
+def _of_receiver(topic: str, used: set[str]) -> bool:
+    """The velocity of a GNSS receiver that is used: /gnss/velocity of /gnss."""
+    return topic.endswith("/velocity") and topic.rpartition("/")[0] in used
+
+
 def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     """Is there an IMU, and something absolute to correct it?"""
     checks = []
+    used = {t for name in _SCHEMAS for t in getattr(config.inputs, name)}
     for name, schema in _SCHEMAS.items():
         wanted: tuple[str, ...] = getattr(config.inputs, name)
         present = [t for t in wanted if t in topics]
         of_type = [t for t, v in topics.items() if v.schema == schema and t != ATTITUDE_TOPIC]  # that has no position
-        others = sorted(t for t in of_type if t not in wanted and not t.startswith("/landfix/"))
+        others = sorted(t for t in of_type if t not in used and not _of_receiver(t, used) and not t.startswith("/landfix/"))
         found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
         advice = (
             f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"

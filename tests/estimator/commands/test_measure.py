@@ -77,7 +77,7 @@ def test_swapped_pictures_are_said(folder: Path) -> None:
     [
         ("text.png", b"no picture", "text.png: no picture that can be read"),
         ("empty.png", b"", "empty.png: no picture that can be read"),
-        ("black.png", None, "right picture: black"),
+        ("black.png", None, "right image: black"),
         ("small.png", None, "left is 640 x 480, right is 640 x 100"),
     ],
 )
