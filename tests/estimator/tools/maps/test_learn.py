@@ -51,12 +51,22 @@ def run(*args: object) -> Result:
     return result
 
 
+def simulated(scenario: Path, log: Path, seed: int) -> None:
+    """The log and its configuration, which knows that this receiver has little slow error."""
+    run("simulate", scenario, "-o", log, "--seed", seed)
+    config = log.with_suffix(".toml")
+    text = config.read_text()
+    config.write_text(
+        text.replace("[gnss]\n", "[gnss]\nslow_sigma_m = 0.5\n") if "[gnss]\n" in text else text + "[gnss]\nslow_sigma_m = 0.5\n"
+    )
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """learn.mcap with its configuration, and what was learned: learned.geojson, learned.json."""
     folder = tmp_path_factory.mktemp("learn")
     (folder / "scenario.toml").write_text(LEARNING)
-    run("simulate", folder / "scenario.toml", "-o", folder / "learn.mcap", "--seed", 3)
+    simulated(folder / "scenario.toml", folder / "learn.mcap", 3)
     learned = run(
         "map", "learn", folder / "learn.mcap", "--rig", folder / "learn_rig.yaml", "-c", folder / "learn.toml",
         "-o", folder / "learned.geojson", "--json",
@@ -120,7 +130,7 @@ def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
 
 def test_without_gps_it_carries_the_flight_and_the_estimate_knows_how_well(flown: Path, tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(FLYING)
-    run("simulate", tmp_path / "scenario.toml", "-o", tmp_path / "fly.mcap", "--seed", 8)
+    simulated(tmp_path / "scenario.toml", tmp_path / "fly.mcap", 8)
     (tmp_path / "fly_map.geojson").write_bytes((flown / "learned.geojson").read_bytes())
     run("replay", tmp_path / "fly.mcap", "-o", tmp_path / "out.mcap", "-c", tmp_path / "fly.toml", "--from-images")
     found = json.loads(run("evaluate", tmp_path / "out.mcap", "--json").stdout)
