@@ -177,6 +177,8 @@ class Hypotheses:
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
         self.members += born + ([believer] if believer else [])
+        if believer:
+            left_out.add_beside(self.members, believer, aid)
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 
@@ -297,6 +299,8 @@ class Hypotheses:
             member.filter.update(seen)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
+                if aid.log_misled is not None:
+                    member.receiver = aid.topic, aid.log_misled
                 behind = self.members[0].weight - member.weight
                 member.decided -= {aid.topic}
                 if lead_refuses and behind < FORGET and not self._is_decided(aid):

@@ -18,12 +18,24 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     lead = members[0]
     if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
         return False
-    other = lead.copy()
-    other.weight = other.least = aid.log_misled
-    other.without, other.parted_ns = aid.topic, aid.t_ns
-    other.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
-    members.append(other)
+    members.append(_without(lead, aid.topic, aid.log_misled, aid.t_ns))
     return True
+
+
+def add_beside(members: list[Hypothesis], believer: Hypothesis, aid: Aid) -> None:
+    """A fix that no hypothesis takes may be true, and the receiver misled from the start: a believer goes on without it."""
+    receiver = members[0].receiver
+    if receiver is not None and aid.log_misled is None and not any(m.without == receiver[0] for m in members):
+        members.append(_without(believer, *receiver, aid.t_ns))
+
+
+def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -> Hypothesis:
+    """As it is, but without the receiver."""
+    other = hypothesis.copy()
+    other.weight = other.least = log_misled
+    other.without, other.parted_ns = topic, t_ns
+    other.doubts[topic] = Doubt(t_ns, deliberate=True)
+    return other
 
 
 def end(lead: Hypothesis, aid: Aid) -> None:

@@ -402,6 +402,23 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert any(re.match(r"/pose_fix and /gnss disagree by 199\.\d m for \d+ s: ", text) for text in said)
 
 
+def test_a_gnss_that_is_wrong_from_boot_and_has_led_for_a_minute_is_left_for_fixes_each_four_seconds() -> None:
+    flight = simulated(BOOT, seed=3)
+    messages: list[Input] = []
+    for m in flight.messages:
+        if isinstance(m, GnssFix):
+            messages.append(replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0))
+        elif not isinstance(m, PoseFix) or (m.t_ns > EPOCH_NS + 60 * SECOND and (m.t_ns - EPOCH_NS) % (4 * SECOND) < 2 * SECOND):
+            messages.append(m)
+    run = fly(flight, messages=messages)
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 66 * SECOND][::20]
+    off = position_errors(late, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    assert (off > 3.0 * radius).mean() < 0.01
+    assert off[-1] < 1.0
+    assert radius[-1] < 2.0
+
+
 PULL_NS, BACK_NS = EPOCH_NS + 20 * SECOND, EPOCH_NS + 50 * SECOND
 
 
