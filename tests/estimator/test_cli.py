@@ -10,8 +10,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
+from estimator.replay import simulate as simulated
 from estimator.service.log.recovery import is_torn
 from logs.store.reader import LogReader
+from models.sim.scenario import simulate
+from models.sim.scenario_file import loads
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = ["demo", "replay", "evaluate", "report", "simulate", "import", "recover", "doctor", "calibrate"]
@@ -224,7 +227,11 @@ def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
     return process.returncode, said
 
 
-def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(flight: Path, tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(tmp_path: Path) -> None:
+    flight = tmp_path / "flight.mcap"
+    simulation = simulate(loads("duration_s = 100.0\n"), seed=1)
+    simulated.write(simulation, flight)
+    flight.with_suffix(".toml").write_text(simulation.config_toml)
     for attempt in range(5):  # on a busy machine the replay may have ended before the signal comes
         out = tmp_path / f"estimate{attempt}.mcap"
         code, said = _interrupted(flight, out)
