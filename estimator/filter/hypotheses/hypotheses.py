@@ -171,14 +171,15 @@ class Hypotheses:
                 member.without = ""
                 answer(k)
         agrees = seen[0].distance2 <= gate(AGREES, len(z.rows))
-        left_out.begin_again(self.members, aid, fused, believer, agrees=agrees)
+        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
+        left_out.begin_again(self.members, aid, fused, at_fix, agrees=agrees)
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
         self.members += born + ([believer] if believer else [])
-        if believer:
-            left_out.add_beside(self.members, believer, aid)
+        if at_fix:
+            left_out.add_beside(self.members, at_fix, aid)
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 

@@ -5,10 +5,18 @@ it is never older than the last confirmation. (Solution separation: Blanch et al
 sec. IV.)
 """
 
+import numpy as np
+
+from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis
+from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.source import Aid
+from models.measurements import Measurement
+from models.messages import Array
+from models.state import E
 
 LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
+_PULL_M_S = 2.0  # by which a misled receiver may have moved the velocity
 _UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
 AGREES = 0.5  # share of good fixes that are near enough to confirm
 
@@ -22,11 +30,26 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     return True
 
 
-def add_beside(members: list[Hypothesis], believer: Hypothesis, aid: Aid) -> None:
-    """A fix that no hypothesis takes may be true, and the receiver misled from the start: a believer goes on without it."""
+def add_beside(members: list[Hypothesis], moved: Hypothesis, aid: Aid) -> None:
+    """A fix that no hypothesis takes may be true, and the receiver misled from the start: one goes on without it."""
     receiver = members[0].receiver
     if receiver is not None and aid.log_misled is None and not any(m.without == receiver[0] for m in members):
-        members.append(_without(believer, *receiver, aid.t_ns))
+        members.append(_without(moved, *receiver, aid.t_ns))
+
+
+def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
+    """The leading hypothesis at the fix, with the motion that it had, but for a pull: P_pp += |nu|^2 I, P_vv += sigma^2 I.
+
+    So fixes in a wrong unit, whose motion is another, do not follow from one another. seen: the fix from the leading one.
+    """
+    other = lead.copy()
+    cov = other.filter.cov
+    cov[E.P, E.P] += float(seen.nu @ seen.nu) * np.eye(3)
+    cov[E.V, E.V] += _PULL_M_S**2 * np.eye(3)
+    other.doubts.pop(aid.topic, None)
+    other.filter.update(innovation(other.filter, aid, z, gyro_b))
+    other.fused_ns = other.established_ns = aid.t_ns
+    return other
 
 
 def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -> Hypothesis:
@@ -45,12 +68,12 @@ def end(lead: Hypothesis, aid: Aid) -> None:
         lead.doubts.pop(aid.topic, None)
 
 
-def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], believer: Hypothesis | None, *, agrees: bool) -> None:
+def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, *, agrees: bool) -> None:
     """After a fix of another source: as the leading one where that fused it and agrees, or where this one refused it.
 
-    Where both refused it: as the believer, which took it. fused: by each member.
+    Where all refused it: at the fix. fused: by each member; at_fix: see moved().
     """
-    right = members[0] if fused[0] else believer
+    right = members[0] if fused[0] else at_fix
     if right is None or not aid.absolute:
         return
     for member, was_fused in zip(members[1:], fused[1:], strict=True):
