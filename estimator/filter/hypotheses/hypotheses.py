@@ -172,11 +172,11 @@ class Hypotheses:
                 answer(k)
         agrees = seen[0].distance2 <= gate(AGREES, len(z.rows))
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
-        left_out.begin_again(self.members, aid, fused, at_fix, agrees=agrees)
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
+        left_out.begin_again(self.members, aid, fused, at_fix, agrees=agrees)
         self.members += born + ([believer] if believer else [])
         if at_fix:
             left_out.add_beside(self.members, at_fix, aid)
@@ -194,7 +194,7 @@ class Hypotheses:
     def leave(self, topic: str) -> None:
         """The receiver has been found out: the hypothesis without it leads, where there is one."""
         for member in self.members[1:]:
-            if member.without == topic:
+            if member.without == topic and not member.begun_at_fix and not member.rejected - {topic}:
                 self.members.remove(member)
                 self.members[0].weight = -_MARGIN
                 member.weight = member.benefit = 0.0

@@ -28,7 +28,8 @@ class Hypothesis:
     last differed from the leading one; doubts: what it takes for false, by topic; benefit: ln, of the doubt that a sceptic
     stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that it
     leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
-    topics that it rejects since a conflict that it has won; receiver: the last one that it fused, and ln(1 - trust) of it.
+    topics that it rejects since a conflict that it has won; receiver: the last one that it fused, and ln(1 - trust) of it;
+    begun_at_fix: and nothing has confirmed it yet; refuted_ns: when one such was last refuted.
     """
 
     filter: Eskf
@@ -42,6 +43,8 @@ class Hypothesis:
     least: float = -math.inf
     decided: frozenset[str] = frozenset()
     receiver: tuple[str, float] | None = None
+    begun_at_fix: bool = False
+    refuted_ns: int = -(2**62)
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""

@@ -27,14 +27,18 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
         return False
     members.append(_without(lead, aid.topic, aid.log_misled, aid.t_ns))
+    members[-1].begun_at_fix = False
     return True
 
 
 def add_beside(members: list[Hypothesis], moved: Hypothesis, aid: Aid) -> None:
     """A fix that no hypothesis takes may be true, and the receiver misled from the start: one goes on without it."""
     receiver = members[0].receiver
-    if receiver is not None and aid.log_misled is None and not any(m.without == receiver[0] for m in members):
+    if receiver is None or aid.log_misled is not None or any(m.without == receiver[0] for m in members):
+        return
+    if (aid.t_ns - members[0].refuted_ns) * 1e-9 > LEFT_OUT_S:
         members.append(_without(moved, *receiver, aid.t_ns))
+        members[-1].weight += members[0].weight
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
@@ -49,6 +53,7 @@ def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innov
     other.doubts.pop(aid.topic, None)
     other.filter.update(innovation(other.filter, aid, z, gyro_b))
     other.fused_ns = other.established_ns = aid.t_ns
+    other.begun_at_fix = True
     return other
 
 
@@ -74,9 +79,16 @@ def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: 
     Where all refused it: at the fix. fused: by each member; at_fix: see moved().
     """
     right = members[0] if fused[0] else at_fix
-    if right is None or not aid.absolute:
+    if not aid.absolute:
         return
-    for member, was_fused in zip(members[1:], fused[1:], strict=True):
-        if member.without and member.without != aid.witness and (not was_fused or (agrees and fused[0])):
-            member.filter, member.fused_ns = right.filter.copy(), aid.t_ns
+    for member, was_fused in [*zip(members, fused, strict=True)][1:]:
+        if not member.without or member.without == aid.witness:
+            continue
+        if was_fused and not (agrees and fused[0]):
+            member.begun_at_fix = False
+        elif member.begun_at_fix and not was_fused:  # fixes that do not follow from one another are no evidence
+            members[0].refuted_ns = aid.t_ns
+            members.remove(member)
+        elif right is not None:
+            member.filter, member.fused_ns, member.begun_at_fix = right.filter.copy(), aid.t_ns, not fused[0]
             member.doubts.pop(aid.topic, None)
