@@ -10,7 +10,7 @@ from estimator.commands.common.console import ConfigFile, Json, Out, kept_on_int
 
 if TYPE_CHECKING:
     from estimator.config import Config
-    from estimator.frontend.replay_odometry import Together
+    from estimator.frontend.repeat import Together
     from estimator.replay.summary import ReplaySummary
     from logs.store.reader import Attachment
 
@@ -89,7 +89,8 @@ def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Togeth
     """What processes the images of the log again: landmarks, odometry or both. Raises ConfigError."""
     from estimator.config import ConfigError
     from estimator.frontend.files import load_odometry, load_sight
-    from estimator.frontend.replay_odometry import OdometryReplay, Together
+    from estimator.frontend.repeat import Repeat, Together
+    from estimator.frontend.replay_odometry import OdometryReplay
     from estimator.frontend.replay_pictures import SightReplay
 
     rig, landmarks, picture = config.rig.file, config.map.landmarks, config.map_picture(folder)
@@ -100,7 +101,7 @@ def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Togeth
             "[map] picture or [visual_odometry] enabled"
         )
     left, right = config.inputs.left_image, config.inputs.right_image
-    parts: list[SightReplay | OdometryReplay] = []
+    parts: list[Repeat] = []
     if mapped:
         sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, picture)
         parts.append(SightReplay(sight, config.vision, left, right, source))

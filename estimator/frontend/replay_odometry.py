@@ -1,32 +1,25 @@
-"""A replay that measures the motion between the recorded pairs again, instead of taking the increments in the log.
+"""A replay that measures the motion between the recorded pairs again, instead of taking the increments in the log."""
 
-Of a flight in which visual odometry worked the log holds each request: it is repeated, and its answer stands where the flight's
-stood, bit for bit the same. A log without requests gets its own, from the estimate of the replay, and answers latency later.
-"""
-
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TypeAlias
 
 import msgspec
 
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
 from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometrySight
-from estimator.frontend.replay_pictures import SightReplay
-from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
-from logs.store.parts import PartsReader
+from estimator.frontend.repeat import Asked, Repeat
+from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
 from logs.wire.codec import ODOMETRY_REQUEST_TOPIC, Encoded, decode_odometry_request, encode
 from logs.wire.stamps import stamp_of
-from models.messages import ODOMETRY_DELTA_TOPIC, OdometryRequest, Output, PictureName
+from models.messages import ODOMETRY_DELTA_TOPIC, OdometryRequest
 
-_KEPT: Final = 200  # images
-_Answers = dict[str, Encoded]
+_Answers: TypeAlias = dict[str, Encoded]
 
 
 class OdometryCounts(msgspec.Struct):
-    """steps: requests; measured: increments; same, different: beside those in the log; missing: images not in it."""
+    """steps: requests; measured: increments; same, different: compared with those in the log; missing: images not in it."""
 
     steps: int = 0
     measured: int = 0
@@ -35,13 +28,13 @@ class OdometryCounts(msgspec.Struct):
     missing: int = 0
 
     def __str__(self) -> str:
-        beside = f"; of the log's increments {self.same} the same, {self.different} not" if self.same or self.different else ""
+        compared = f"; of the log's increments {self.same} the same, {self.different} not" if self.same or self.different else ""
         lost = f"; images of {self.missing} requests are not in the log" if self.missing else ""
-        return f"odometry: {self.steps} steps, {self.measured} increments{beside}{lost}"
+        return f"odometry: {self.steps} steps, {self.measured} increments{compared}{lost}"
 
 
-class OdometryReplay:
-    """Puts the answers of visual odometry among the records of a log. left, right: topics of the images."""
+class OdometryReplay(Repeat):
+    """Puts the answers of visual odometry among the records of a log. topics: of left and right images."""
 
     def __init__(
         self,
@@ -51,58 +44,29 @@ class OdometryReplay:
         topics: tuple[Iterable[str], Iterable[str]],
         source: Path | Sequence[Path],
     ) -> None:
-        self._sight, self._latency_ns = sight, round(vision.replay_latency_ms * 1e6)
-        self._side = {**dict.fromkeys(topics[0], "left"), **dict.fromkeys(topics[1], "right")}
-        with PartsReader(source) as reader:
-            self._repeats = any(record.topic == ODOMETRY_REQUEST_TOPIC for record in reader)
-        self._pairing, self._key_frames, self._track = Pairing(vision), KeyFrames(config), Track()
-        self._shots: dict[PictureName, Shot] = {}
+        super().__init__(vision, sight.time_offset_ns, topics, source, ODOMETRY_REQUEST_TOPIC)
+        self._sight, self._key_frames = sight, KeyFrames(config)
         self._asked: dict[int, OdometryRequest] = {}  # by exposure of the later pair
         self._answers: dict[int, _Answers] = {}
-        self._due: deque[tuple[int, list[Encoded]]] = deque()
         self.counts = OdometryCounts()
 
-    def note(self, outputs: Iterable[Output]) -> None:
-        """What Fusion said: the predictions of requests to come."""
-        if not self._repeats:
-            self._track.note(outputs)
+    def _is_answer(self, record: Record) -> bool:
+        return record.topic in {ODOMETRY_DELTA_TOPIC, ODOMETRY_REPORT_TOPIC} and (stamp_of(record.data) or 0) in self._asked
 
-    def records(self, record: Record) -> Iterator[Record]:
-        """What the estimator is to see instead of this record, in order."""
-        while self._due and self._due[0][0] <= record.log_time_ns:
-            due_ns, answers = self._due.popleft()
-            yield from (Record(a.topic, a.schema, due_ns, a.data) for a in answers)
-        if record.topic in {ODOMETRY_DELTA_TOPIC, ODOMETRY_REPORT_TOPIC} and (stamp_of(record.data) or 0) in self._asked:
-            yield from self._again(record)
-            return
-        yield record
-        if record.topic in self._side:
-            yield from self._image(record)
-        elif record.topic == ODOMETRY_REQUEST_TOPIC:
-            request = decode_odometry_request(record.data, record.log_time_ns)
-            self._asked[request.t_ns] = request
+    def _keep(self, record: Record) -> None:
+        request = decode_odometry_request(record.data, record.log_time_ns)
+        self._asked[request.t_ns] = request
 
-    def _image(self, record: Record) -> Iterator[Record]:
-        stamp_ns = stamp_of(record.data)
-        if stamp_ns is None:
-            return
-        t_ns = stamp_ns + self._sight.time_offset_ns
-        shot = Shot(record.topic, record.schema, record.data, stamp_ns, t_ns, record.log_time_ns)
-        if self._repeats:
-            self._shots[shot.name] = shot
-            while len(self._shots) > _KEPT:
-                del self._shots[next(iter(self._shots))]
-            return
-        for pair in self._pairing.put(self._side[record.topic], shot):
-            if asked := self._key_frames.request(pair, self._track, record.log_time_ns):
-                request, first = asked
-                (message,) = encode(request)
-                yield Record(message.topic, message.schema, record.log_time_ns, message.data)
-                written = decode_odometry_request(message.data, record.log_time_ns)  # what a replay of it will read
-                self._due.append((record.log_time_ns + self._latency_ns, self._counted(self._sight.look(written, first, pair))))
+    def _ask(self, pair: Pair, arrived_ns: int) -> Asked | None:
+        asked = self._key_frames.request(pair, self._track, arrived_ns)
+        if asked is None:
+            return None
+        request, first = asked
+        (message,) = encode(request)
+        written = decode_odometry_request(message.data, arrived_ns)  # what a replay of it will read
+        return Asked(message, self._counted(self._sight.look(written, first, pair)))
 
     def _again(self, record: Record) -> Iterator[Record]:
-        """The answer that takes the recorded one's place."""
         t_ns = stamp_of(record.data) or 0
         if t_ns not in self._answers:
             self._answers[t_ns] = self._answer(self._asked[t_ns])
@@ -114,36 +78,13 @@ class OdometryReplay:
             yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
 
     def _answer(self, request: OdometryRequest) -> _Answers:
-        pairs = []
-        for names in (request.first, request.second):
-            left, right = (self._shots.get(name) if name else None for name in names)
-            if (names[0] and left is None) or (names[1] and right is None):
-                self.counts.missing += 1
-                return {}
-            pairs.append(Pair(left, right))
-        return {answer.topic: answer for answer in self._counted(self._sight.look(request, *pairs))}
+        first, second = (self._pair(*names) for names in (request.first, request.second))
+        if first is None or second is None:
+            self.counts.missing += 1
+            return {}
+        return {answer.topic: answer for answer in self._counted(self._sight.look(request, first, second))}
 
     def _counted(self, answers: list[Encoded]) -> list[Encoded]:
         self.counts.steps += 1
         self.counts.measured += any(a.topic == ODOMETRY_DELTA_TOPIC for a in answers)
         return answers
-
-
-class Together:
-    """Landmarks and odometry of one log, each from its own requests."""
-
-    def __init__(self, parts: Sequence[SightReplay | OdometryReplay]) -> None:
-        self.parts = parts
-
-    def note(self, outputs: Iterable[Output]) -> None:
-        """What Fusion said."""
-        kept = list(outputs)
-        for part in self.parts:
-            part.note(kept)
-
-    def records(self, record: Record) -> Iterator[Record]:
-        """What the estimator is to see instead of this record, in order."""
-        records = [record]
-        for part in self.parts:
-            records = [seen for one in records for seen in part.records(one)]
-        yield from records

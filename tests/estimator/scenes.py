@@ -18,6 +18,24 @@ from models.state import E, X, local
 
 SECOND = 10**9
 
+# GNSS is lost and comes back; a third of the fixes is false; four in a row are wrong by the same offset.
+FAULTY = """
+duration_s = 16.0
+[vehicle]
+kind = "multirotor"
+seed = 3
+[imu]
+rate_hz = 50.0
+[gnss]
+rate_hz = 2.0
+outages_s = [[4.0, 7.5]]
+[pose_fix]
+rate_hz = 3.0
+outlier_share = 0.3
+outages_s = [[5.0, 6.0]]
+false_spans = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
+"""
+
 
 @dataclass(slots=True)
 class Run:

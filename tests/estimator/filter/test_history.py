@@ -22,6 +22,7 @@ from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Inp
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
 from tests.estimator.scenes import (
+    FAULTY,
     SECOND,
     Run,
     aid_of,
@@ -36,23 +37,6 @@ from tests.estimator.scenes import (
     simulated,
 )
 
-# GNSS is lost and comes back; a third of the fixes is false; four in a row tell the same lie.
-FLIGHT = """
-duration_s = 16.0
-[vehicle]
-kind = "multirotor"
-seed = 3
-[imu]
-rate_hz = 50.0
-[gnss]
-rate_hz = 2.0
-outages_s = [[4.0, 7.5]]
-[pose_fix]
-rate_hz = 3.0
-outlier_share = 0.3
-outages_s = [[5.0, 6.0]]
-false_spans = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
-"""
 SETTLED_S = 10.0  # aids end here, so that what is 5 s late has arrived before the flight ends
 
 
@@ -62,7 +46,7 @@ def _is_kept(message: Input) -> bool:
 
 @pytest.fixture(scope="module")
 def flight() -> Simulation:
-    return simulated(FLIGHT)
+    return simulated(FAULTY)
 
 
 @pytest.fixture(scope="module")

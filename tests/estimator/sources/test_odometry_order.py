@@ -11,32 +11,15 @@ from hypothesis import strategies as st
 from models.messages import ImuSample, Input, OdometryDelta, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
-from tests.estimator.scenes import SECOND, Run, arriving, by_arrival, fly, same, simulated
+from tests.estimator.scenes import FAULTY, SECOND, Run, arriving, by_arrival, fly, same, simulated
 
-# GNSS and fixes, false ones among them, are lost and come back: hypotheses are founded and differ while odometry goes on.
-FLIGHT = """
-duration_s = 16.0
-[vehicle]
-kind = "multirotor"
-seed = 3
-[imu]
-rate_hz = 50.0
-[gnss]
-rate_hz = 2.0
-outages_s = [[4.0, 7.5]]
-[pose_fix]
-rate_hz = 3.0
-outlier_share = 0.3
-outages_s = [[5.0, 6.0]]
-false_spans = [{ start_s = 7.0, end_s = 8.4, offset_n_m = [4.0, 3.0, 0.0] }]
-"""
 SETTLED_S = 10.0
 OTHER = "/wheels"
 
 
 @pytest.fixture(scope="module")
 def simulation() -> Simulation:
-    return simulated(FLIGHT)
+    return simulated(FAULTY)
 
 
 def _odometry(simulation: Simulation) -> list[Input]:

@@ -1,0 +1,130 @@
+"""What a replay from images does for landmarks and for odometry alike: repeat the requests in a log, or make its own.
+
+Of a flight in which the front-end worked the log holds each request: it is repeated, and its answer stands where the flight's
+stood, bit for bit the same. A log without requests gets its own, from the estimate of the replay, and answers
+replay_latency_ms later.
+"""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
+from logs.store.parts import PartsReader
+from logs.store.reader import Record
+from logs.wire.codec import Encoded
+from logs.wire.stamps import stamp_of
+from models.messages import Output, PictureName
+
+_KEPT: Final = 400  # images
+
+
+class Asked(NamedTuple):
+    """A request as it is logged, and its answers."""
+
+    request: Encoded
+    answers: list[Encoded]
+
+
+class Repeat(ABC):
+    """Puts answers among the records of a log. topics: of left and right images; request_topic: of what is repeated.
+
+    counts: of requests and answers, as text for the screen.
+    """
+
+    counts: object
+
+    def __init__(
+        self,
+        config: VisionConfig,
+        time_offset_ns: int,
+        topics: tuple[Iterable[str], Iterable[str]],
+        source: Path | Sequence[Path],
+        request_topic: str,
+    ) -> None:
+        self._latency_ns, self._time_offset_ns = round(config.replay_latency_ms * 1e6), time_offset_ns
+        self._side = {**dict.fromkeys(topics[0], "left"), **dict.fromkeys(topics[1], "right")}
+        self._request_topic = request_topic
+        with PartsReader(source) as reader:
+            self._repeats = any(record.topic == request_topic for record in reader)
+        self._pairing, self._track = Pairing(config), Track()
+        self._shots: dict[PictureName, Shot] = {}
+        self._due: deque[tuple[int, list[Encoded]]] = deque()
+
+    @abstractmethod
+    def _is_answer(self, record: Record) -> bool:
+        """Whether our own answer takes the place of this record."""
+
+    @abstractmethod
+    def _again(self, record: Record) -> Iterator[Record]:
+        """The answer that takes the recorded one's place."""
+
+    @abstractmethod
+    def _keep(self, record: Record) -> None:
+        """A request in the log."""
+
+    @abstractmethod
+    def _ask(self, pair: Pair, arrived_ns: int) -> Asked | None:
+        """A request of its own, with its answers; None: none about this pair."""
+
+    def note(self, outputs: Iterable[Output]) -> None:
+        """What Fusion said: the priors of requests to come."""
+        if not self._repeats:
+            self._track.note(outputs)
+
+    def records(self, record: Record) -> Iterator[Record]:
+        """What the estimator is to see instead of this record, in order."""
+        while self._due and self._due[0][0] <= record.log_time_ns:
+            due_ns, answers = self._due.popleft()
+            yield from (Record(a.topic, a.schema, due_ns, a.data) for a in answers)
+        if self._is_answer(record):
+            yield from self._again(record)
+            return
+        yield record
+        if record.topic in self._side:
+            yield from self._image(record)
+        elif record.topic == self._request_topic:
+            self._keep(record)
+
+    def _image(self, record: Record) -> Iterator[Record]:
+        stamp_ns = stamp_of(record.data)
+        if stamp_ns is None:
+            return
+        t_ns = stamp_ns + self._time_offset_ns
+        shot = Shot(record.topic, record.schema, record.data, stamp_ns, t_ns, record.log_time_ns)
+        if self._repeats:
+            self._shots[shot.name] = shot
+            while len(self._shots) > _KEPT:
+                del self._shots[next(iter(self._shots))]
+            return
+        for pair in self._pairing.put(self._side[record.topic], shot):
+            if asked := self._ask(pair, record.log_time_ns):
+                yield Record(asked.request.topic, asked.request.schema, record.log_time_ns, asked.request.data)
+                self._due.append((record.log_time_ns + self._latency_ns, asked.answers))
+
+    def _pair(self, left: PictureName | None, right: PictureName | None) -> Pair | None:
+        """The images of these names; None where one is not in the log."""
+        found = Pair(*(self._shots.get(name) if name else None for name in (left, right)))
+        return None if (left and found.left is None) or (right and found.right is None) else found
+
+
+class Together:
+    """Landmarks and odometry of one log, each from its own requests."""
+
+    def __init__(self, parts: Sequence[Repeat]) -> None:
+        self.parts = parts
+
+    def note(self, outputs: Iterable[Output]) -> None:
+        """What Fusion said."""
+        kept = list(outputs)
+        for part in self.parts:
+            part.note(kept)
+
+    def records(self, record: Record) -> Iterator[Record]:
+        """What the estimator is to see instead of this record, in order."""
+        records = [record]
+        for part in self.parts:
+            records = [seen for one in records for seen in part.records(one)]
+        yield from records
