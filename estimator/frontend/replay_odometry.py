@@ -36,6 +36,8 @@ class OdometryCounts(msgspec.Struct):
 class OdometryReplay(Repeat):
     """Puts the answers of visual odometry among the records of a log. topics: of left and right images."""
 
+    counts: OdometryCounts
+
     def __init__(
         self,
         sight: OdometrySight,

@@ -39,6 +39,8 @@ class ImageCounts(msgspec.Struct):
 class SightReplay(Repeat):
     """Puts the answers of vision among the records of a log. left, right: topics of the images."""
 
+    counts: ImageCounts
+
     def __init__(
         self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
     ) -> None:

@@ -79,7 +79,7 @@ class OdometryConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     position_sigma_m: Annotated[float, Meta(ge=1e-4, le=100, description="m: white error of an increment, at least")] = 0.005
     attitude_sigma_deg: Annotated[float, Meta(ge=1e-3, le=90, description="deg: white error of an increment, at least")] = 0.2
     position_share: Annotated[
-        float, Meta(ge=0, le=1, description="white error of an increment as a share of its length, where it tells none")
+        float, Meta(ge=0, le=1, description="white error of an increment as a share of its length, where it reports none")
     ] = 0.03
     noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations in an increment")] = 1.0
     lasting_share: Annotated[float, Meta(ge=0, le=1, description="error that lasts, as a share of the length; 0: none")] = 0.008
