@@ -1,4 +1,4 @@
-"""A start for the pose fit of a single view: from where roofs lie in one image, and how large they are, as regions tell it.
+"""A start for the pose fit of a single view: from where roofs lie in one image, and how large they are, as regions show it.
 
     c_j = centroid of roof j [px],   ln s_j = ln sqrt(area_j);   dc = J_c dx_c,   d ln s = -dz_c / z_c
 

@@ -2,12 +2,12 @@
 
 A false fix does not agree with the next one. False fixes that agree make a believer, which foresees the next. So where not even a
 filter that begins at one fix foresees the next, although the fixes draw a path that a vehicle can fly, the motion between them is
-not what the IMU says: its axes or units are wrong, or it has failed. Two velocities from three positions tell whether it can be
+not what the IMU says: its axes or units are wrong, or it has failed. Two velocities from three positions show whether it can be
 flown:
 
     |(p2 - p1) / h2 - (p1 - p0) / h1|  <  a (h1 + h2) / 2 + k sigma (1 / h1 + 1 / h2)
 
-Nothing can be told of fixes that are too far apart in time. What is shown for some seconds is believed: the filter is given up.
+Fixes that are too far apart in time show nothing. A contradiction that lasts for some seconds ends the filter.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ SAYS = (
     "and whether the fixes are as good as they claim ([pose_fix] noise_scale)"
 )
 _SHOWN_S, _SHOWN_FIXES = 3.0, 5
-_APART_S = 2.0  # fixes further apart tell nothing
+_APART_S = 2.0  # fixes further apart show nothing
 _AGILE_M_S2 = 40.0  # no vehicle accelerates more
 _SIGMAS = 3.0
 _XYZ = slice(0, 3)

@@ -117,7 +117,7 @@ class Eskf:
         self.clones = {**self.clones, block: pose_of(self.x)}
 
     def zero(self, block: str, seen: Innovation) -> None:
-        """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v tells: s = nu,
+        """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v gives it: s = nu,
 
         ds = -(H dx + v),   cov(ds, dx) = -P H^T,   var(ds) = H P H^T + R               (H of all states but s itself)
         """

@@ -172,7 +172,7 @@ class History:
         self._next = 0
 
     def changed(self) -> list[Entry]:
-        """Entries whose decision is new or another than last told, in order of validity, however often they were redone."""
+        """Entries whose decision is new or another than last reported, in order of validity, however often they were redone."""
         if not self._changed:  # nearly every call
             return []
         changed = [e for e in set(self._changed) if e.decision is not None and e.counted is not e.decision.reason]

@@ -11,7 +11,7 @@ from models.messages import Array, ImuSample
 class ImuBuffer:
     """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid.
 
-    known (capacity, sampling.SIZE): what each sample and those before it tell of the time between samples; has_forgotten: there
+    known (capacity, sampling.SIZE): the time between samples as known from each sample and those before it; has_forgotten: there
     were older ones.
     """
 

@@ -76,7 +76,7 @@ class Link:
 
 
 def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[float], None] | None = None) -> Smoothed:
-    """Smooth a flight; messages in the order of their arrival, of any lateness; progress is told the fraction done."""
+    """Smooth a flight; messages in the order of their arrival, of any lateness; progress is called with the fraction done."""
     samples, aids = sort(messages, config)
     tracker = Tracker(
         TrackerConfig(imu=config.imu, coast=config.coast, initialise=config.initialise, origin=Origin.of(config.origin))

@@ -208,7 +208,7 @@ class Tracker(Alignment):
         if isinstance(z, Conditional) and (bank := self.bank) is not None and (why := z.objection(bank.lead.x)):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
-            return self._believe(aid, z)
+            return self._take_prior(aid, z)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
@@ -338,7 +338,7 @@ class Tracker(Alignment):
         return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)[:3]
 
     def _alone(self, aid: Aid) -> bool:
-        """No other absolute source is active that could vouch for this one."""
+        """No other absolute source is active to compare this one with."""
         return not any(
             topic not in {aid.topic, aid.witness}
             and topic in self.absolute

@@ -135,7 +135,7 @@ class Alignment:
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
-    def _believe(self, aid: Aid, z: Measurement) -> Decision:
+    def _take_prior(self, aid: Aid, z: Measurement) -> Decision:
         """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
         if self.hypotheses is not None and not self._seeks_heading:
             return Decision(Reason.THINNED, detail="for the alignment alone")
@@ -276,8 +276,8 @@ class Alignment:
         """Whether there is an attitude to begin with: fresh, not against gravity, and none that a search has ruled out."""
         if self.prior is None or self.t_ns - self.prior[0] > _FRESH_NS:
             return False
-        since_ns, believed = self.prior
-        prior = Pose(believed.z_n, samples.turned(believed.q_nb_wxyz, since_ns, self.t_ns), believed.noise, believed.rows)
+        since_ns, given = self.prior
+        prior = Pose(given.z_n, samples.turned(given.q_nb_wxyz, since_ns, self.t_ns), given.noise, given.rows)
         if self.hypotheses is not None and not initialise.agrees(self.hypotheses, prior):
             return False
         begun = initialise.start_from_attitude(self.t_ns, z, at, prior, self.constants, self.config.initialise)

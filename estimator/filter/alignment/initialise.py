@@ -9,7 +9,7 @@
   predict accelerations that do not come true (Gaussian sum; Sorenson and Alspach 1971). It needs no assumption that the
   vehicle flies nose first. While the vehicle stands still, levelling is repeated and nothing is started.
 
-The estimate is aligned when attitude and velocity are known well enough for the linearised filter to be honest.
+The estimate is aligned when attitude and velocity are known well enough for the linearised filter to be consistent.
 """
 
 import math
@@ -136,7 +136,7 @@ def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Arr
 def start_from_attitude(
     t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
-    """One filter at a position fix, with an attitude that somebody else believes; None where that contradicts gravity."""
+    """One filter at a position fix, with an attitude from outside; None where that contradicts gravity."""
     levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
     off = so3.quat_log(so3.multiply(levelled, so3.conjugate(prior.q_nb_wxyz)))[:2]
     tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2
@@ -164,7 +164,7 @@ def start_from_heading(
 
 
 def agrees(bank: Hypotheses, prior: Pose) -> bool:
-    """Whether the attitude that somebody else believes is within reach of a heading that is left, as likely as that one is."""
+    """Whether the attitude from outside is within reach of a heading that is left, as likely as that one is."""
     for member in bank.members:
         r_nb = so3.matrix(member.filter.x[X.Q])
         off = so3.quat_log(so3.multiply(so3.conjugate(member.filter.x[X.Q]), prior.q_nb_wxyz))

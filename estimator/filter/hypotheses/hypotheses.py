@@ -179,7 +179,7 @@ class Hypotheses:
         left_out.begin_again(self.members, aid, fused, at_fix, agrees=agrees)
         self.members += born + ([believer] if believer else [])
         if at_fix:
-            left_out.add_beside(self.members, at_fix, aid)
+            left_out.add_at_fix(self.members, at_fix, aid)
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
 

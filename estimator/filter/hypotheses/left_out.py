@@ -1,8 +1,9 @@
 """Hypotheses without a receiver: one goes on without GNSS, which may be misled for minutes by an error that all readings share.
 
-It takes no reading of the receiver, and with each fix that confirms the leading hypothesis it begins again as that one, so that
-it is never older than the last confirmation. (Solution separation: Blanch et al., Baseline advanced RAIM user algorithm, 2015,
-sec. IV.)
+It takes no reading of the receiver. With each fix that confirms the leading hypothesis it begins again as that one, so that it
+is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may have
+been misled from the start; it is dropped when the next fix does not follow, for fixes in a wrong unit are no evidence.
+(Solution separation: Blanch et al., Baseline advanced RAIM user algorithm, 2015, sec. IV.)
 """
 
 import numpy as np
@@ -31,13 +32,13 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     return True
 
 
-def add_beside(members: list[Hypothesis], moved: Hypothesis, aid: Aid) -> None:
+def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
     """A fix that no hypothesis takes may be true, and the receiver misled from the start: one goes on without it."""
     receiver = members[0].receiver
     if receiver is None or aid.log_misled is not None or any(m.without == receiver[0] for m in members):
         return
     if (aid.t_ns - members[0].refuted_ns) * 1e-9 > LEFT_OUT_S:
-        members.append(_without(moved, *receiver, aid.t_ns))
+        members.append(_without(at_fix, *receiver, aid.t_ns))
         members[-1].weight += members[0].weight
 
 

@@ -1,6 +1,7 @@
 """Odometry in the hypotheses: keep the pose where an increment begins, judge and fuse the increment where it ends.
 
-Every hypothesis keeps a pose of its own. An increment founds no new hypothesis; it tells those that there are apart, by little:
+Every hypothesis keeps a pose of its own. An increment founds no new hypothesis. It changes the weights of those that there are by
+little:
 
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
@@ -44,7 +45,7 @@ class Step(NamedTuple):
 
 
 def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
-    """One place of an odometry in the order; kept: what is kept for its topic; alone: no position vouches for the filters."""
+    """One place of an odometry in the order; kept: what is kept for its topic; alone: no position confirms the filters."""
     motion = aid.motion
     if isinstance(motion, Begins):
         if kept is None or kept.until_ns <= aid.t_ns:

@@ -450,6 +450,32 @@ def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_
     assert [s.reason for s in last] == [Reason.FUSED] * 10
 
 
+def test_a_gnss_that_was_left_and_is_right_again_is_fused_although_no_fix_comes_any_more() -> None:
+    flight = simulated(BOOT, seed=3)
+    last_fix_ns = EPOCH_NS + 48 * SECOND
+    run = fly(flight, messages=[m for m in _pulled(flight, 2.0) if not isinstance(m, PoseFix) or m.t_ns < last_fix_ns])
+    last = [s for s in run.statuses if s.topic == "/gnss" and s.kind == "gnss_position"][-10:]
+    assert [s.reason for s in last] == [Reason.FUSED] * 10
+    assert position_errors(run.estimates[-1:], flight.truth)[0] < 3.0
+
+
+@pytest.mark.parametrize("unit", [100.0, 3.28])
+def test_fixes_in_a_wrong_unit_do_not_lead_beside_gnss(unit: float) -> None:
+    flight = simulated(BOOT, seed=3)
+    messages: list[Input] = []
+    for m in flight.messages:
+        if not isinstance(m, PoseFix):
+            messages.append(m)
+        elif m.t_ns > EPOCH_NS + 30 * SECOND:
+            messages.append(replace(m, p_n=vec3(unit * np.array(m.p_n))))
+    run = fly(flight, messages=messages)
+    found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 30 * SECOND][::20]
+    off = position_errors(found, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    assert np.sqrt((off**2).mean()) < 3.0
+    assert (off > 3.0 * radius).mean() < 0.01
+
+
 def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_conflict() -> None:
     flight = simulated(BOOT, seed=3)
     config = config_of(flight)
