@@ -1,0 +1,201 @@
+"""A receiver that is misled: left for fixes that contradict it, covered meanwhile, and fused again when it is right."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from estimator.filter.eskf import Eskf
+from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
+from estimator.sources.gnss import GnssConfig, position_aid
+from estimator.sources.source import Aid
+from models.frames import Origin
+from models.imu import Coast, ImuNoise, constants
+from models.measurements import Measurement
+from models.messages import GnssFix, GnssVelocity, Input, PoseFix, Reason, Vec3, vec3
+from models.sim.scenario import EPOCH_NS, Simulation
+from models.state import E, X
+from tests.estimator.scenes import SECOND, aid_of, config_of, fly, pose_fix, position_errors, simulated
+
+ORIGIN = Origin(47.0, 8.0, 500.0)
+TOPIC = "/gnss"
+
+
+def _member(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0) -> Hypothesis:
+    x = np.zeros(X.SIZE)
+    x[X.P], x[X.Q] = p_n, (1.0, 0.0, 0.0, 0.0)
+    noise = constants(ImuNoise(), Coast(), None)
+    fused_ns = EPOCH_NS - round(fused_ago_s * SECOND)
+    return Hypothesis(Eskf(EPOCH_NS, x, 0.01 * np.eye(E.SIZE), noise), weight, fused_ns, EPOCH_NS - 60 * SECOND, EPOCH_NS)
+
+
+def _without(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0) -> Hypothesis:
+    member = _member(p_n, weight, fused_ago_s=fused_ago_s)
+    member.without, member.least = TOPIC, weight
+    member.doubts[TOPIC] = Doubt(EPOCH_NS - SECOND, deliberate=True)
+    return member
+
+
+def _gnss(p_n: Vec3) -> tuple[Aid, Measurement]:
+    fix = GnssFix(EPOCH_NS, EPOCH_NS, *ORIGIN.to_geodetic(np.array(p_n)), np.eye(3))
+    aid = position_aid(fix, GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(ORIGIN)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    return aid, z
+
+
+@pytest.mark.parametrize(("fused_ago_s", "follows"), [(5.0, False), (15.0, True)])
+def test_the_leading_one_follows_the_receiver_again_when_nothing_else_confirms_it(fused_ago_s: float, follows: bool) -> None:
+    bank = Hypotheses([_without((0.0, 0.0, 0.0), fused_ago_s=fused_ago_s), _member((0.2, 0.0, 0.0), -3.0)])
+    verdict = bank.judge(*_gnss((0.1, 0.0, 0.0)), np.zeros(3), trusted=True)
+    assert verdict.passed
+    assert verdict.fused == follows
+    assert (bank.members[0].without == "") == follows
+
+
+def test_a_receiver_that_is_found_out_is_left_only_for_a_hypothesis_that_other_fixes_have_confirmed() -> None:
+    sound = _without((1.0, 0.0, 0.0), -4.6)
+    unconfirmed, refuted = sound.copy(), sound.copy()
+    unconfirmed.begun_at_fix = True
+    refuted.doubts["/pose_fix"] = Doubt(EPOCH_NS, deliberate=False)
+    for other, leads in ((sound, True), (unconfirmed, False), (refuted, False)):
+        bank = Hypotheses([_member((0.0, 0.0, 0.0)), other])
+        bank.leave(TOPIC)
+        assert (bank.members[0] is other) == leads
+        assert bank.switches == leads
+
+
+def test_one_fix_raises_the_hypothesis_without_the_receiver_by_its_share_of_false_fixes_at_most() -> None:
+    bank = Hypotheses([_member((0.0, 0.0, 0.0)), _without((5.0, 0.0, 0.0), -4.6)])
+    aid = aid_of(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
+    z = aid.measurement(None)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    bank.judge(aid, z, np.zeros(3), trusted=True)
+    without = next(m for m in bank.members if m.without)
+    assert without.weight - bank.members[0].weight == pytest.approx(-4.6 - math.log(aid.rules.false_share))
+    reach = 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1])
+    assert 5.0 < reach < 10.0, "both count alike"
+
+
+BOOT = """
+duration_s = 120.0
+[imu]
+rate_hz = 100.0
+[gnss]
+rate_hz = 5.0
+[pose_fix]
+rate_hz = 0.5
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_covers_both() -> None:
+    flight = simulated(BOOT, seed=3)
+
+    def spoofed(m: Input) -> Input | None:
+        if isinstance(m, PoseFix) and m.t_ns < EPOCH_NS + 25 * SECOND:
+            return None
+        return replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0) if isinstance(m, GnssFix) else m
+
+    run = fly(flight, messages=[m for m in map(spoofed, flight.messages) if m is not None])
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND][::20]
+    off = position_errors(late, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    assert off[-1] < 1.0
+    assert (off > 3.0 * radius).mean() < 0.01
+    assert radius[-1] < 2.0  # decided
+    wide = radius > 50.0
+    assert np.count_nonzero(wide[1:] != wide[:-1]) == 1  # and not in question again
+    said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 40 * SECOND]
+    assert any(re.match(r"/pose_fix and /gnss disagree by 199\.\d m for \d+ s: ", text) for text in said)
+
+
+def test_a_gnss_that_is_wrong_from_boot_and_has_led_for_a_minute_is_left_for_fixes_each_four_seconds() -> None:
+    flight = simulated(BOOT, seed=3)
+    messages: list[Input] = []
+    for m in flight.messages:
+        if isinstance(m, GnssFix):
+            messages.append(replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0))
+        elif not isinstance(m, PoseFix) or (m.t_ns > EPOCH_NS + 60 * SECOND and (m.t_ns - EPOCH_NS) % (4 * SECOND) < 2 * SECOND):
+            messages.append(m)
+    run = fly(flight, messages=messages)
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 66 * SECOND][::20]
+    off = position_errors(late, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    assert (off > 3.0 * radius).mean() < 0.01
+    assert off[-1] < 1.0
+    assert radius[-1] < 2.0
+
+
+PULL_NS, BACK_NS = EPOCH_NS + 20 * SECOND, EPOCH_NS + 50 * SECOND
+
+
+def _pulled(flight: Simulation, m_s: float) -> list[Input]:
+    """From PULL_NS to BACK_NS GNSS moves off at m_s to the north, its velocity with it; a pose fix each 4 s."""
+    found: list[Input] = []
+    for m in flight.messages:
+        pull = PULL_NS < m.t_ns < BACK_NS
+        if isinstance(m, GnssFix) and pull:
+            found.append(replace(m, lat_deg=m.lat_deg + m_s * (m.t_ns - PULL_NS) * 1e-9 / 111_320.0))
+        elif isinstance(m, GnssVelocity) and pull:
+            found.append(replace(m, v_n=(m.v_n[0] + m_s, *m.v_n[1:])))
+        elif not isinstance(m, PoseFix) or (m.t_ns - EPOCH_NS) % (4 * SECOND) < 2 * SECOND:
+            found.append(m)
+    return found
+
+
+@pytest.mark.parametrize("m_s", [0.5, 2.0])
+def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_again_when_it_is_right(m_s: float) -> None:
+    flight = simulated(BOOT, seed=3)
+    run = fly(flight, messages=_pulled(flight, m_s))
+    decided = [e for e in run.estimates if e.t_ns > PULL_NS + 20 * SECOND][::20]
+    off = position_errors(decided, flight.truth)
+    assert off.max() < 1.5
+    found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 10 * SECOND][::20]
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    assert (position_errors(found, flight.truth) > 3.0 * radius).mean() < 0.05
+    last = [s for s in run.statuses if s.topic == "/gnss" and s.kind == "gnss_position"][-10:]
+    assert [s.reason for s in last] == [Reason.FUSED] * 10
+
+
+def test_a_gnss_that_was_left_and_is_right_again_is_fused_although_no_fix_comes_any_more() -> None:
+    flight = simulated(BOOT, seed=3)
+    last_fix_ns = EPOCH_NS + 48 * SECOND
+    run = fly(flight, messages=[m for m in _pulled(flight, 2.0) if not isinstance(m, PoseFix) or m.t_ns < last_fix_ns])
+    last = [s for s in run.statuses if s.topic == "/gnss" and s.kind == "gnss_position"][-10:]
+    assert [s.reason for s in last] == [Reason.FUSED] * 10
+    assert position_errors(run.estimates[-1:], flight.truth)[0] < 3.0
+
+
+@pytest.mark.parametrize("unit", [100.0, 3.28])
+def test_fixes_in_a_wrong_unit_do_not_lead_beside_gnss(unit: float) -> None:
+    flight = simulated(BOOT, seed=3)
+    messages: list[Input] = []
+    for m in flight.messages:
+        if not isinstance(m, PoseFix):
+            messages.append(m)
+        elif m.t_ns > EPOCH_NS + 30 * SECOND:
+            messages.append(replace(m, p_n=vec3(unit * np.array(m.p_n))))
+    run = fly(flight, messages=messages)
+    found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 30 * SECOND][::20]
+    off = position_errors(found, flight.truth)
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    assert np.sqrt((off**2).mean()) < 3.0
+    assert (off > 3.0 * radius).mean() < 0.01
+
+
+def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_conflict() -> None:
+    flight = simulated(BOOT, seed=3)
+    config = config_of(flight)
+    usual, never = (fly(flight, replace(config, gnss=replace(config.gnss, trust=trust))) for trust in (0.99, 1.0))
+    members = [run.fusion._history.advance(run.estimates[-1].t_ns).hypotheses for run in (usual, never)]
+    assert [{m.without for m in h.members} for h in members if h is not None] == [{"", "/gnss"}, {""}]
+    for a, b in zip(usual.estimates, never.estimates, strict=True):
+        np.testing.assert_array_equal(a.nav, b.nav)
+        np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
