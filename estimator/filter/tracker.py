@@ -14,8 +14,10 @@ from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, D
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.path_scale import PathScale
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
+from estimator.filter.variance_factor import NO_EXCESS
 from estimator.sources import rest
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
@@ -66,6 +68,7 @@ class Tracker(Alignment):
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
+        self.path_scale = PathScale()
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -96,7 +99,12 @@ class Tracker(Alignment):
         assert bank is not None
         if self.is_aligned and self.without_sensor is not None:
             return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
-        return bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
+        if self.is_aligned:
+            return bank.covariance()
+        cov = covariance(bank, self.config.initialise)
+        for off in self.apart.values():
+            cov[E.P, E.P] += np.outer(off, off)
+        return cov
 
     @property
     def is_sound(self) -> bool:
@@ -136,8 +144,7 @@ class Tracker(Alignment):
         found: list[str] = []
         if self.shown is None:
             return found
-        if conflict := self._conflict():
-            found.append(conflict)
+        found += filter(None, (self._conflict(), *(self.path_scale.objection(topic) for topic in sorted(self.absolute))))
         if self.is_aligned and self.without_sensor is not None:
             found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
         found += [
@@ -209,6 +216,11 @@ class Tracker(Alignment):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._take_prior(aid, z)
+        self.path_scale = self.path_scale.also(aid, z)
+        if why := self.path_scale.objection(aid.topic):
+            if self.sources.pop(aid.topic, _UNKNOWN).fused_ns > NEVER:
+                self._leave(self.path_scale.last[-1][1])
+            return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
@@ -345,6 +357,18 @@ class Tracker(Alignment):
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()
         )
+
+    def _leave(self, position_n: Array) -> None:
+        """A source that has been fused turns out to be wrong; a position of GNSS (3,) shows by how much it may have misled."""
+        self.variance_factor = NO_EXCESS
+        if not self.is_aligned or self.hypotheses is None:
+            self._begin_again()
+            return
+        del self.hypotheses.members[1:]
+        lead, self.stretch = self.hypotheses.lead, None
+        off = position_n - lead.x[X.P]
+        self.hypotheses.members[0].doubts.clear()
+        lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
         """Another absolute source has been fused lately."""
