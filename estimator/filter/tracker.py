@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.filter import contradiction, delay
+from estimator.filter import contradiction
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
-from estimator.filter.bias_walk import BiasWalk
-from estimator.filter.delay import Delays
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.path_scale import PathScale
+from estimator.filter.mismatch import BiasWalk, Delays, PathScale, delay
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter import delay
 from estimator.filter.eskf import Eskf
+from estimator.filter.mismatch import delay
 from models import so3
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
@@ -33,7 +33,7 @@ def _state(t_s: float) -> Array:
     return x
 
 
-MEASUREMENTS = {
+MEASUREMENTS: dict[str, Measurement] = {
     "position": Position(np.zeros(3), np.eye(3), np.arange(3), LEVER),
     "velocity": Velocity(np.zeros(3), np.eye(3), np.zeros(3)),
     "pose": Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.eye(6), POSE_ROWS),
@@ -61,7 +61,7 @@ def replace_pose(z: Pose, q: Array) -> Pose:
 def test_a_filter_that_was_aligned_with_late_readings_foresees_late_readings(name: str) -> None:
     eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
     delay.begin(eskf, "/fix", U)
-    z: Measurement = MEASUREMENTS[name]
+    z = MEASUREMENTS[name]
     if isinstance(z, Pose):
         z = replace_pose(z, eskf.x[X.Q])
     seen = eskf.innovation(z, U[:3], [(delay.block("/fix"), delay.jacobian(z, eskf.x, U)[:, None])])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.bias_walk import BiasWalk
 from estimator.filter.eskf import Innovation
+from estimator.filter.mismatch.bias_walk import BiasWalk
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, ImuSample, Input, vec3
 from models.sim.scenario import EPOCH_NS

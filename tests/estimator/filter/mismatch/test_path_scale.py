@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.path_scale import PathScale
+from estimator.filter.mismatch.path_scale import PathScale
 from estimator.sources.gnss import GnssConfig, position_aid
 from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid

@@ -1,0 +1,8 @@
+"""Where the world differs from the configuration: what innovations and paths show. May import hypotheses and what is below."""
+
+from estimator.filter.mismatch import delay
+from estimator.filter.mismatch.bias_walk import BiasWalk
+from estimator.filter.mismatch.delay import Delays
+from estimator.filter.mismatch.path_scale import PathScale
+
+__all__ = ["BiasWalk", "Delays", "PathScale", "delay"]
