@@ -50,7 +50,7 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0,
             le=1_000_000,
-            description="fixes that must pass before a (returning) GNSS is fused beside another absolute source",
+            description="fixes that must pass before a (returning) GNSS is fused together with another absolute source",
         ),
     ] = 10
     hold_s: Annotated[

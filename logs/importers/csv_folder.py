@@ -39,7 +39,7 @@ _ALT = (*_ELLIPSOID, "alt_m", "altitude_m", "height_m", "alt", "altitude", "heig
 def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
     """The recording in a folder. Raises LogError."""
     if not source.is_dir():
-        raise LogError(f"{source}: not a folder; csv wants the folder that imu.csv lies in")
+        raise LogError(f"{source}: not a folder; csv needs the folder that holds imu.csv")
     notes: list[str] = []
     known = data_set(source.resolve())
     checks = _checks(source)

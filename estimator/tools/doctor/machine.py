@@ -106,7 +106,7 @@ def _clock() -> Check:
 def _synchronised() -> Check:
     """What the kernel thinks of its clock: adjtimex(2) without a change."""
     unset = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _TIME_ERROR
-    advice = "stamps of other computers, MAVLink signatures and the names of logs need the time: chrony, PTP, or set it by hand"
+    advice = "synchronise it with chrony or PTP, or set it by hand: MAVLink signatures, log names and foreign stamps need it"
     return judge("system clock", "not synchronised" if unset else "synchronised by NTP, PTP or GNSS", warn=unset, advice=advice)
 
 

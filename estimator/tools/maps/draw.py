@@ -71,7 +71,7 @@ def _kinds(alike: Alike | None) -> list[tuple[str, NDArray[np.bool_], str]]:
     repeats = alike.repeats_m < np.inf
     return [
         (_ALIKE, (alike.count > 0) & ~repeats, "looks like another one near by"),
-        (_REPEATS, repeats, "the same arrangement stands near by"),
+        (_REPEATS, repeats, "the same arrangement exists nearby"),
     ]
 
 
