@@ -1,20 +1,32 @@
 """Flights of all kinds in a process that has warmed up, as the daemon does: prints what was compiled for them, as JSON.
 
+compiled: as the daemon's own report counts it; new: kernels that have more signatures than after the warm-up. The first flight
+goes through a log.
+
 python -m tests.estimator.service.many_flights
 """
 
+import gc
 import itertools
 import json
+import tempfile
 from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from msgspec import structs
+from numba.core.dispatcher import Dispatcher
 
 from estimator.filter.smoother import smooth
 from estimator.publish import OutputConfig, Publisher
 from estimator.service.base import compilation
+from logs.store.reader import LogReader
+from logs.store.recorder import Recorder
+from logs.wire.codec import Decoder, encode_input
 from models.measurements import DIRECTION_SCALE
-from models.messages import AidStatus, Array, Estimate, Input, LandmarkFix, PoseFix, Reading
+from models.messages import AidStatus, Array, Estimate, Input, LandmarkFix, PoseFix, Reading, Reason
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.partial import in_part
 from tests.estimator.scenes import SECOND, Run, by_arrival, config_of, hover, simulated
@@ -67,24 +79,47 @@ def flights() -> list[tuple[str, list[Input]]]:
     return found
 
 
+def kernels() -> set[tuple[str, str]]:
+    """Name and signature of every kernel that is compiled or loaded in this process."""
+    found: list[Any] = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
+    return {(f"{d.__module__}.{d.__name__}", str(signature)) for d in found for signature in d.signatures}
+
+
+def logged(messages: Iterable[Input]) -> list[Input]:
+    """The messages as a log gives them back."""
+    decoder = Decoder()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "flight.mcap"
+        with Recorder(file) as recorder:
+            for message in messages:
+                recorder.write(*encode_input(message), message.arrived_ns)
+        with LogReader(file) as reader:
+            decoded = [decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader]
+    return [message for message in decoded if message is not None]
+
+
 def main() -> None:
     from estimator.fusion import Fusion  # noqa: PLC0415
     from estimator.service.warm_up import warm_up  # noqa: PLC0415
 
     warm_up()
+    warm = kernels()
     compiled = list[str]()
     compilation.listen(lambda kernel, _: compiled.append(kernel) if kernel and not kernel.startswith("models.sim") else None)
-    reasons, estimates = Counter[str](), 0
+    reasons, fused, estimates = Counter[str](), set[str](), 0
     for seed, (text, messages) in enumerate(flights()):
         fusion, publisher = Fusion(config_of(simulated(text, seed))), Publisher(OutputConfig())
-        for message in messages:
+        for message in messages if seed else logged(messages):
             said = fusion.handle(message)
             list(publisher.encoded(said))
             reasons.update(f"{s.kind} {s.reason.value}" for s in said if isinstance(s, AidStatus))
+            fused |= {s.topic for s in said if isinstance(s, AidStatus) and s.reason is Reason.FUSED}
             estimates += sum(isinstance(s, Estimate) for s in said)
     smooth(simulated(SCENARIOS[0]).messages, config_of(simulated(SCENARIOS[0])))
     run = Run(Fusion(config_of(simulated(SCENARIOS[3])))).feed(hover(9.0))
-    print(json.dumps({"compiled": compiled, "estimates": estimates + len(run.estimates), "reasons": reasons}))
+    new = sorted({name for name, _ in kernels() - warm if not name.startswith("models.sim")})
+    found = {"warm": len(warm), "new": new, "compiled": compiled, "fused": sorted(fused)}
+    print(json.dumps(found | {"estimates": estimates + len(run.estimates), "reasons": reasons}))
 
 
 if __name__ == "__main__":
