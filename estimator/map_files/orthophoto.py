@@ -1,6 +1,6 @@
 """Georeferenced images, and the colours of roofs in them.
 
-A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) beside it:
+A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """

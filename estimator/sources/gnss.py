@@ -1,4 +1,4 @@
-"""GNSS: position on the ellipsoid and velocity over ground, of an antenna beside the IMU.
+"""GNSS: position on the ellipsoid and velocity over ground, of an antenna next to the IMU.
 
 The receiver's covariance is taken as white noise; on top of it the position carries a slow error (atmosphere, multipath) that
 repeats from fix to fix and is considered, not averaged away.

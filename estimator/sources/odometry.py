@@ -305,7 +305,7 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment of t_ns comes in. An odometry that positions have found out comes back only beside a position."""
+    """An increment of t_ns comes in. An odometry that positions have found out comes back only together with a position."""
     was, drift = state.phase, state.drift_m_s
     state = state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0))
     if state.phase is not Phase.ACTIVE:

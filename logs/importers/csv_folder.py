@@ -10,7 +10,7 @@ Headers say what a column is (csv_table.py has all the names):
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
 Every file may have arrived_s: when a row arrived, if not at t_s. Stamps since the log's start are counted from `t0_unix_ns` in
-a checks.json beside, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
+a checks.json next to, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
 """
 
 import json

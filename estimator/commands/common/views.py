@@ -27,7 +27,7 @@ class _Gathered:
         self._shown: list[Image] = []
 
     def add(self, image: SourceImage) -> None:
-        """Look for the board in one more image."""
+        """Search for the board in one more image."""
         if image.fault:
             self._unused.append(Dropped(image.name, image.fault))
             return

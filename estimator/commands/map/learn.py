@@ -73,7 +73,7 @@ def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:
     horizontal, vertical = summary.common_sigma_m
     rows = [
         ("landmarks", str(summary.landmarks)),
-        ("images looked at", str(summary.images)),
+        ("images processed", str(summary.images)),
         ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if given else ", where the log begins")),
         ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
         *((f"skipped: {reason}", f"{count} images") for reason, count in summary.skipped.items()),

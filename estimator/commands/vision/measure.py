@@ -30,7 +30,7 @@ def command(
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, taken at the same time.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
     colours: Annotated[
-        list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to look for, 0..255; repeat for more.")
+        list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to search for, 0..255; repeat for more.")
     ] = None,
     space: Annotated[Literal["hsv", "hsi", "lab", "yuv", "grey"], typer.Option(help="Colour space of the segmentation.")] = "hsv",
     tolerance: Annotated[

@@ -160,7 +160,7 @@ def _device(path: Path) -> Check:
     """A serial device: there, and ours to use."""
     name = "mavlink.endpoint"
     if not path.exists():
-        return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps looking for it")
+        return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps searching for it")
     if not path.is_char_device():
         return judge(name, f"{path}: is no serial device", fail=True, advice="such as /dev/ttyACM0; or udpin:HOST:PORT")
     if not os.access(path, os.R_OK | os.W_OK):

@@ -24,7 +24,7 @@ _CLOCK_WATCH_S = 0.3
 _TIMEX_BYTES, _TIME_ERROR = 512, 5  # of adjtimex: more than a struct timex has; the clock is not synchronised
 _CLOCK_LIMIT_PPM = 1000.0  # an adjusted clock is slewed by 500 ppm at most; more is a step
 
-# From a tactical-grade gyroscope on foam to a consumer MEMS beside a propeller.
+# From a tactical-grade gyroscope on foam to a consumer MEMS next to a propeller.
 TYPICAL_NOISE = {
     "gyro_noise": (1e-5, 5e-2),
     "accel_noise": (1e-4, 2.0),

@@ -354,7 +354,7 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
 def test_a_real_flight_with_nothing_but_poses(
     landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
 ) -> None:
-    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README has."""
+    """GIVEN EuRoC's visual poses at 20 Hz and no report next to them, THEN the figures are those that its README has."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
     e = evaluate(tmp_path / "vision.mcap")
     assert e.accuracy is not None
