@@ -59,7 +59,7 @@ def command(
     for again in sight.parts if sight else ():
         note(f"landfix: {again.counts}")
     for name in summary.torn_parts:
-        note(f"landfix: {name} is torn; replayed up to its last whole record")
+        note(f"landfix: {name} is truncated; replayed up to its last whole record")
     if summary.missing:
         note(f"landfix: without {summary.missing} of this flight the estimate aligns anew, and is not the one that was flown")
     if json:

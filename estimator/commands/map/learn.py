@@ -59,7 +59,7 @@ def command(
         if len(the_map):
             out.write_bytes(the_map.to_geojson(marked(the_map)))
     if summary.torn:
-        note(f"landfix: {source} is torn; read up to its last whole record")
+        note(f"landfix: {source} is truncated; read up to its last whole record")
     if json:
         print_json(summary)
     else:

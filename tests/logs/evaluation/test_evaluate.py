@@ -321,7 +321,7 @@ def test_a_torn_log_is_evaluated_as_far_as_it_goes(log: Path, tmp_path: Path) ->
     (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
     e = evaluate(tmp_path / "torn.mcap")
     assert 0 < e.estimates < 3001
-    assert e.notes[0] == "the log is torn: read to its last whole record"
+    assert e.notes[0] == "the log is truncated: read to its last whole record"
 
 
 def test_json_holds_all_of_it(consistent: Evaluation) -> None:
