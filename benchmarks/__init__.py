@@ -1,1 +1,1 @@
-"""What the estimator costs and how accurate it is, measured beside a plain filter and beside published peers."""
+"""What the estimator costs and how accurate it is, compared with a plain filter and published peers."""

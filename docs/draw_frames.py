@@ -26,7 +26,7 @@ def arrow(ax: Axes, tail: Point, tip: Point, colour: str, style: str = "-") -> N
 
 
 def label(ax: Axes, p: Point, text: str, colour: str = INK, size: float = 10, align: str = "left") -> None:
-    """A word beside a line."""
+    """A word next to a line."""
     ax.text(*p, text, color=colour, fontsize=size, ha=align, va="center")
 
 

@@ -184,7 +184,7 @@ def load(path: Path | None) -> Config:
 
 
 def read(path: Path) -> Config:
-    """What stands in the file; none of the files that it names is looked at. Raises ConfigError, as load does."""
+    """What stands in the file; none of the files that it names is examined. Raises ConfigError, as load does."""
     try:
         with path.open("rb") as file:
             text = toml_text.decode(file.read(toml_text.MOST_BYTES + 1))

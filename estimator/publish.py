@@ -34,7 +34,7 @@ class OutputConfig(msgspec.Struct, frozen=True):
         float, Meta(ge=0.01, le=30, description="/landfix/pose, /tf and /landfix/global at most this often")
     ] = 30.0
     overlay_hz: Annotated[
-        float, Meta(ge=0, le=30, description="Hz: /landfix/overlay at most this often, drawn while somebody subscribes; 0: never")
+        float, Meta(ge=0, le=30, description="Hz: /landfix/overlay at most this often, drawn while it has a subscriber; 0: never")
     ] = 2.0
 
 

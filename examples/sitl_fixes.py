@@ -2,7 +2,7 @@
 
     python examples/sitl_fixes.py -c sitl.toml --from udpin:127.0.0.1:14030
 
-Listens on a second MAVLink port of PX4 SITL (HIL_STATE_QUATERNION) or ArduPilot SITL (SIM_STATE), beside that of landfix.
+Listens on a second MAVLink port of PX4 SITL (HIL_STATE_QUATERNION) or ArduPilot SITL (SIM_STATE), next to that of landfix.
 """
 
 import argparse

@@ -111,7 +111,7 @@ class LandmarkPipeline:
         located = self._predict.locate(images, marks, move, t_ns, prior)
         doubtful = self._may_be_the_next_house(located, images, near, prior)
         if doubtful:
-            located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
+            located = refused(located, "ambiguous", "it may show the neighbouring landmark, which looks alike")
         result = judged(located, self._rig, images, marks, move, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()

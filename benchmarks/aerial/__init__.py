@@ -1,1 +1,1 @@
-"""The outline path and registration on real aerial images, beside plain segmentation, SIFT and decoys."""
+"""The outline path and registration on real aerial images, with plain segmentation, SIFT and decoys."""

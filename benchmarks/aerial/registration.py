@@ -1,6 +1,6 @@
 """Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
 
-Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, and both as in flight, on the
+Registration and features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, and both as in flight, on the
 same images in one run. All thresholds are the recognisers' defaults. Judged is the position on the ground that the image's
 middle shows, by fix and prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to
 out/registration/.

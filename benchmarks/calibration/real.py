@@ -1,4 +1,4 @@
-"""Calibration on real recordings: published chessboard pairs, EuRoC's rig, IMUs at rest beside their data sheets; speed.
+"""Calibration on real recordings: published chessboard pairs, EuRoC's rig, IMUs at rest compared with their data sheets; speed.
 
     python -m benchmarks.calibration.real
 

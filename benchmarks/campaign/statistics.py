@@ -47,7 +47,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
 
 class Efficiency(msgspec.Struct, frozen=True):
-    """RMSE of one block at one instant over runs, beside the bound: m, m/s, rad."""
+    """RMSE of one block at one instant over runs, next to the bound: m, m/s, rad."""
 
     instant: Instant
     block: str

@@ -1,1 +1,1 @@
-"""Whole flights, recorded and rendered: accuracy and consistency, beside a plain filter and published peers."""
+"""Whole flights, recorded and rendered: accuracy and consistency, with a plain filter and published peers."""

@@ -79,7 +79,7 @@ def outage_rows(name: str, out: Path) -> list[tuple[str, ...]]:
 
 
 def flight(folder: str, out: Path) -> tuple[Recording, Config]:
-    """A flight as imported, and the configuration that the importer writes beside it."""
+    """A flight as imported, and the configuration that the importer writes next to it."""
     source = data_folder() / "flights" / folder
     recording = csv_folder.read(source)
     path = out / f"{source.name}.toml"

@@ -1,4 +1,4 @@
-"""Published estimators on the same scenarios, as they were measured: the yardstick beside our own figures.
+"""Published estimators on the same scenarios, as they were measured: the yardstick with our own figures.
 
 Medians over 11 sequences (EuRoC MH_01 03 04 05, V1_01-03, V2_01-03 and Blackbird clover; G and B: those long enough) and seeds
 0-2. Ours run over the sequences that are present, so the EuRoC rows are the ones to compare. Units: m, degrees; end = error at

@@ -1,4 +1,4 @@
-"""Accuracy and consistency on recorded flights, beside a plain filter and the published figures of others.
+"""Accuracy and consistency on recorded flights, with a plain filter and the published figures of others.
 
 python -m benchmarks.flights.real                              everything (make bench-real; the first time about half an hour)
 python -m benchmarks.flights.real --quick                      one seed, every third flight

@@ -18,7 +18,7 @@ from models.sim.scenario import Scenario, simulate
 
 
 def draw(folder: Path, plan: Scenario, seed: int) -> None:
-    """The flight of a scenario with cameras as flight.mcap, with map, rig and configuration beside it."""
+    """The flight of a scenario with cameras as flight.mcap, with map, rig and configuration next to it."""
     assert plan.cameras is not None
     folder.mkdir(parents=True, exist_ok=True)
     simulation = simulate(plan, seed)

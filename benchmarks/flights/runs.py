@@ -49,7 +49,7 @@ def run(job: Job, folder: Path) -> list[dict[str, Any]]:
 
 
 def _scored(task: Task, estimator: str, task_file: Path, config: Path, folder: Path) -> dict[str, Any]:
-    """The score of one estimator. The naive filter's is kept beside the task, for none of what it is made of changes."""
+    """The score of one estimator. The naive filter's is kept next to the task, for none of what it is made of changes."""
     kept = task_file.with_suffix(f".naive-{_sha(Path(naive_filter.__file__))}-{_sha(config)}.json")
     if estimator == NAIVE and kept.exists():
         return dict(json.loads(kept.read_text()))

@@ -123,7 +123,7 @@ def flight_table(scenario: str, runs: Sequence[Run], figure: str) -> Table:
 
 
 def figure(runs: Sequence[Run], path: Path) -> None:
-    """EuRoC medians beside the peers': position, attitude and the end of the longest outage, by scenario."""
+    """EuRoC medians next to the peers': position, attitude and the end of the longest outage, by scenario."""
     mpl.use("Agg")
     euroc = [run for run in runs if run["set"] == "euroc" and "pos_m" in run]
     scenarios = [s for s in SCENARIOS if any(run["scenario"] == s for run in euroc)]

@@ -1,6 +1,6 @@
 """Estimation tasks made of recorded flights, and their scores.
 
-Making and scoring is the work of `tools/flight_task.py` beside the data, loaded as it stands, so that every estimator is
+Making and scoring is the work of `tools/flight_task.py` next to the data, loaded as it stands, so that every estimator is
 judged by one and the same program. Tasks are kept: the same flight, scenario, seed and tool give the same file.
 """
 
@@ -39,7 +39,7 @@ INSIDE95 = 7.815  # chi-square, 3 degrees of freedom, 95 %
 
 
 def data_folder() -> Path:
-    """Where the recorded flights are: LANDFIX_DATA, or ../shared/data beside the repository."""
+    """Where the recorded flights are: LANDFIX_DATA, or ../shared/data next to the repository."""
     return Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).resolve()
 
 
@@ -92,7 +92,7 @@ def tasks(groups: list[str], scenarios: str, seeds: list[int], every: int = 1) -
 
 
 def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5)) -> Path | None:
-    """The task's MCAP (its .toml and .json beside it), None if the flight is too short for the scenario.
+    """The task's MCAP (its .toml and .json next to it), None if the flight is too short for the scenario.
 
     vision_sigma: m and degrees per axis, configured for vision fixes (scenarios V and W).
     """

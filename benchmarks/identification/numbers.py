@@ -2,7 +2,7 @@
 `python -m benchmarks.identification.numbers`.
 
 Wrong fix: the place is off by more than 3 m and outside its own 99.99 % ellipsoid. Wrong identity: an identified region that is
-another landmark or none. Beside it what the thesis' rule alone does: the most similar landmark within the prior's 99.99 %, if it
+another landmark or none. Next to it what the thesis' rule alone does: the most similar landmark within the prior's 99.99 %, if it
 is >= 75 % similar. Objects differ by +-10 % in width and length and stand 25 m apart, 30 % of them are not in the map and 10 % of
 the map is gone. Numbers only, no images; seeds from the command line. Writes identification.md and .png to --out.
 """

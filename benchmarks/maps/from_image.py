@@ -1,7 +1,7 @@
 """How many real footprints come out of a satellite image: `python -m benchmarks.maps.from_image`.
 
 43 footprints in a panchromatic image of 0.5 m (SpaceNet, Atlanta: houses among trees), against the regions that `landfix map
-build` takes from it, with colours of its own choice and with greys to look for. A region is right if its intersection with a
+build` takes from it, with colours of its own choice and with greys to search for. A region is right if its intersection with a
 footprint is half of their union.
 """
 

@@ -70,7 +70,7 @@ def _describe(axes: Axes, landmark: Landmark) -> None:
 
 
 def overlays(scene: Scene, village: LandmarkMap) -> Array:
-    """The same image with the map drawn from the true pose and from one beside it."""
+    """The same image with the map drawn from the true pose and from one next to it."""
     p_n, R_nb = np.array([-60.0, 10.0, -50.0]), matrix(from_euler(0.1, 0.05, 0.2))
     p_nc, R_nc = scene.rig.camera_pose(p_n, R_nb)
     image = render(scene.world, scene.rig.left, p_nc, R_nc, Conditions(), np.random.default_rng(0))

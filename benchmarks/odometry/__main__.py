@@ -4,7 +4,7 @@ python -m benchmarks.odometry                        everything, some minutes of
 python -m benchmarks.odometry recorded faults        one table or several
 python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
 
-Recorded sets are looked for in LANDFIX_DATA; without them their tables are left out.
+Recorded sets are searched for in LANDFIX_DATA; without them their tables are left out.
 """
 
 import argparse

@@ -4,7 +4,7 @@
 
 Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
 10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
-the estimator between them; beside it how late the machine wakes a process that only sleeps, at the same priority, and what a
+the estimator between them; next to it how late the machine wakes a process that only sleeps, at the same priority, and what a
 host takes from a virtual machine. The images are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
 """
 

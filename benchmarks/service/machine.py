@@ -1,4 +1,4 @@
-"""What the machine itself does to a latency, beside benchmarks.service: how late it wakes a sleeper, what a host takes from it.
+"""What the machine itself does to a latency, next to benchmarks.service: how late it wakes a sleeper, what a host takes from it.
 
     python -m benchmarks.service.machine [--hz 400]
 

@@ -1,4 +1,4 @@
-"""What a stereo pair costs from images to fix, stage by stage, beside SIFT + FLANN on the same pair: one run, one thread.
+"""What a stereo pair costs from images to fix, stage by stage, compared with SIFT + FLANN on the same pair: one run, one thread.
 
 python -m benchmarks.speed.pipeline --seed 1 --pairs 40
 

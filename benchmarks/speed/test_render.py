@@ -1,4 +1,4 @@
-"""How fast the renderer is: stereo pairs on one core, by height, with what an image holds beside it.
+"""How fast the renderer is: stereo pairs on one core, by height, with what an image holds next to it.
 
 The aim is >= 25 VGA pairs/s (40 ms a pair) with 3 to 12 landmarks in view. Nothing is asserted about time.
 """

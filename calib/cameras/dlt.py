@@ -49,7 +49,7 @@ def camera_matrix(x_o: Array, px: Array) -> Array:
     F = np.linalg.lstsq(D, np.concatenate((u, v)), rcond=None)[0]
     A = np.linalg.inv(to_px) @ np.append(F, 1.0).reshape(3, 4) @ to_o
     if abs(A[2, 3]) < 1e-9 * np.linalg.norm(A[2]):
-        raise CalibrationError("the origin of the points lies in the camera's own plane: move the origin")
+        raise CalibrationError("the origin of the points is in the plane of the camera: move the origin")
     return np.asarray(A / A[2, 3])
 
 

@@ -168,12 +168,12 @@ def _check_sides(rig: StereoRig) -> None:
     x, y, z = -rig.R_rc.T @ rig.t_rc
     if x * x < y * y + z * z:
         raise CalibrationError(
-            f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not beside it: "
+            f"the second camera is at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not next to it: "
             "are they partners? If the cameras lie on their sides, turn both's images upright"
         )
     if x < 0.0:
         raise CalibrationError(
-            f"the cameras are swapped: the right one stands {-x:.3f} m to the left of the other; exchange --left and --right"
+            f"the cameras are swapped: the right one is {-x:.3f} m to the left of the other; exchange --left and --right"
         )
 
 

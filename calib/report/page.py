@@ -1,4 +1,4 @@
-"""The report of a calibration: one HTML page that stands alone, verdict first, and its image as PNG beside it."""
+"""The report of a calibration: one HTML page that stands alone, verdict first, and its image as PNG next to it."""
 
 import io
 from collections.abc import Sequence

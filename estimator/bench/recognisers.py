@@ -164,7 +164,7 @@ def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer
     """The left image against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
 
     From the key points on the roof alone or with those around it, which find the place rather than the landmark. The reference's
-    own are found beforehand. Without a reference there is nothing to look for.
+    own are found beforehand. Without a reference there is nothing to search for.
     """
     if sample.reference is None:
         return Answer("silent", None, None, "no image of the landmark")

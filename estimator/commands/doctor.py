@@ -23,13 +23,13 @@ def command(
     ] = False,
     autopilot: Annotated[
         bool,
-        typer.Option("--autopilot", help="Ask the autopilot for its parameters, and check them, while landfix does not run."),
+        typer.Option("--autopilot", help="Read the autopilot's parameters and check them; landfix must not be running."),
     ] = False,
     json: Json = False,
 ) -> None:
     """Check machine, configuration, autopilot and log.
 
-    Every finding comes with what to do about it. Exit code 1 if something fails.
+    Every finding comes with advice. Exit code 1 if something fails.
 
     \b
     Examples:

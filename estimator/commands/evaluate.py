@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 def command(
     logs: Annotated[list[Path], typer.Argument(metavar="OUT.mcap...", help="What landfix replay wrote, truth included.")],
     truth: Annotated[
-        str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
+        str,
+        typer.Option(metavar="TOPIC", help="Topic of the truth: odometry, poses, or a receiver that the estimator does not use."),
     ] = "/truth",
     burn_in_s: Annotated[float, typer.Option("--burn-in", metavar="SECONDS", min=0, help="Leave out the beginning.")] = 0.0,
     outage_s: Annotated[
@@ -27,9 +28,9 @@ def command(
 ) -> None:
     """Evaluate an estimate, or compare several.
 
-    Errors, consistency of the covariance, drift in each outage, what became of the measurements.
-    Without a truth in the log it says all that needs none. Of several logs there is a row for each; the best of a column stands
-    out. A log that cannot be read is named on stderr and left out, and the exit code is 1.
+    Prints errors, consistency of the covariance, drift in each outage, and the decisions on measurements. Without a truth in the
+    log only the parts that need none are printed. Several logs: one row each, the best value of a column highlighted. A log that
+    cannot be read is reported on stderr and skipped; the exit code is then 1.
 
     \b
     Examples:

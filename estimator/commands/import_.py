@@ -33,9 +33,9 @@ def command(
     odometry: Annotated[bool, typer.Option("--odometry", help="csv: poses of vision.csv as those of an odometry.")] = False,
     json: Json = False,
 ) -> None:
-    """Turn another program's recording into a log.
+    """Convert a recording of another program to a log.
 
-    OUT.toml, written beside it, is the configuration that fits: topics, axes, the sensors' noise.
+    OUT.toml, written next to it, is the matching configuration: topics, axes, sensor noise.
 
     \b
     Examples:

@@ -18,16 +18,18 @@ def command(
     connect: Annotated[
         str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the daemon listens; default: as in FILE.")
     ] = None,
-    speed: Annotated[float, typer.Option(min=0.01, metavar="X", help="Play so many times as fast.")] = 1.0,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Listen here; 0.0.0.0: for everybody, unprotected.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Listen here; 0: any that is free.")] = 8765,
-    wait: Annotated[bool, typer.Option("--wait/--at-once", help="Play when somebody has subscribed.")] = True,
+    speed: Annotated[float, typer.Option(min=0.01, metavar="X", help="Playback speed.")] = 1.0,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Address to listen on; 0.0.0.0: open to everybody, unprotected.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free one.")] = 8765,
+    wait: Annotated[bool, typer.Option("--wait/--at-once", help="Start playing at the first subscription.")] = True,
 ) -> None:
-    """Show a log, or a running daemon, in Foxglove as it goes (needs landfix[live]).
+    """Show a running daemon, or play a log, in Foxglove (needs landfix[live]).
 
-    In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; layout: examples/foxglove/landfix.json. A log need not
-    be played to be seen: Foxglove opens the file itself. The daemon is only listened to and never waits; /landfix/overlay is
-    drawn as long as this runs.
+    In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; layout: examples/foxglove/landfix.json. Foxglove can
+    also open a log file itself. This command only listens; the daemon never waits for it. /landfix/overlay is drawn as long as
+    this command runs.
 
     \b
     Examples:

@@ -10,11 +10,11 @@ from estimator.commands.common.console import Json, Out, print_json, progress
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="BROKEN.mcap", help="Log whose writer was cut off, or with damaged parts.")],
+    source: Annotated[Path, typer.Argument(metavar="BROKEN.mcap", help="Truncated or damaged log.")],
     out: Out,
     json: Json = False,
 ) -> None:
-    """Make a torn or damaged log whole.
+    """Repair a truncated or damaged log.
 
     All whole records are kept; every MCAP tool can read the result.
 

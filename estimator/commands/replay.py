@@ -31,10 +31,10 @@ def command(
 ) -> None:
     """Run a log through the estimator.
 
-    The same bits come out that the flight would have published with this configuration. A log that was rotated into parts is one
-    flight: give all of them, in any order, or their folder. A later part alone begins in the air and aligns anew.
-    OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and for every
-    measurement what became of it and why (/landfix/aid_status). Without any estimate the last line says why and what to do, and
+    The output is bit-identical to what the flight would have published with this configuration. A log that was rotated into
+    parts is one flight: give all of them, in any order, or their folder. A later part alone begins in the air and aligns anew.
+    OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and the decision on
+    every measurement with its reason (/landfix/aid_status). If there is no estimate, the last line says why and what to do, and
     the exit code is 1.
 
     \b
@@ -59,7 +59,7 @@ def command(
     for again in sight.parts if sight else ():
         note(f"landfix: {again.counts}")
     for name in summary.torn_parts:
-        note(f"landfix: {name} is torn; replayed up to its last whole record")
+        note(f"landfix: {name} is truncated; replayed up to its last whole record")
     if summary.missing:
         note(f"landfix: without {summary.missing} of this flight the estimate aligns anew, and is not the one that was flown")
     if json:

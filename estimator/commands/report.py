@@ -13,7 +13,8 @@ def command(
     log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log with an estimate: of replay or run.")],
     out: Out,
     truth: Annotated[
-        str, typer.Option(metavar="TOPIC", help="Odometry, poses or a receiver that the estimator did not hear.")
+        str,
+        typer.Option(metavar="TOPIC", help="Topic of the truth: odometry, poses, or a receiver that the estimator does not use."),
     ] = "/truth",
     outage_s: Annotated[
         float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")

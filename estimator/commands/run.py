@@ -13,7 +13,7 @@ def command(
     config: ConfigFile = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors, as under systemd.")] = False,
 ) -> None:
-    """Fly: sensors in, estimate out, everything in the log, until stopped.
+    """Run the estimator in flight: sensors in, estimate out, all in the log, until stopped.
 
     Listens on loopback only unless the configuration says otherwise. Prints on stderr what it listens on, where it logs, what it
     waits for, and every change of mode. SIGTERM or Ctrl-C stops it: the log is then complete, and its path and size are printed.
@@ -23,7 +23,7 @@ def command(
     Examples:
       landfix run -c vehicle.toml
       systemctl start landfix                   as a service: examples/systemd/landfix.service
-      landfix monitor                           what it does, live
+      landfix monitor                           its status, live
       landfix replay logs/landfix-....mcap -o again.mcap -c vehicle.toml     the same bytes again
     """
     from estimator.config import load

@@ -10,10 +10,13 @@ from estimator.commands.common.console import Json, Out, print_json, progress
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Vehicle, sensors and what goes wrong.")],
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Vehicle, sensors and faults.")],
     out: Out,
     seed: Annotated[
-        int, typer.Option(min=0, help="Equal seeds give equal logs; another one is another flight over the same village.")
+        int,
+        typer.Option(
+            min=0, help="Random seed. The same seed gives the same log, another seed another flight over the same village."
+        ),
     ] = 0,
     images: Annotated[
         bool, typer.Option("--images/--no-images", help="Draw the images of a scenario that has [cameras], or leave them out.")
@@ -22,7 +25,7 @@ def command(
 ) -> None:
     """Simulate a flight as a log.
 
-    OUT.mcap holds the sensors' messages and the truth; OUT.toml is the configuration that fits it. With [cameras] in the scenario
+    OUT.mcap holds the sensors' messages and the truth; OUT.toml is the matching configuration. With [cameras] in the scenario
     there are stereo images in it, and OUT_map.geojson and OUT_rig.yaml are its landmark map and calibration.
 
     \b

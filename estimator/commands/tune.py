@@ -24,9 +24,10 @@ def command(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TUNED.toml", help="Configuration to write.")],
     config: ConfigFile = None,
     hold_out: Annotated[
-        list[Path] | None, typer.Option("--hold-out", metavar="LOG.mcap", help="Not tuned on, only judged by; may be repeated.")
+        list[Path] | None,
+        typer.Option("--hold-out", metavar="LOG.mcap", help="Log for evaluation only, not for tuning; may be repeated."),
     ] = None,
-    truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; none: the fixes that are held back.")] = "",
+    truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; default: the held-out fixes.")] = "",
     vary: Annotated[
         str, typer.Option(metavar="KEY,KEY", help="Keys to tune, such as imu.gyro_noise; default: all noise parameters.")
     ] = "",
@@ -44,9 +45,9 @@ def command(
 ) -> None:
     """Find the noise parameters that best predict held-out fixes.
 
-    Fixes are held back in windows of 10 s, and the estimate is scored by how probable it had called each of them: a covariance
-    too small loses, and one too large loses too. Needs no truth. Every parameter comes with what half and double of it would
-    cost: where that is nothing, it is weakly identifiable. Judge by logs that were held out.
+    Fixes are held out in windows of 10 s. The score is the likelihood of these fixes: too small a covariance lowers it, and so
+    does too large a one. No truth is needed. For every parameter the loss at half and at double its value is printed; where there
+    is none, the parameter is weakly identifiable. Judge the result by logs that were held out.
 
     \b
     Examples:

@@ -28,7 +28,7 @@ from models.measurements import Conditional, Heading, Measurement, PartialPose, 
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
 from models.state import E, X
 
-_NO_PLACE = "give [map] origin to use GNSS or a magnetometer beside fixes on a local map"
+_NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
 _NO_IMU = np.zeros(6)

@@ -24,7 +24,7 @@ _JPEG_QUALITY: Final = 80
 
 
 class _Look(NamedTuple):
-    """What was looked at last, and what was identified in it."""
+    """What was examined last, and what was identified in it."""
 
     request: VisionRequest
     left: Pixels | None

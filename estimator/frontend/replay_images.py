@@ -1,4 +1,4 @@
-"""A replay that looks for landmarks in the images again, instead of taking the fixes in the log."""
+"""A replay that searches for landmarks in the images again, instead of taking the fixes in the log."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,7 +33,7 @@ class ImageCounts(msgspec.Struct):
     def __str__(self) -> str:
         compared = f"; of the log's fixes {self.same} the same, {self.different} not" if self.same or self.different else ""
         lost = f"; images of {self.missing} requests are not in the log" if self.missing else ""
-        return f"{self.processed} pairs looked at, {self.fixes} fixes{compared}{lost}"
+        return f"{self.processed} pairs processed, {self.fixes} fixes{compared}{lost}"
 
 
 class SightReplay(Repeat):

@@ -26,14 +26,14 @@ _KEPT: Final = 2000  # estimates: seconds at IMU rate
 class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[vision]: used where [rig] file and [map] landmarks are given."""
 
-    most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are looked at")] = 10.0
+    most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are processed")] = 10.0
     pair_ms: Annotated[float, Meta(ge=0, le=100, description="ms: stamps of a pair differ by no more")] = 5.0
     patience_ms: Annotated[
         float, Meta(ge=0, le=1000, description="ms: how long one image waits for the other, then it goes alone")
     ] = 100.0
     replay_latency_ms: Annotated[
         float,
-        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of images that were never looked at in flight"),
+        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of images that were never processed in flight"),
     ] = 50.0
     timeout_s: Annotated[
         float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")

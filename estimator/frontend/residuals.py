@@ -1,4 +1,4 @@
-"""The augmented-reality test of a flight: the map projected from the estimate, beside the edges that the images show.
+"""The augmented-reality test of a flight: the map projected from the estimate, next to the edges that the images show.
 
 An image's residual is the median over its landmarks of their spread (vision/show/overlay.py, Residuals.spread_px): how far edges
 lie from the drawn outlines, along the normals, as one standard deviation. What the estimate's own covariance and the map's let
@@ -21,8 +21,8 @@ from vision.describe.survey import to_8_bit
 from vision.show.overlay import Canvas, Residuals, add_strip, draw_overlay, expected_px, in_view, outline_residuals
 
 _REACH_M = 300.0  # landmarks further off are too small to be measured
-_LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 30.0  # edges are looked for so far at least, and at most
-_SIGMAS = 3.0  # edges are looked for within so many expected standard deviations
+_LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 30.0  # edges are searched for so far at least, and at most
+_SIGMAS = 3.0  # edges are searched for within so many expected standard deviations
 _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of its outline have an edge near
 
 
@@ -176,7 +176,7 @@ class Overlay:
         expected: dict[str, float],
         measured: Collection[str] | None,
     ) -> list[Residuals]:
-        """Residuals of the landmarks that are measured and seen, looked for as far as the pose may be off."""
+        """Residuals of the landmarks that are measured and seen, searched for as far as the pose may be off."""
         off = _SIGMAS * np.median([sigma for sigma in expected.values() if np.isfinite(sigma)] or [0.0])
         reach_px = float(np.clip(off, _LEAST_REACH_PX, _MOST_REACH_PX))
         seen = []

@@ -1,6 +1,6 @@
 """Georeferenced images, and the colours of roofs in them.
 
-A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) beside it:
+A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """
@@ -64,7 +64,7 @@ def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
         raise MapError(
-            f"{path}: is not georeferenced: neither a GeoTIFF nor with a world file ({_world_name(path).name}) beside it"
+            f"{path}: is not georeferenced: neither a GeoTIFF nor with a world file ({_world_name(path).name}) in the same folder"
         )
     epsg = epsg or _epsg(tags)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:

@@ -1,4 +1,4 @@
-"""A simulation as a log: the sensors' messages in order of arrival with the truth among them, and the configuration beside it."""
+"""A simulation as a log: the sensors' messages in order of arrival with the truth among them, and its configuration."""
 
 import heapq
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""GNSS: position on the ellipsoid and velocity over ground, of an antenna beside the IMU.
+"""GNSS: position on the ellipsoid and velocity over ground, of an antenna next to the IMU.
 
 The receiver's covariance is taken as white noise; on top of it the position carries a slow error (atmosphere, multipath) that
 repeats from fix to fix and is considered, not averaged away.
@@ -50,7 +50,7 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0,
             le=1_000_000,
-            description="fixes that must pass before a (returning) GNSS is fused beside another absolute source",
+            description="fixes that must pass before a (returning) GNSS is fused together with another absolute source",
         ),
     ] = 10
     hold_s: Annotated[

@@ -57,12 +57,16 @@ class OdometryConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of increments expected to be false")] = 0.01
     probation: Annotated[
         int,
-        Meta(ge=0, le=1_000_000, description="increments that must pass before (returning) odometry is fused beside a position"),
+        Meta(
+            ge=0,
+            le=1_000_000,
+            description="increments that must pass before (returning) odometry is fused together with a position",
+        ),
     ] = 4
     hold_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: how long odometry is held off when it contradicts the estimate; 0: never")
     ] = 10.0
-    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is found out")] = (
+    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is rejected")] = (
         8.0
     )
     delay_s: Annotated[
@@ -301,7 +305,7 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment of t_ns comes in. An odometry that positions have found out comes back only beside a position."""
+    """An increment of t_ns comes in. An odometry that positions have found out comes back only together with a position."""
     was, drift = state.phase, state.drift_m_s
     state = state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0))
     if state.phase is not Phase.ACTIVE:

@@ -47,14 +47,14 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     probation: Annotated[
         int,
         Meta(
-            ge=0, le=1_000_000, description="measurements that must pass before a (returning) source is fused beside another one"
+            ge=0,
+            le=1_000_000,
+            description="measurements that must pass before a (returning) source is fused together with another one",
         ),
     ] = 0
-    hold_s: Annotated[float, Meta(ge=0, le=1e6, description="s: how long a source that was found out is held off; 0: never")] = (
-        0.0
-    )
+    hold_s: Annotated[float, Meta(ge=0, le=1e6, description="s: how long a rejected source is held off; 0: never")] = 0.0
     cusum_slack: Annotated[float, Meta(ge=1e-3, le=1000, description="sigma: bias of the innovations that is tolerated")] = 1.0
-    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is found out")] = (
+    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is rejected")] = (
         10.0
     )
 

@@ -20,7 +20,7 @@ from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
 SCENARIO = "demo.toml"
-_CHECKOUT = Path("examples/scenarios") / SCENARIO  # a wheel has it beside this file instead
+_CHECKOUT = Path("examples/scenarios") / SCENARIO  # a wheel has it next to this file instead
 
 _OUTAGE_S = 5.0  # longer without a fix is an outage
 

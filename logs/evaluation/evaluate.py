@@ -365,7 +365,7 @@ def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
     broken = np.count_nonzero(~np.isfinite(estimate.p).all(axis=1) | ~estimate.has_attitude)
     not_definite = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
     notes = {
-        "the log is torn: read to its last whole record": evidence.torn,
+        "the log is truncated: read to its last whole record": evidence.torn,
         f"{evidence.unreadable} messages could not be read": evidence.unreadable > 0,
         f"{broken} estimates are not finite": broken > 0,
         f"{not_definite} position covariances are not positive definite: their NEES is infinite": not_definite > 0,

@@ -162,7 +162,7 @@ def read(
         if sheaves.keys() & {_AID_TOPIC, _HEALTH_TOPIC}:
             words = f"{path}: the estimator made no estimate of it: {_waited_for(sheaves.get(_HEALTH_TOPIC, _Sheaf('')))}"
             raise NoEstimateError(words, _aids(sheaves.get(_AID_TOPIC, _Sheaf(""))), attachments, torn=torn)
-        lacks = f"holds no {ODOMETRY_TOPIC}{' before it is torn' if torn else ''}"
+        lacks = f"holds no {ODOMETRY_TOPIC}{' before it is cut off' if torn else ''}"
         raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
     estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
     if not len(estimate):

@@ -80,7 +80,7 @@ _CORE: Final = (
     "nees_position",
     "inside95",
 )
-_SIDE_BY_SIDE: Final = 3  # runs that fit beside each other on a terminal; more stand below each other, the core of them
+_SIDE_BY_SIDE: Final = 3  # runs that fit side by side on a terminal; more stand below each other, the core of them
 _BADNESS: Final[dict[str, Callable[[float], float]]] = {  # by which the best of a column is chosen
     **dict.fromkeys(("position_m", "aided_m", "max_m", "outage_end_m", "attitude_deg", "velocity_m_s"), lambda x: x),
     **dict.fromkeys(("nees_position", "nees_attitude"), lambda x: abs(float(np.log(max(x, 1e-9))))),

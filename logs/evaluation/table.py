@@ -55,7 +55,7 @@ def _summary(e: Evaluation) -> Text:
         f"{e.duration_s:.1f} s, {e.distance_m:.1f} m, {e.estimates} estimates",
         f"compared with {e.compared_with} at {e.compared} of {e.truth_samples} stamps ({e.without_estimate} without an estimate)",
         f"modes: {modes or 'not reported'}",
-        f"without absolute information: {e.without_absolute_s:.1f} s in outages (waits longer than {_thresholds(e)})",
+        f"outages: {e.without_absolute_s:.1f} s without absolute information (gaps longer than {_thresholds(e)})",
         f"latency, median / 99 %: {latency}",
     ]
     return Text("\n".join(lines))
@@ -68,7 +68,7 @@ def accuracy(a: Accuracy) -> Rows:
         ("  outside outages", a.aided_position_m, "m"),
         ("  horizontal", a.horizontal_m, "m"),
         ("  vertical", a.vertical_m, "m"),
-        ("  aligned in yaw and place", a.yaw_aligned_m, "m"),
+        ("  aligned in yaw and position", a.yaw_aligned_m, "m"),
         ("  aligned, SE(3)", a.se3_aligned_m, "m"),
         (f"  aligned, Sim(3), scale {a.sim3_scale:.4f}", a.sim3_aligned_m, "m"),
         ("velocity", a.velocity_m_s, "m/s"),

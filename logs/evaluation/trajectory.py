@@ -146,7 +146,7 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
 
         p = (1 - w) p_a + w p_b,   R = R_a exp(w log(R_a' R_b)),   w = (t - t_a) / (t_b - t_a)
 
-    Velocity and covariances as the position. At a stamp of its own it is that row, whatever the holes beside it.
+    Velocity and covariances as the position. At a stamp of its own it is that row, whatever the holes next to it.
     """
     n = len(trajectory)
     if not n:

@@ -1,4 +1,4 @@
-"""Logs of other programs -> an MCAP log that landfix replays, and a configuration beside it.
+"""Logs of other programs -> an MCAP log that landfix replays, and a configuration next to it.
 
     csv        a folder of CSV files             euroc      the folder layout of ASL data sets
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground

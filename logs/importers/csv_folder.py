@@ -10,7 +10,7 @@ Headers say what a column is (csv_table.py has all the names):
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
 Every file may have arrived_s: when a row arrived, if not at t_s. Stamps since the log's start are counted from `t0_unix_ns` in
-a checks.json beside, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
+a checks.json next to, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
 """
 
 import json
@@ -39,7 +39,7 @@ _ALT = (*_ELLIPSOID, "alt_m", "altitude_m", "height_m", "alt", "altitude", "heig
 def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
     """The recording in a folder. Raises LogError."""
     if not source.is_dir():
-        raise LogError(f"{source}: not a folder; csv wants the folder that imu.csv lies in")
+        raise LogError(f"{source}: not a folder; csv needs the folder that holds imu.csv")
     notes: list[str] = []
     known = data_set(source.resolve())
     checks = _checks(source)

@@ -37,7 +37,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     mav = source / "mav0" if (source / "mav0").is_dir() else source
     folder = mav / (options.imu or "imu0")
     if not (folder / "data.csv").is_file():
-        raise LogError(f"{source}: no mav0/{folder.name}/data.csv in it; euroc wants the folder that mav0 lies in")
+        raise LogError(f"{source}: no mav0/{folder.name}/data.csv in it; euroc needs the folder that holds mav0")
     known = DATA_SETS["euroc"]
     B = frames.body_axes(options.axes or known.axes)
     table = read_table(folder / "data.csv")

@@ -1,4 +1,4 @@
-"""What the estimator should know about an imported log, as the TOML text that lies beside it.
+"""What the estimator should know about an imported log, as the TOML text that lies next to it.
 
 Noise is *effective*: vibration that folds into a sample, scale and mounting errors act like noise, so it is up to 20 times the
 data sheet's. Values of known data sets are tuned on them; the rest are chosen by kind of vehicle, and the text says so.

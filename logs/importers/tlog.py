@@ -81,7 +81,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         if not any(_has_ellipsoid(tables[name]).any() for name in _RECEIVERS if name in tables):
             notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
-    altitude = "above the ellipsoid where the log knows it, else above mean sea level"
+    altitude = "above the ellipsoid where the log holds it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
     return Recording.of(
         (

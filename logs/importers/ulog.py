@@ -59,7 +59,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         delay_s = 0.0  # the receiver's driver has already said when the fix was valid
     if truth and aids and aids[0].topic == "/gnss":
         origin = sensors.origin_of_truth(aids[0], truth, delay_s, origin)
-    altitude = "above the ellipsoid where PX4 knows it, else above mean sea level"
+    altitude = "above the ellipsoid where PX4 reports it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
     reference = recording.AUTOPILOT if truth and not _simulated(topics) else ""
     return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes, reference)

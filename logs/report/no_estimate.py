@@ -14,7 +14,7 @@ _VERDICT = "no estimate"
 def page(name: str, missing: NoEstimateError, gathered: Gathered) -> str:
     """The whole page; times count from the log's first message."""
     start_ns = min((t.first_ns for t in gathered.traffic.values()), default=0)
-    torn = "<p>The log is torn: read to its last whole record.</p>" if missing.torn else ""
+    torn = "<p>The log is truncated: read to its last whole record.</p>" if missing.torn else ""
     tables = "".join(map(web_page.table, (topics(gathered, start_ns), _measurements(missing), _remarks(gathered, start_ns))))
     body = (
         f"<h1>{text(name)}</h1><p>{web_page.verdict(_VERDICT, BAD)}</p><p>{text(str(missing))}</p>{torn}"

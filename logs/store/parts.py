@@ -15,7 +15,7 @@ from logs.store.recorder import METADATA_NAME
 PART: Final = "part"  # key of the metadata record: the number of the file, from 0 on
 _NUMBERED: Final = re.compile(r"(.*)-\d{3,}\.mcap")  # as landfix run names them
 _FEW: Final = 5  # are named one by one
-_RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save of a damaged part, beside it
+_RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save of a damaged part, next to it
 
 
 class PartsReader:

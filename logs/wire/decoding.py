@@ -280,7 +280,7 @@ def _odometry_delta(topic: str, message: Any, arrived_ns: int) -> OdometryDelta:
 
 
 def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:
-    """Of a pose the rotation; its position is not looked at."""
+    """Of a pose the rotation; its position is not examined."""
     _, q_nb_wxyz, covariance = _pose(message.pose)
     return AttitudePrior(_t_ns(message.header.stamp), arrived_ns, q_nb_wxyz, covariance[3:, 3:], topic)
 

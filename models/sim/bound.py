@@ -73,7 +73,7 @@ def posterior_bound(
     """
     first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
     if any(not first <= t <= last for t in at_ns):
-        raise ValueError("the bound is asked for outside the truth")
+        raise ValueError("the bound is requested outside the truth")
     used = sorted((m for m in measurements if first <= m.t_ns <= last), key=lambda m: m.t_ns)
     # One grid of all instants: IMU samples, measurements and questions; no step ever needs to be split.
     grid_ns = np.unique(np.concatenate([truth.t_ns, [m.t_ns for m in used], at_ns]).astype(np.int64))

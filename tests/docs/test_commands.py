@@ -190,20 +190,36 @@ def test_the_list_of_what_is_not_run_holds_nothing_else() -> None:
     assert [known for known in NOT_RUN if not any(c.startswith(known) for c in commands)] == []
 
 
+def unknown(command: str) -> list[str]:
+    """What of `landfix X --option` the program itself does not parse."""
+    group: Any = typer.main.get_command(app)
+    words = command.split()[1:]
+    while hasattr(group, "commands") and words and not words[0].startswith("-"):
+        if words[0] not in group.commands:
+            return [words[0]]
+        group = group.commands[words.pop(0)]
+    known = {option for parameter in group.params for option in (*parameter.opts, *parameter.secondary_opts)} | {"-h", "--help"}
+    return sorted({w for w in words if re.fullmatch(r"--?[a-z][a-z-]*", w)} - known)
+
+
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda p: p.stem)
 def test_commands_and_options_of_all_pages_exist(page: Path) -> None:
-    """Those of reference pages, too, which are not run: `landfix X --option` as the program itself parses it."""
-    text = "\n".join(blocks(page, "(?:sh|console)?"))
-    for command in lines(text):
-        if not command.startswith("landfix "):
-            continue
-        group: Any = typer.main.get_command(app)
-        words = command.split()[1:]
-        while hasattr(group, "commands") and words and not words[0].startswith("-"):
-            assert words[0] in group.commands, f"{page.name}: {command}"
-            group = group.commands[words.pop(0)]
-        known = {option for parameter in group.params for option in (*parameter.opts, *parameter.secondary_opts)} | {
-            "-h",
-            "--help",
-        }
-        assert {w for w in words if re.fullmatch(r"--?[a-z][a-z-]*", w)} <= known, f"{page.name}: {command}"
+    """Those of reference pages, too, which are not run."""
+    for command in lines("\n".join(blocks(page, "(?:sh|console)?"))):
+        if command.startswith("landfix "):
+            assert unknown(command) == [], f"{page.name}: {command}"
+
+
+def helps(group: Any, name: str) -> Iterator[tuple[str, str]]:
+    """Every command with its help."""
+    yield name, group.help or ""
+    for word, command in getattr(group, "commands", {}).items():
+        yield from helps(command, f"{name} {word}")
+
+
+def test_commands_and_options_of_the_helps_examples_exist() -> None:
+    """`landfix X --help` shows options that X has."""
+    examples = [(n, line.strip()) for n, text in helps(typer.main.get_command(app), "landfix") for line in text.splitlines()]
+    ours = [(name, re.split(r"\s{2,}", line)[0]) for name, line in examples if line.startswith("landfix ")]
+    assert len(ours) > 60
+    assert [(name, line, unknown(line)) for name, line in ours if unknown(line)] == []

@@ -30,7 +30,7 @@ def simulation() -> Simulation:
 
 @pytest.fixture(scope="session")
 def flight(simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The simulation as flight.mcap, with its configuration flight.toml beside it."""
+    """The simulation as flight.mcap, with its configuration flight.toml next to it."""
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     simulated.write(simulation, path)
     path.with_suffix(".toml").write_text(simulation.config_toml)

@@ -44,7 +44,7 @@ def village() -> Village:
 
 
 def write_flight(folder: Path) -> tuple[Path, Path]:
-    """flight.mcap and the configuration beside it: aligned by pose fixes, then images only."""
+    """flight.mcap and the configuration next to it: aligned by pose fixes, then images only."""
     seen = village()
     (folder / "map.geojson").write_bytes(seen.map.to_geojson())
     save_rig(folder / "rig.yaml", seen.rig)

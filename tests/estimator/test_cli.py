@@ -91,7 +91,7 @@ def test_a_torn_log_is_replayed_and_said_to_be_torn(flight: Path, tmp_path: Path
     torn.write_bytes(flight.read_bytes()[: flight.stat().st_size // 3])
     result = run("replay", torn, "-o", tmp_path / "out.mcap", "-c", flight.with_suffix(".toml"))
     assert result.exit_code == 0
-    assert "is torn; replayed up to its last whole record" in result.stderr
+    assert "is truncated; replayed up to its last whole record" in result.stderr
 
 
 def test_evaluate_reports_the_error_and_json_is_whole(estimate: Path) -> None:

@@ -218,7 +218,7 @@ def test_a_state_that_is_lost_is_not_published_and_alignment_begins_again(ruin: 
 
 # --- anything at all -------------------------------------------------------------------------------------------------------
 
-FOUND_IS_ENOUGH = [Phase.explicit, Phase.reuse, Phase.generate]  # a flight per try: to look for the smallest takes minutes
+FOUND_IS_ENOUGH = [Phase.explicit, Phase.reuse, Phase.generate]  # a flight per try: to search for the smallest takes minutes
 
 special = [0.0, -0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, HUGE, -HUGE, TINY, 1e9, 9e4, 10.0]
 numbers = st.one_of(st.sampled_from(special), st.floats(-1e3, 1e3))

@@ -1,4 +1,4 @@
-"""A barometer beside GNSS: it keeps the height through an outage, and its unknown zero harms nothing."""
+"""A barometer with GNSS: it keeps the height through an outage, and its unknown zero harms nothing."""
 
 import numpy as np
 import pytest

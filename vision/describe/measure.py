@@ -114,7 +114,7 @@ def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, leve
     from_rig = _rig_error(rig, plane, outline, disparity)
     values, of_plane, bends, of_sides = _spread(match.region, plane, own + from_rig, rig)
     if not np.isfinite(of_plane).all():
-        return Unmeasured(match.region, "the plane stands on edge")
+        return Unmeasured(match.region, "the plane is seen edge-on")
     of_all = accuracy.all_edges_px * of_sides[:, : len(outline) if match.region.corners is not None else _ARCS].sum(axis=1)
     of_sides = of_sides * _side_sigmas(match.region, accuracy)
     covariance = of_plane @ of_plane.T + 3.0 * bends @ bends.T + of_sides @ of_sides.T + np.outer(of_all, of_all)

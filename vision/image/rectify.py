@@ -86,10 +86,10 @@ def _is_rectified(rig: StereoRig) -> bool:
 def _rows(rig: StereoRig) -> Array:
     """R with x_c' = R @ x_c: x along the baseline, z between the two optical axes (Fusiello, Trucco, Verri 2000)."""
     if not rig.baseline_m > 0.0:
-        raise ValueError("stereo rig: the two cameras stand at the same place")
+        raise ValueError("stereo rig: the two cameras are at the same position")
     x = -rig.R_rc.T @ rig.t_rc / rig.baseline_m
     if x[0] < np.cos(np.radians(45.0)):
-        raise ValueError("stereo rig: the right camera must stand to the right of the left one (t_rc x < 0)")
+        raise ValueError("stereo rig: the right camera must be to the right of the left one (t_rc x < 0)")
     z = np.array([0.0, 0.0, 1.0]) + rig.R_rc[2]
     z -= x * (x @ z)
     z /= np.linalg.norm(z)

@@ -141,7 +141,7 @@ class Fitter:
                 views, remark, before = (views[0], None), f"right camera not used: {problem}; ", None
             elif len(good) < len(chosen):
                 if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
-                    return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks are not where the others say"
+                    return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks contradict the others"
                 unseen = {k for k, share in zip(chosen, seen.share, strict=True) if np.isnan(share)}
                 before = (fit.joint_p_n, fit.joint_R_nb), fit.shift_m[np.isin(chosen, good)]
                 chosen, asked = good, [k for k in asked if k not in unseen]

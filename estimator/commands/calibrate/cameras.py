@@ -33,7 +33,7 @@ def mono_command(
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
-    """One camera.
+    """Calibrate one camera.
 
     Needs about 20 images of a board, moved through the whole image and tilted each way. Those that differ most are used.
     With --mount (0,0,0,0,-90,0 looks down with the image's upper edge forward) the file is a rig of one camera.
@@ -87,11 +87,11 @@ def stereo_command(
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
-    """A stereo rig.
+    """Calibrate a stereo rig.
 
     Pairs are made by the number in the file names, by frame, or in a log by stamp. A camera with --mount 0,0,0,0,0,0 looks
-    forward; pitch -90 looks down with the image's upper edge forward. Without --mount only the cameras' poses to each other
-    are known; landfix calibrate camera-imu finds the rest.
+    forward; pitch -90 looks down with the image's upper edge forward. Without --mount only the cameras' relative pose is known;
+    landfix calibrate camera-imu estimates the rest.
 
     \b
     Examples:
@@ -123,7 +123,7 @@ def convert_command(
     out: options.OutFile,
     to: Annotated[options.FormatChoice | None, typer.Option(help="Format to write; default: from the file name.")] = None,
 ) -> None:
-    """A rig file from one form to another.
+    """Convert a rig file to another format.
 
     Read and written: ours (with covariances), OpenCV XML/YAML, ROS camera_info (a pair of files), Kalibr camchain.
 
@@ -143,7 +143,7 @@ def dlt_command(
     points: Annotated[Path, typer.Argument(metavar="POINTS.csv", help="Lines of X, Y, Z [m], u, v [px]: six points or more.")],
     json: Json = False,
 ) -> None:
-    """A camera from points known in space, not in one plane: the photogrammetric way.
+    """Calibrate a camera from known points in space, not in one plane (DLT).
 
     Prints the camera matrix, what it is made of (intrinsics, location, orientation) and the residual. No lens distortion.
 

@@ -32,9 +32,9 @@ def imu_command(
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
-    """Noise of an IMU: Allan deviation of its longest rest.
+    """Measure the noise of an IMU: Allan deviation of its longest rest.
 
-    The figures are those of the sensor lying still. In flight vibration adds to them: up to 20 times.
+    The results are those of a sensor at rest. In flight vibration adds to them: effective values are up to 20 times larger.
 
     \b
     Examples:
@@ -74,10 +74,10 @@ def camera_imu_command(
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
-    """Where the camera sits on the IMU, and how late its stamps are.
+    """Calibrate the camera's pose on the IMU, and its time offset.
 
-    A board fixed to the room; the vehicle in your hands, moved briskly for a minute: turned about all three axes, shaken along
-    all three, the whole board in view. OUT is the rig with its place on the body, covariance and time offset. The IMU's axes
+    Fix the board to the room. Move the vehicle briskly by hand for a minute: turn it about all three axes and shake it along all
+    three, with the whole board in view. OUT is the rig with its pose on the body, covariance and time offset. The IMU's axes
     and noise are those of the configuration.
 
     \b

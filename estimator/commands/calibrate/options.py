@@ -44,7 +44,8 @@ Dictionary = Annotated[str, typer.Option(help="ChArUco board: the dictionary of 
 LensOption = Annotated[LensChoice, typer.Option("--lens", help="Distortion: 2 (k1 k2), 4, 5 (Brown), 8 (rational) or fisheye.")]
 OutFile = Annotated[Path, typer.Option("--out", "-o", help="File to write: .yaml ours, .xml or .yml OpenCV.")]
 ReportFile = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE.html", help="Report, its picture beside it; default: OUT.html, OUT.png.")
+    Path | None,
+    typer.Option("--report", metavar="FILE.html", help="Report; its plot is written next to it. Default: OUT.html, OUT.png."),
 ]
 
 

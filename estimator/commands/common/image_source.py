@@ -164,7 +164,7 @@ def _of_record(schema: str, data: bytes, topic: str, done: float) -> SourceImage
     from logs.wire.stamps import stamp_of
 
     if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
-        raise CalibrationError(f"{topic} carries {schema}, not images")
+        raise CalibrationError(f"{topic} holds {schema}, not images")
     t_ns = stamp_of(data) or 0
     name = f"{topic} at {t_ns * 1e-9:.3f} s"
     try:

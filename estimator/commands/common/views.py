@@ -27,7 +27,7 @@ class _Gathered:
         self._shown: list[Image] = []
 
     def add(self, image: SourceImage) -> None:
-        """Look for the board in one more image."""
+        """Search for the board in one more image."""
         if image.fault:
             self._unused.append(Dropped(image.name, image.fault))
             return
@@ -81,7 +81,7 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     """Views of the same key, or nearest in time; and those without a partner. Raises CalibrationError where there are none."""
     keys = dict(right)
     if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
-        raise CalibrationError("the images of one camera carry the same number twice; number them 01, 02, ... as their partners")
+        raise CalibrationError("two images of one camera have the same number; number them 01, 02, ... as their partners")
     stamps = any(key > 10**15 for key in keys)
     pairs, unpaired = [], []
     for key, view in left:
@@ -94,7 +94,7 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     if not pairs:
         raise CalibrationError(
             f"{len(left)} left and {len(right)} right views, but no pair among them: "
-            "images taken together must carry the same number, or stamps within 5 ms"
+            "images taken together must have the same number, or stamps within 5 ms"
         )
     return pairs, unpaired
 

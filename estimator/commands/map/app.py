@@ -84,7 +84,7 @@ def build(
 
     is_image = source.suffix.lower() in _IMAGES
     if pick and not is_image:
-        raise typer.BadParameter("--pick wants an image as IN")
+        raise typer.BadParameter("--pick needs an image as IN")
     wanted = colours(pick)
     defaults = Defaults(
         height_m=height_m,
@@ -264,7 +264,7 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
         _more(len(result.look_alikes))
     if result.repeats:
         shifts = [(r.id, f"{r.shift_m:.1f} m") for r in result.repeats[:_MOST_LINES]]
-        print_table("arrangements that stand there again", shifts, ("around landmark", "shifted by"))
+        print_table("repeated arrangements", shifts, ("around landmark", "shifted by"))
         _more(len(result.repeats))
     for pair in result.nested[:_MOST_LINES]:
         note(f"one in another: {pair.inner} lies in {pair.outer}")

@@ -18,7 +18,8 @@ def command(
     out: Out,
     config: ConfigFile = None,
     ground_alt_m: Annotated[
-        float | None, typer.Option(help="Ground above the ellipsoid; else where the log begins, standing.")
+        float | None,
+        typer.Option(help="Height of the ground above the ellipsoid; default: from the beginning of the log, at rest."),
     ] = None,
     least_frames: Annotated[int, typer.Option(min=2, help="Fewest images in which a landmark is seen.")] = 4,
     least_m2: Annotated[float, typer.Option(min=0, help="Landmarks are at least this large; cars are smaller than 15.")] = 15.0,
@@ -29,8 +30,8 @@ def command(
 ) -> None:
     """Learn a map by flying.
 
-    Poses come from the log's GNSS and IMU, smoothed; what the images show is measured from them, and what is seen at the same
-    place again and again becomes a landmark, with the standard deviation it deserves. Look at the map before you trust it.
+    Poses are smoothed from the log's GNSS and IMU. Regions in the images are measured from these poses. A region that is found at
+    the same position in several images becomes a landmark, with its standard deviation. Check the map before you use it.
 
     \b
     Examples:
@@ -58,7 +59,7 @@ def command(
         if len(the_map):
             out.write_bytes(the_map.to_geojson(marked(the_map)))
     if summary.torn:
-        note(f"landfix: {source} is torn; read up to its last whole record")
+        note(f"landfix: {source} is truncated; read up to its last whole record")
     if json:
         print_json(summary)
     else:
@@ -72,7 +73,7 @@ def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:
     horizontal, vertical = summary.common_sigma_m
     rows = [
         ("landmarks", str(summary.landmarks)),
-        ("images looked at", str(summary.images)),
+        ("images processed", str(summary.images)),
         ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if given else ", where the log begins")),
         ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
         *((f"skipped: {reason}", f"{count} images") for reason, count in summary.skipped.items()),

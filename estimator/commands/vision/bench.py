@@ -16,34 +16,36 @@ if TYPE_CHECKING:
 _Name = TypeVar("_Name", bound=str)
 
 app = typer.Typer(
-    no_args_is_help=True, help="Benchmarks: what vision recognises, beside what others would.", rich_markup_mode=None
+    no_args_is_help=True, help="Benchmark the recognition of landmarks against other methods.", rich_markup_mode=None
 )
 
 
 @app.callback()
 def _bench() -> None:
-    """Benchmarks: what vision recognises, beside what others would."""
+    """Benchmark the recognition of landmarks against other methods."""
 
 
 @app.command()
 def recognition(
-    samples: Annotated[int, typer.Option(min=1, max=100_000, help="Of each experiment and kind of roof.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, other samples.")] = 0,
+    samples: Annotated[int, typer.Option(min=1, max=100_000, help="Samples of each experiment and kind of roof.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the samples.")] = 0,
     experiments: Annotated[
         list[str] | None, typer.Option("--experiment", help="accuracy, size, partial or description; repeat for more.")
     ] = None,
     roofs: Annotated[list[str] | None, typer.Option("--roof", help="painted or pale. Default: both.")] = None,
-    pairs: Annotated[int, typer.Option(min=1, max=100, help="Of images, half a second apart, for who is silent so long.")] = 3,
+    pairs: Annotated[
+        int, typer.Option(min=1, max=100, help="Largest number of pairs, half a second apart, for a method without an answer.")
+    ] = 3,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the table.")] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Plot of the table.")] = None,
     json: Json = False,
 ) -> None:
     """Recognise landmarks in rendered stereo pairs: four experiments.
 
     Accuracy and speed; roofs of one texture and other sizes; roofs of which 30 to 70 % are in view; landmarks known by their
-    description only. For landfix, for the plain method of the thesis it began with, and for SIFT + FLANN on the same images.
+    description only. Compares landfix, the plain method of the thesis, and SIFT + FLANN on the same images.
     Recognised: the landmark is named and the position agrees with the truth. Wrong: something else is named, or the position
-    contradicts the truth. Who is silent is asked again with the next pair. Times are of one core's processor.
+    contradicts the truth. A method without an answer gets the next pair. Times are CPU times of one core.
 
     \b
     Examples:

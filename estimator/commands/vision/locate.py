@@ -45,13 +45,13 @@ def command(
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
     mount: Mount = "",
     mount_sigma: MountSigma = "0.02,1",
-    prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
+    prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of --prior, each axis.")] = "10,2",
     picture: Annotated[
         Path | None, typer.Option(metavar="IMAGE", help="Orthophoto or satellite image: GeoTIFF, or with a world file.")
     ] = None,
     picture_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of its horizontal position, per axis.")] = 1.0,
     picture_height_m: Annotated[
-        float | None, typer.Option(help="Of its ground above the ellipsoid; else the height of the map's origin.")
+        float | None, typer.Option(help="Height of its ground above the ellipsoid; default: that of the map's origin.")
     ] = None,
     picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of the height of its ground.")] = 2.0,
     picture_heights: Annotated[
@@ -61,20 +61,21 @@ def command(
         int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
     ] = 0,
     within_m: Annotated[
-        float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
+        float | None,
+        typer.Option("--within", metavar="M", help="Fail unless the 95 % radius of the position is at most M metres."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
-    """Say where the vehicle is: a fix from a stereo pair, from one image, or from several photos of one camera.
+    """Locate the vehicle: a fix from a stereo pair, from one image, or from several photos of one camera.
 
-    A camera file of landfix calibrate mono needs --mount (0,0,0,0,-90,0 looks down with the photo's upper edge forward), which is
-    that of the photo as a viewer shows it. Photos of another size are scaled where the aspect ratio is the camera's. Of several
-    photos a later one may confirm an earlier one; the answer is that of the last photo with a fix.
+    A camera file of landfix calibrate mono needs --mount: the mount of the photo as a viewer shows it (0,0,0,0,-90,0 looks down
+    with the photo's upper edge forward). Photos of another size are scaled if their aspect ratio is the camera's. A later photo
+    may confirm an earlier one; the result is that of the last photo with a fix.
 
-    Regions are measured and looked up in the map near the prior; where that gives nothing, the left image is laid onto an
-    orthophoto. The fix is that of the images, "with the prior" what both give together. Every region says what became of it.
-    Exit code 1 where there is no fix, or with --within none that, with the prior, is good enough.
+    Regions are measured and matched with the map near the prior. Without a match the left image is registered with the
+    orthophoto. The fix is that of the images alone; "with the prior" combines both. Each region is listed with its result. The
+    exit code is 1 if there is no fix, or with --within if no fix combined with the prior is accurate enough.
 
     \b
     Examples:

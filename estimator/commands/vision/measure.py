@@ -30,23 +30,23 @@ def command(
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, taken at the same time.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
     colours: Annotated[
-        list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to look for, 0..255; repeat for more.")
+        list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to search for, 0..255; repeat for more.")
     ] = None,
     space: Annotated[Literal["hsv", "hsi", "lab", "yuv", "grey"], typer.Option(help="Colour space of the segmentation.")] = "hsv",
     tolerance: Annotated[
         float,
-        typer.Option(min=0.1, max=3.0, help="Width of a --colour: below 1 a paler reflection of a thing is not part of it."),
+        typer.Option(min=0.1, max=3.0, help="Tolerance of a --colour; below 1 excludes paler reflections."),
     ] = 1.0,
-    nearest_m: Annotated[float, typer.Option("--nearest", metavar="M", min=0.1, help="Nothing is nearer than this.")] = 4.0,
-    most: Annotated[int, typer.Option(min=1, max=200, help="Most regions, the largest first.")] = 20,
-    least_px: Annotated[int, typer.Option(min=9, help="Fewest pixels of a region.")] = 60,
+    nearest_m: Annotated[float, typer.Option("--nearest", metavar="M", min=0.1, help="Smallest distance of a region.")] = 4.0,
+    most: Annotated[int, typer.Option(min=1, max=200, help="Largest number of regions, the largest regions first.")] = 20,
+    least_px: Annotated[int, typer.Option(min=9, help="Smallest region, in pixels.")] = 60,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, regions marked.")] = None,
     json: Json = False,
 ) -> None:
     """Measure the regions of a stereo pair, in metres.
 
-    Each region of one colour: distance, width, length, size and fill ratio, each with its standard deviation. Without --colour
-    the image's own colours divide it. Nothing is looked up: no map, no position.
+    Prints distance, width, length, size and fill ratio of each region of one colour, each with its standard deviation. Without
+    --colour the regions are found by the image's own colours. Needs no map and no position.
 
     \b
     Examples:

@@ -17,7 +17,7 @@ _MOST_ROWS = 20
 def command(
     log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log with images and an estimate.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="VIDEO", help=".mp4, .webm or .avi; none: no video.")] = None,
-    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Residual over time [default: beside the video].")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Residual over time [default: next to the video].")] = None,
     config: ConfigFile = None,
     rig: Annotated[Path | None, typer.Option(metavar="RIG", help="Calibration of the cameras [default: the log's].")] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map [default: the log's].")] = None,
@@ -28,11 +28,11 @@ def command(
     seconds: Annotated[float, typer.Option(metavar="SECONDS", min=0, help="Duration.")] = float("inf"),
     json: Json = False,
 ) -> None:
-    """Draw the map into the recorded images, from the estimate, and say how well it fits them.
+    """Draw the map into the recorded images, from the estimate, and measure the residuals.
 
     Outlines are drawn from /landfix/odometry at the exposure, not from the fix: green where the fix of that image identified
-    the landmark, else amber. The number is the reprojection residual in px: how far edges in the image lie from the drawn
-    outlines, along their normals; beside it what the estimate's covariance lets one expect.
+    the landmark, else amber. The reprojection residual is the distance in px of edges in the image from the drawn outlines, along
+    their normals. It is printed together with the value that is expected from the estimate's covariance.
 
     \b
     Examples:

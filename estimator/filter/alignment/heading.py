@@ -85,7 +85,7 @@ class Resting:
 class WithoutSensor:
     """The headings of the circle, weighed by all but the sensor that measures one, until motion has shown that it is right.
 
-    A magnetometer whose axes are wrong, or beside steel, is found out by nothing at rest. odds: ln of P(without) / P(with), which
+    A magnetometer with wrong axes, or next to steel, cannot be detected at rest. odds: ln of P(without) / P(with), which
     begins with the share e of sensors that are wrong:
 
         odds <- max(odds + ln p(z | without) - ln p(z | with), ln e)

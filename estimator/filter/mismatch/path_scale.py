@@ -1,4 +1,4 @@
-"""The scale between the paths that two absolute sources draw: fixes in a wrong unit, beside GNSS.
+"""The scale between the paths that two absolute sources draw: fixes in a wrong unit, with GNSS.
 
 The positions z of the fixes are fitted to those of GNSS, g, extrapolated to the same time from its last two readings:
 

@@ -1,4 +1,4 @@
-"""The folder of the logs belongs to one daemon at a time; what a killed one left torn in it is made whole, beside the flight."""
+"""The folder of the logs belongs to one daemon at a time; what a killed one left torn in it is made whole, next to the flight."""
 
 import fcntl
 import subprocess

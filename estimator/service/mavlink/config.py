@@ -44,8 +44,8 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]],
         Meta(description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude, if any"),
     ] = (2.0, 4.0)
-    imu_hz: Annotated[float, Meta(ge=0.01, le=1000, description="Hz: asked of the autopilot")] = 200.0
-    gnss_hz: Annotated[float, Meta(ge=0.01, le=25, description="Hz: asked of the autopilot")] = 5.0
+    imu_hz: Annotated[float, Meta(ge=0.01, le=1000, description="Hz: requested from the autopilot")] = 200.0
+    gnss_hz: Annotated[float, Meta(ge=0.01, le=25, description="Hz: requested from the autopilot")] = 5.0
     odometry: Annotated[bool, Meta(description="whether ODOMETRY is sent, at [autopilot] odometry_hz")] = True
     fixes: Annotated[bool, Meta(description="whether fixes are sent: GLOBAL_POSITION_SENSOR (PX4), GPS_INPUT (ArduPilot)")] = True
     slot: Annotated[

@@ -60,7 +60,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     domain: Annotated[int, Meta(ge=0, le=232, description="ROS_DOMAIN_ID")] = 0
     node: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", description="our name in the ROS graph")] = "landfix"
     rmw: Annotated[bool, Meta(description="keys of rmw_zenoh: ROS 2 Jazzy and newer")] = True
-    ros2dds: Annotated[bool, Meta(description="plain keys beside them, for zenoh-bridge-ros2dds")] = False
+    ros2dds: Annotated[bool, Meta(description="plain keys in addition, for zenoh-bridge-ros2dds")] = False
     largest_kb: Annotated[int, Meta(ge=1, le=1_000_000, description="kB: a larger message, images apart, is refused")] = 64
     largest_image_mb: Annotated[int, Meta(ge=1, le=200, description="MB: a larger image is refused")] = 32
     security: SecurityConfig = SecurityConfig()
@@ -154,9 +154,9 @@ def check(config: ZenohConfig) -> None:
     if named and security.names_are == "certificates" and not security.certificate_file:
         raise ConfigError("zenoh.security.certificate_file: is needed where feeders and listeners are certificates")
     if security.certificate_file and not (security.key_file and security.ca_file):
-        raise ConfigError("zenoh.security: certificate_file needs key_file and ca_file beside it")
+        raise ConfigError("zenoh.security: certificate_file needs key_file and ca_file as well")
     if security.user and not security.password_file:
-        raise ConfigError("zenoh.security.password_file: is needed beside user")
+        raise ConfigError("zenoh.security.password_file: is needed with user")
 
 
 def _check_endpoint(name: str, text: str) -> None:

@@ -38,7 +38,7 @@ _SLOW_MS: Final = 60.0
 def autopilot(config: Config, folder: Path) -> list[Check]:
     """All of it; folder: from which the configuration's files count. Nothing is set."""
     if not config.mavlink.endpoint:
-        return [judge("autopilot", "no [mavlink] endpoint", fail=True, advice="the autopilot is asked over MAVLink: give one")]
+        return [judge("autopilot", "no [mavlink] endpoint", fail=True, advice="the parameters are read over MAVLink: give one")]
     try:
         answers = ask(config.mavlink, folder, _NAMES)
     except ConfigError as error:

@@ -85,7 +85,7 @@ def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
         yield _port("zenoh.listen", endpoint, _refused(endpoint), reach)
     for endpoint in config.connect:
         answers = _answers(endpoint)
-        found = f"{endpoint}: {'somebody answers' if answers else 'nobody answers'}"
+        found = f"{endpoint}: {'answers' if answers else 'no answer'}"
         yield judge(
             "zenoh.connect", found, warn=not answers, advice="start the router, or mend the address; landfix keeps trying"
         )
@@ -160,7 +160,7 @@ def _device(path: Path) -> Check:
     """A serial device: there, and ours to use."""
     name = "mavlink.endpoint"
     if not path.exists():
-        return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps looking for it")
+        return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps searching for it")
     if not path.is_char_device():
         return judge(name, f"{path}: is no serial device", fail=True, advice="such as /dev/ttyACM0; or udpin:HOST:PORT")
     if not os.access(path, os.R_OK | os.W_OK):
@@ -194,7 +194,7 @@ def _log(config: Config) -> Iterator[Check]:
     found = f"{folder}: {free / 1e9:.1f} GB free"
     state = folder / config.service.state_file
     if config.service.state_file and state.parent != folder and not os.access(state.parent, os.W_OK):
-        advice = "without it a restart begins from nothing: name a file, it is kept beside the logs"
+        advice = "without it a restart begins without a state: name a file, it is kept in the folder of the logs"
         yield judge("service.state_file", f"{state}: cannot be written", warn=True, advice=advice)
     if existing == folder and folder.stat().st_mode & _ANYBODY:
         advice = f"they show where the vehicle flew: chmod 750 {folder}"
@@ -222,4 +222,4 @@ def package(home: Path, owners: Sequence[int] | None = None) -> Check:
         if seen.st_uid not in trusted:
             found = f"{path}: belongs to user {seen.st_uid}"
             return judge("package", found, warn=True, advice=f"install it as root or as this user: sudo chown -R $USER {home}")
-    return judge("package", f"{home}: nobody else may change it")
+    return judge("package", f"{home}: writable by no other user")

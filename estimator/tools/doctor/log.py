@@ -193,7 +193,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     rate, gaps = 1.0 / float(np.median(steps)), int(np.count_nonzero(steps > _IMU_GAP_S))
     found = f"{rate:.0f} Hz, {gaps} gaps over {_IMU_GAP_S} s, {bad} samples not finite"
     trouble = rate < _LOWEST_IMU_RATE_HZ or gaps > 0 or bad > 0
-    checks = [judge(f"{name} samples", found, warn=trouble, advice="landfix wants 100 Hz or more without gaps")]
+    checks = [judge(f"{name} samples", found, warn=trouble, advice="landfix needs 100 Hz or more without gaps")]
     still = _stillest(samples, max(2, round(rate * _STILL_WINDOW_S)))
     checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
     checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
@@ -213,9 +213,9 @@ def _stillest(samples: Array, width: int) -> Array:
 def _gravity(name: str, length: float) -> Check:
     low, high = _GRAVITY_BAND
     if 0.9 < length < 1.1:
-        advice = "looks like g: landfix wants m/s^2"
+        advice = "looks like g: landfix needs m/s^2"
     elif length < 1.0:
-        advice = "gravity is missing: landfix wants specific force as the accelerometer measures it"
+        advice = "gravity is missing: landfix needs specific force as the accelerometer measures it"
     else:
         advice = "wrong scale, or the vehicle was never still"
     found = f"{length:.2f} m/s^2 in its stillest second"
@@ -229,7 +229,7 @@ def _turn_rate(name: str, rate: Array) -> Check:
     found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
         f", {beyond} samples beyond any gyroscope" if beyond else ""
     )
-    advice = "looks like deg/s: landfix wants rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
+    advice = "looks like deg/s: landfix needs rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
     return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
 
 

@@ -24,7 +24,7 @@ _CLOCK_WATCH_S = 0.3
 _TIMEX_BYTES, _TIME_ERROR = 512, 5  # of adjtimex: more than a struct timex has; the clock is not synchronised
 _CLOCK_LIMIT_PPM = 1000.0  # an adjusted clock is slewed by 500 ppm at most; more is a step
 
-# From a tactical-grade gyroscope on foam to a consumer MEMS beside a propeller.
+# From a tactical-grade gyroscope on foam to a consumer MEMS next to a propeller.
 TYPICAL_NOISE = {
     "gyro_noise": (1e-5, 5e-2),
     "accel_noise": (1e-4, 2.0),
@@ -106,7 +106,7 @@ def _clock() -> Check:
 def _synchronised() -> Check:
     """What the kernel thinks of its clock: adjtimex(2) without a change."""
     unset = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _TIME_ERROR
-    advice = "stamps of other computers, MAVLink signatures and the names of logs need the time: chrony, PTP, or set it by hand"
+    advice = "synchronise it with chrony or PTP, or set it by hand: MAVLink signatures, log names and foreign stamps need it"
     return judge("system clock", "not synchronised" if unset else "synchronised by NTP, PTP or GNSS", warn=unset, advice=advice)
 
 

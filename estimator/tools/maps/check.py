@@ -91,7 +91,7 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     left_out = len(found.rejected)
     few = judge(
         "landmarks", f"{count}, from {found.features} features", fail=count == 0, warn=count < FEW,
-        advice="give it polygons" if count == 0 else f"a fix wants {FEW} landmarks in view",
+        advice="give it polygons" if count == 0 else f"a fix needs {FEW} landmarks in view",
     )  # fmt: skip
     rejected = judge(
         "rejected", f"{left_out} features", warn=left_out > 0, advice="they are not in the map; the reasons are below"

@@ -71,7 +71,7 @@ def _kinds(alike: Alike | None) -> list[tuple[str, NDArray[np.bool_], str]]:
     repeats = alike.repeats_m < np.inf
     return [
         (_ALIKE, (alike.count > 0) & ~repeats, "looks like another one near by"),
-        (_REPEATS, repeats, "the same arrangement stands near by"),
+        (_REPEATS, repeats, "the same arrangement exists nearby"),
     ]
 
 
@@ -114,7 +114,7 @@ def _figure_size(extent: Array) -> tuple[float, float]:
 
 
 def _names(axes: Axes, the_map: LandmarkMap, fills: Array) -> None:
-    """Inside its outline where a name fits, else beside it where nothing else is; the largest landmarks first."""
+    """Inside its outline where a name fits, else next to it where nothing else is; the largest landmarks first."""
     px_per_m = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
     height, letter = (factor * _FONT_PT * _DPI / 72 / px_per_m for factor in (1.25, 0.62))
     d = the_map.description

@@ -1,4 +1,4 @@
-"""A map from a georeferenced image: its regions, found by the segmentation that looks for them in flight."""
+"""A map from a georeferenced image: its regions, found by the segmentation that searches for them in flight."""
 
 import cv2
 import msgspec

@@ -41,9 +41,9 @@ class LearnError(ValueError):
 
 
 class LearnConfig(msgspec.Struct, frozen=True):
-    """How a map is learned. most_hz: pairs looked at; most_sigma_m: of a pose, horizontally; ground_alt_m: None: where it began.
+    """How a map is learned. most_hz: pairs processed; most_sigma_m: of a pose, horizontally; ground_alt_m: None: where it began.
 
-    colours_bgr: to look for; none: whatever colours an image has.
+    colours_bgr: to search for; none: whatever colours an image has.
     """
 
     most_hz: float = 2.0

@@ -1,4 +1,4 @@
-"""Where the cameras and the map of a log come from: named by the caller, attached to the log, or files beside it."""
+"""Where the cameras and the map of a log come from: named by the caller, attached to the log, or files next to it."""
 
 import tempfile
 from pathlib import Path
@@ -39,7 +39,7 @@ def scenery(
     log: Path, attachments: list[Attachment], given: Path | None, rig_file: Path | None = None, map_file: Path | None = None
 ) -> Scenery:
     """Cameras and map: the files named, else those of the given configuration, else those attached to the log, else those that
-    the attached configuration names, if they lie beside the log.
+    the attached configuration names, if they lie next to the log.
 
     Raises ConfigError, one line that says what is missing or wrong.
     """

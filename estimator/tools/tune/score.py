@@ -159,7 +159,7 @@ def _read(log: str, config: str, truth: str) -> _Log:
                 data.append(record.data)
                 arrived.append(record.log_time_ns)
     if truth and schema not in POSE_TYPES:
-        raise LogError(f"{log}: {truth} " + (f"carries {schema}, not poses" if schema else "is not in it"))
+        raise LogError(f"{log}: {truth} " + (f"holds {schema}, not poses" if schema else "is not in it"))
     return _Log(messages, decode(schema, data, arrived) if truth else None)
 
 

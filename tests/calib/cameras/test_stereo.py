@@ -80,7 +80,7 @@ def test_swapped_and_stacked_cameras_are_refused_with_what_to_do() -> None:
     with pytest.raises(CalibrationError, match=r"swapped.*exchange --left and --right"):
         stereo.calibrate([Pair(p.right, p.left) for p in pairs], BOARD)
     stacked = msgspec.structs.replace(true_rig(), t_rc=np.array([0.001, -0.06, 0.0]))
-    with pytest.raises(CalibrationError, match="not beside it"):
+    with pytest.raises(CalibrationError, match="not next to it"):
         stereo.calibrate(simulated_pairs(8, rig=stacked), BOARD)
 
 

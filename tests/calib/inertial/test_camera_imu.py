@@ -70,7 +70,7 @@ def test_verdict_tables_and_picture(runs: list[tuple[Truth, CameraImu]]) -> None
 
 
 def test_a_board_that_looks_the_same_upside_down_may_be_read_from_either_end() -> None:
-    true, alike, rng = truth(0), Board(8, 6, 0.025), np.random.default_rng(0)
+    true, alike, rng = truth(0, 10.0), Board(8, 6, 0.025), np.random.default_rng(0)
     imu, stamps, views, _ = record(true, CAMERA, alike, EUROC_NOISE, rng)
     either = [replace(v, px=v.px[::-1].copy()) if rng.random() < 0.5 else v for v in views]
     found = camera_imu.calibrate(imu, stamps, either, alike, CAMERA, EUROC_NOISE)
@@ -79,7 +79,7 @@ def test_a_board_that_looks_the_same_upside_down_may_be_read_from_either_end() -
 
 
 def test_squares_of_another_size_than_configured_are_to_be_done_again() -> None:
-    true = truth(1)
+    true = truth(1, 10.0)
     imu, stamps, views, _ = record(true, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(1))
     judged = imu_report.of_camera_imu(camera_imu.calibrate(imu, stamps, views, Board(9, 6, 0.027), CAMERA, EUROC_NOISE))
     assert judged.grade is Grade.REDO

@@ -227,7 +227,7 @@ def test_bad_sources_are_one_line(folder: Path, tmp_path: Path) -> None:
         (tmp_path / "other" / path.name.replace("right_0", "right_9").replace("right_1", "right_8")).write_bytes(
             path.read_bytes()
         )
-    assert "must carry the same number" in fails(
+    assert "must have the same number" in fails(
         "stereo", "--left", folder / "left_*.png", "--right", tmp_path / "other", *SIZE, *out
     )
     assert "cannot be written" in fails("mono", folder / "left_*.png", *SIZE, "-o", tmp_path / "no" / "x.yaml")

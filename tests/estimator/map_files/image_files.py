@@ -25,7 +25,7 @@ def utm_affine(affine: Array, width: int, height: int) -> Array:
 
 
 def write(image: GroundImage, path: Path) -> Path:
-    """The image, and its world file beside it."""
+    """The image, and its world file next to it."""
     cv2.imwrite(str(path), image.image)
     height, width = image.image.shape[:2]
     numbers = utm_affine(image.affine, width, height).T.ravel()

@@ -42,8 +42,9 @@ spacing_m = 16.0
 """
 
 
-def fly(folder: Path, quality: int = 92) -> Path:
-    (folder / "scenario.toml").write_text(SCENARIO.format(quality=quality))
+def fly(folder: Path, quality: int = 92, duration_s: float = 24.0) -> Path:
+    text = SCENARIO.format(quality=quality).replace("duration_s = 24.0", f"duration_s = {duration_s}")
+    (folder / "scenario.toml").write_text(text)
     out = folder / "flight.mcap"
     result = CliRunner().invoke(app, ["simulate", str(folder / "scenario.toml"), "-o", str(out), "--seed", "4"])
     assert result.exit_code == 0, result.output
@@ -134,7 +135,7 @@ def test_equal_seeds_give_equal_logs_and_raw_pixels_on_request(log: Path, tmp_pa
     assert fly(tmp_path).read_bytes() == log.read_bytes()
     with LogReader(log) as reader:
         assert {r.schema for r in reader if r.topic == flight_images.LEFT} == {COMPRESSED_IMAGE}
-    with LogReader(fly(tmp_path, 0)) as reader:
+    with LogReader(fly(tmp_path, 0, duration_s=3.0)) as reader:
         assert {r.schema for r in reader if r.topic == flight_images.LEFT} == {IMAGE}
 
 

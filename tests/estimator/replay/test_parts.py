@@ -102,7 +102,7 @@ def test_a_torn_part_is_named_and_replayed_as_far_as_it_goes(
     given = [part for part in parts if part is not parts[number]]
     result = _run("replay", *given, torn, "-o", tmp_path / "out.mcap", "-c", flight.with_suffix(".toml"))
     assert result.exit_code == 0
-    assert result.stderr == "landfix: landfix-torn.mcap is torn; replayed up to its last whole record\n"
+    assert result.stderr == "landfix: landfix-torn.mcap is truncated; replayed up to its last whole record\n"
 
 
 def test_a_part_made_whole_again_is_still_that_part(parts: list[Path], config: Config, whole: bytes, tmp_path: Path) -> None:

@@ -1,20 +1,31 @@
 """Flights of all kinds in a process that has warmed up, as the daemon does: prints what was compiled for them, as JSON.
 
-python -m tests.estimator.service.many_flights
+compiled: as the daemon's own report counts it; new: kernels of which a flight from a log, the first of all, has more signatures
+than the warm-up. (The simulator of the other flights, in this process, has kernels of its own.)
+
+python -m tests.estimator.service.many_flights FLIGHT.mcap
 """
 
+import gc
 import itertools
 import json
+import sys
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from msgspec import structs
+from numba.core.dispatcher import Dispatcher
 
 from estimator.filter.smoother import smooth
 from estimator.publish import OutputConfig, Publisher
 from estimator.service.base import compilation
+from logs.store.reader import LogReader
+from logs.wire.codec import Decoder
 from models.measurements import DIRECTION_SCALE
-from models.messages import AidStatus, Array, Estimate, Input, LandmarkFix, PoseFix, Reading
+from models.messages import AidStatus, Array, Estimate, Input, LandmarkFix, PoseFix, Reading, Reason
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.partial import in_part
 from tests.estimator.scenes import SECOND, Run, by_arrival, config_of, hover, simulated
@@ -34,7 +45,7 @@ SCENARIOS = (
 )
 
 
-def _with_less(fix: PoseFix, turn: int) -> PoseFix | LandmarkFix:
+def with_less(fix: PoseFix, turn: int) -> PoseFix | LandmarkFix:
     """In part; with errors that repeat; without roll and pitch; without yaw; without attitude; without height; whole."""
     if turn == 0:
         return in_part(fix, np.eye(6)[:4] * DIRECTION_SCALE, np.zeros(2))
@@ -56,7 +67,7 @@ def flights() -> list[tuple[str, list[Input]]]:
     found = []
     for seed, text in enumerate(SCENARIOS):
         simulation, turns = simulated(text, seed), itertools.cycle(range(7))
-        messages = [_with_less(m, next(turns)) if isinstance(m, PoseFix) and seed != 2 else m for m in simulation.messages]
+        messages = [with_less(m, next(turns)) if isinstance(m, PoseFix) and seed != 2 else m for m in simulation.messages]
         messages += [
             Reading(t, t, "/baro", "baro", (95_000.0 + 10.0 * np.sin(t * 1e-10),))
             for t in range(EPOCH_NS + SECOND, EPOCH_NS + 59 * SECOND, SECOND)
@@ -67,13 +78,35 @@ def flights() -> list[tuple[str, list[Input]]]:
     return found
 
 
+def kernels() -> set[tuple[str, str]]:
+    """Name and signature of every kernel that is compiled or loaded in this process."""
+    found: list[Any] = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
+    return {(f"{d.__module__}.{d.__name__}", str(signature)) for d in found for signature in d.signatures}
+
+
+def decoded(log: Path) -> Iterator[Input]:
+    """The measurements of a log."""
+    decoder = Decoder()
+    with LogReader(log) as reader:
+        for record in reader:
+            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
+            if message is not None:
+                yield message
+
+
 def main() -> None:
-    from estimator.fusion import Fusion  # noqa: PLC0415
+    from estimator.fusion import Fusion, FusionConfig  # noqa: PLC0415
     from estimator.service.warm_up import warm_up  # noqa: PLC0415
 
     warm_up()
+    warm = kernels()
     compiled = list[str]()
     compilation.listen(lambda kernel, _: compiled.append(kernel) if kernel and not kernel.startswith("models.sim") else None)
+    fusion = Fusion(FusionConfig(origin=(47.3977, 8.5456, 488.0)))
+    logged = [said for message in decoded(Path(sys.argv[1])) for said in fusion.handle(message)]
+    new = sorted({name for name, _ in kernels() - warm})
+    fused = {s.topic for s in logged if isinstance(s, AidStatus) and s.reason is Reason.FUSED}
+    found = {"warm": len(warm), "new": new, "fused": sorted(fused), "logged": sum(isinstance(s, Estimate) for s in logged)}
     reasons, estimates = Counter[str](), 0
     for seed, (text, messages) in enumerate(flights()):
         fusion, publisher = Fusion(config_of(simulated(text, seed))), Publisher(OutputConfig())
@@ -84,7 +117,7 @@ def main() -> None:
             estimates += sum(isinstance(s, Estimate) for s in said)
     smooth(simulated(SCENARIOS[0]).messages, config_of(simulated(SCENARIOS[0])))
     run = Run(Fusion(config_of(simulated(SCENARIOS[3])))).feed(hover(9.0))
-    print(json.dumps({"compiled": compiled, "estimates": estimates + len(run.estimates), "reasons": reasons}))
+    print(json.dumps(found | {"compiled": compiled, "estimates": estimates + len(run.estimates), "reasons": reasons}))
 
 
 if __name__ == "__main__":

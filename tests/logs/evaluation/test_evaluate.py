@@ -321,7 +321,7 @@ def test_a_torn_log_is_evaluated_as_far_as_it_goes(log: Path, tmp_path: Path) ->
     (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
     e = evaluate(tmp_path / "torn.mcap")
     assert 0 < e.estimates < 3001
-    assert e.notes[0] == "the log is torn: read to its last whole record"
+    assert e.notes[0] == "the log is truncated: read to its last whole record"
 
 
 def test_json_holds_all_of_it(consistent: Evaluation) -> None:
@@ -354,7 +354,7 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
 def test_a_real_flight_with_nothing_but_poses(
     landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
 ) -> None:
-    """GIVEN EuRoC's visual poses at 20 Hz and no report beside them, THEN the figures are those that its README has."""
+    """GIVEN EuRoC's visual poses at 20 Hz and no report next to them, THEN the figures are those that its README has."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / sequence)
     e = evaluate(tmp_path / "vision.mcap")
     assert e.accuracy is not None

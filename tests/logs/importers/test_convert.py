@@ -1,4 +1,4 @@
-"""What `landfix import` writes: a log that can be read back, and a configuration beside it."""
+"""What `landfix import` writes: a log that can be read back, and a configuration next to it."""
 
 import tomllib
 from pathlib import Path

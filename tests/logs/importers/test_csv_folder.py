@@ -323,7 +323,7 @@ def test_what_cannot_be_imported_is_reported_in_one_line(tmp_path: Path, files: 
 
 
 def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"not a folder; csv wants the folder that imu\.csv lies in"):
+    with pytest.raises(LogError, match=r"not a folder; csv needs the folder that holds imu\.csv"):
         csv_folder.read(folder(tmp_path, imu=IMU) / "imu.csv")
 
 

@@ -109,7 +109,7 @@ def test_a_position_alone_is_a_truth_without_attitude(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_imported_is_reported_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no mav0/imu0/data\.csv in it; euroc wants the folder that mav0 lies in"):
+    with pytest.raises(LogError, match=r"no mav0/imu0/data\.csv in it; euroc needs the folder that holds mav0"):
         euroc.read(tmp_path)
     write(tmp_path, [])
     with pytest.raises(LogError, match=r"data\.csv: no line after the header"):

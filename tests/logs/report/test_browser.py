@@ -38,7 +38,7 @@ found.broken = [...document.querySelectorAll("svg *")].filter(broken).length;
 found.whole = [seconds(0), seconds(0.25), seconds(1)];
 seconds(0.5);
 found.readout = readout.textContent;
-found.beside = figure("state0").querySelector(".readout").textContent;
+found.next to = figure("state0").querySelector(".readout").textContent;
 found.here = figure("map").querySelectorAll(".here").length;
 send("pointerdown", 0.25), send("pointermove", 0.5), send("pointerup", 0.5);
 found.zoomed = [seconds(0), seconds(1)];

@@ -380,7 +380,7 @@ def test_a_torn_log_is_reported_as_far_as_it_goes(log: Path, tmp_path: Path) -> 
     data = log.read_bytes()
     (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
     written = write(tmp_path / "torn.mcap", tmp_path / "x.html")
-    assert "the log is torn: read to its last whole record" in written.findings
+    assert "the log is truncated: read to its last whole record" in written.findings
     assert written.verdict != "no problems found"
     assert 10.0 < Page(tmp_path / "x.html").drawing["end"] < 119.0
 
@@ -452,7 +452,7 @@ def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_lin
     with pytest.raises(LogError, match="none of its 1 estimates is a number"):
         write(lost, tmp_path / "x.html")
     (tmp_path / "torn.mcap").write_bytes(log.read_bytes()[:100])
-    with pytest.raises(LogError, match="holds no /landfix/odometry before it is torn"):
+    with pytest.raises(LogError, match="holds no /landfix/odometry before it is cut off"):
         write(tmp_path / "torn.mcap", tmp_path / "x.html")
     assert not (tmp_path / "x.html").exists()
 

@@ -89,7 +89,7 @@ def test_never_more_than_a_tenth_of_a_second_is_unwritten(tmp_path: Path) -> Non
     for i in range(300):
         t_ns = START_NS + i * STEP_NS
         recorder.write(*encode_input(ImuSample(t_ns, t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8))), t_ns)
-        # WHEN another process looks at the file as the system has it
+        # WHEN another process examines the file as the system has it
         if i % 37 == 0 or i == 299:
             with LogReader(path) as reader:
                 stamps = [record.log_time_ns for record in reader]

@@ -18,7 +18,7 @@ def test_median_takes_out_salt_and_pepper_and_keeps_an_edge() -> None:
     clean[:, 40:] = 200
     noisy = clean.copy()
     noisy[rng.random(clean.shape) < 0.06] = 255
-    assert (enhance.median(noisy, 5)[4:-4, 4:-4] != clean[4:-4, 4:-4]).mean() < 0.004  # a cluster beside the edge
+    assert (enhance.median(noisy, 5)[4:-4, 4:-4] != clean[4:-4, 4:-4]).mean() < 0.004  # a cluster next to the edge
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -50,7 +50,7 @@ def test_stretch_keeps_hue() -> None:
 
 
 def test_blocks_bring_out_what_a_whole_stretch_cannot() -> None:
-    """A dim half beside a bright one: the texture of both fills the range; no seam between blocks."""
+    """A dim half next to a bright one: the texture of both fills the range; no seam between blocks."""
     rng = np.random.default_rng(2)
     image = np.hstack([rng.integers(20, 41, (128, 128)), rng.integers(180, 221, (128, 128))]).astype(np.uint8)
     whole, blocks = enhance.stretch(image), enhance.stretch_blocks(image, 4)

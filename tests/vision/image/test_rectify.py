@@ -22,7 +22,7 @@ def bent_rig() -> StereoRig:
 
 
 def test_corresponding_points_stand_in_the_same_row() -> None:
-    """A point's raw pixel, looked for in the maps, is where the rectified rig says, in both images; rows are equal."""
+    """A point's raw pixel, searched for in the maps, is where the rectified rig says, in both images; rows are equal."""
     rig = bent_rig()
     made = rectification(rig)
     assert made.left is not None

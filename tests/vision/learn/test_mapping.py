@@ -162,7 +162,7 @@ def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> Non
 
 
 def test_what_moves_against_the_rest_of_the_image_is_not_followed() -> None:
-    """Poses so vague that each step of a car would pass by itself; beside three houses that stand still it does not."""
+    """Poses so vague that each step of a car would pass by itself; next to three houses that stand still it does not."""
     rng, mapper = np.random.default_rng(11), Mapper(0.0, CONFIG)
     vague = np.diag([2.0, 2.0, 2.0, 2e-4, 2e-4, 2e-3]) ** 2
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10, 30.0)):

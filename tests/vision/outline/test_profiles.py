@@ -28,7 +28,7 @@ def everything() -> np.ndarray:
 
 
 def beside(values: np.ndarray, edge: np.ndarray, interior: np.ndarray | None = None) -> np.ndarray:
-    """The roof's colour beside each point, of edges of one landmark that are all its roof's."""
+    """The roof's colour next to each point, of edges of one landmark that are all its roof's."""
     marks = np.zeros(edge.max() + 1, dtype=np.int64)
     seen = np.full(len(values), interior is not None)
     roof, all_of_it = np.ones(len(marks), dtype=np.bool_), np.ones(len(values), dtype=np.bool_)

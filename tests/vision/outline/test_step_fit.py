@@ -1,4 +1,4 @@
-"""Steps on profiles: where they are to a few hundredths of a pixel, alone, beside a wall's foot, beside a shadow."""
+"""Steps on profiles: where they are to a few hundredths of a pixel, alone, next to a wall's foot, next to a shadow."""
 
 import numpy as np
 import pytest

@@ -66,7 +66,7 @@ def test_edges_farther_off_are_not_found_any_more() -> None:
 
 
 def test_a_search_does_not_ask_what_a_sheet_covers() -> None:
-    """A sheet over a corner of a pale roof: a good part of the rim is not looked at."""
+    """A sheet over a corner of a pale roof: a good part of the rim is not examined."""
     view = whole()
     covered = under_a_sheet(view.left, eyes(RIG)[0], view)
     whole_rim, rest = (

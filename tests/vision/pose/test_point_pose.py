@@ -50,7 +50,7 @@ def test_every_column_is_the_derivative_times_its_sigma() -> None:
 
 
 def test_errors_of_the_rig_have_the_covariance_that_they_cause() -> None:
-    """N N^T of the columns beside the map's against differences: camera on the body and the camera's own numbers."""
+    """N N^T of the columns next to the map's against differences: camera on the body and the camera's own numbers."""
     x_n, R_nb = _ground(6), so3.matrix(Q)
     system = _system(RIG, _points(x_n, _seen(RIG, x_n, P_N, R_nb)), P_N, R_nb, SHARED)
     assert system is not None

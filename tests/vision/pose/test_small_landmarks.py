@@ -140,7 +140,7 @@ def test_its_shift_is_measured_to_a_fraction_of_a_pixel(half: int, colour: tuple
 
 
 def test_its_shadow_is_not_it() -> None:
-    """Darker than the stone is lighter, of the same shape, and beside it. A dark stone of another hue is one."""
+    """Darker than the stone is lighter, of the same shape, and next to it. A dark stone of another hue is one."""
     corners, aside = 8.0 * CORNERS + 50.0, np.array([9.0, 4.0])
     stone, shade, slate = (130, 160, 160), (24, 48, 40), (50, 40, 40)
     shaded = drawn(corners, stone, drawn(corners + aside, shade, meadow(1)))
@@ -212,7 +212,7 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, leas
 
 
 def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:
-    """Where the map has each boulder, and half a metre beside: 7 px, less than it is wide."""
+    """Where the map has each boulder, and half a metre next to: 7 px, less than it is wide."""
     view = boulders(3, np.full(6, 1e-3), map_sigma_m=1e-3)
     fit = estimate_pose(view.rig, view.images, view.landmarks, (view.p_n, view.R_nb), view.prior)
     assert isinstance(fit, PoseEstimate)

@@ -78,7 +78,7 @@ def found(view: Seen, prior: Prior, image: Image | None = None) -> list[Candidat
 
 
 def off_px(view: Seen, place: Candidate, mapped: tuple[Landmark, ...] | None = None) -> float:
-    """By how much the roofs' corners, as mapped, lie beside their true places, at most."""
+    """By how much the roofs' corners, as mapped, lie next to their true places, at most."""
     worst = 0.0
     for mark, known, shift in zip(view.marks, mapped or view.marks, place.shift_m, strict=True):
         ends = []

@@ -105,7 +105,7 @@ def test_odds_of_a_place_by_hand() -> None:
     assert np.isfinite(place_odds(np.array([800.0]), 0.1, 0.0, 1.0, 0.0))
 
 
-@pytest.mark.parametrize(("chosen", "less"), [([0], 4.0), ([0, 1, 2], 0.0)], ids=["alone", "beside others"])
+@pytest.mark.parametrize(("chosen", "less"), [([0], 4.0), ([0, 1, 2], 0.0)], ids=["alone", "next to others"])
 def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], less: float) -> None:
     view, prior = whole(), drawn(whole(), 1)
     some, views = [MARKS[k] for k in chosen], (view.left, view.right)

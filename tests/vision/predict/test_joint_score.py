@@ -76,7 +76,7 @@ def test_what_stands_there_twice_has_two_summits() -> None:
 
 
 def test_of_two_places_as_good_the_prior_takes_its_own_and_no_ratio_says_so() -> None:
-    """Two boxes alike, 24 px apart: beside a prior of 10 px the one it is about is the place, whichever that is."""
+    """Two boxes alike, 24 px apart: next to a prior of 10 px the one it is about is the place, whichever that is."""
     one = ((40, 60, 20, 20),)
     image = drawn((0, 0), boxes=one)
     image[60:80, 64:84] = image[60:80, 40:60]

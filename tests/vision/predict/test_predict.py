@@ -267,7 +267,7 @@ def test_auto_is_predict_where_the_prior_is_good() -> None:
 
 @pytest.mark.parametrize("kind", ["corner", "strip"])
 def test_auto_predicts_what_is_larger_than_the_image(kind: str) -> None:
-    """One corner of a roof as wide as the image; a strip whose corners lie 200 m aside, almost beside the camera."""
+    """One corner of a roof as wide as the image; a strip whose corners lie 200 m aside, almost next to the camera."""
     view = part_view(kind, 0)
     auto = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig())
     result = auto.process(*view.images, 0, view.prior)

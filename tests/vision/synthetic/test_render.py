@@ -121,7 +121,7 @@ def test_motion_blur_leaves_edges_where_they_are() -> None:
 
 
 def test_walls_stand_between_roof_and_ground() -> None:
-    """A box beside the camera: the wall that faces it covers exactly the quadrilateral between roof and base edge."""
+    """A box next to the camera: the wall that faces it covers exactly the quadrilateral between roof and base edge."""
     solid = replace(
         box(0.0, 12.0, 6.0, (BRIGHT, BRIGHT, BRIGHT)),
         look=Look((200.0, 200.0, 200.0), (10.0, 10.0, 250.0), contrast=0.0, wall_contrast=0.0),

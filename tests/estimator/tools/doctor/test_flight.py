@@ -45,7 +45,7 @@ def test_ports_that_are_taken_are_said(tmp_path: Path) -> None:
     for name in ("zenoh.listen", "mavlink.endpoint"):
         assert (found[name].state, "address already in use" in found[name].found) == (State.WARN, True)
         assert "another program has it" in found[name].advice
-    assert found["zenoh.connect"].found == "tcp/127.0.0.1:1: nobody answers"
+    assert found["zenoh.connect"].found == "tcp/127.0.0.1:1: no answer"
 
 
 def test_an_address_of_another_computer_is_said(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
         router.bind(("127.0.0.1", 0))
         router.listen()
         found = checked(tmp_path, f"[zenoh]\nlisten = []\nconnect = ['tcp/127.0.0.1:{router.getsockname()[1]}']\n")
-    assert (found["zenoh.connect"].state, found["zenoh.connect"].found.endswith("somebody answers")) == (State.OK, True)
+    assert (found["zenoh.connect"].state, found["zenoh.connect"].found.endswith(": answers")) == (State.OK, True)
 
 
 @pytest.mark.parametrize(

@@ -186,7 +186,7 @@ def test_a_log_that_cannot_be_used_says_why(flight: tuple[str, str], tmp_path: P
         score(Job(str(short), config, {}))
     with pytest.raises(LogError, match="/nowhere is not in it"):
         score(Job(log, config, {}, truth="/nowhere"))
-    with pytest.raises(LogError, match="carries sensor_msgs/msg/Imu, not poses"):
+    with pytest.raises(LogError, match="holds sensor_msgs/msg/Imu, not poses"):
         score(Job(log, config.replace('imu = "/imu"', 'imu = "/other"'), {}, truth="/imu"))
 
 

@@ -19,6 +19,7 @@ from estimator.tools.tune.search import Gain, TuneConfig, TunedKey, Tuner, TuneR
 from tests.estimator.tools.tune.test_score import simulated
 
 BEST = {"imu.gyro_noise": 7e-4, "imu.accel_noise": 4e-2}
+_SHORT = ("--coarse", "2", "--fine", "0")
 NAMES = ("imu.gyro_noise", "imu.accel_noise", "imu.accel_walk")
 
 
@@ -165,7 +166,7 @@ def _tune(flights: tuple[list[Path], Path], out: Path, *more: str) -> dict[str, 
 
 
 def test_flights_tell_the_noise_and_others_are_predicted_better_for_it(flights: tuple[list[Path], Path], tmp_path: Path) -> None:
-    said = _tune(flights, tmp_path / "tuned.toml", "--jobs", "2")
+    said = _tune(flights, tmp_path / "tuned.toml", "--jobs", "1")
     tuned, before = load(tmp_path / "tuned.toml"), load(flights[1])
     assert 8.0 < before.imu.accel_noise / tuned.imu.accel_noise < 40.0
     assert tuned.imu.gyro_noise == before.imu.gyro_noise
@@ -174,19 +175,25 @@ def test_flights_tell_the_noise_and_others_are_predicted_better_for_it(flights: 
     assert said["held_out_before"]["nis_per_dof"] < 0.6 < said["held_out_after"]["nis_per_dof"] < 1.3
     (key,) = said["keys"]
     assert key["double"]["mean"] < -0.3 < -0.2 < key["half"]["mean"] < 0.2  # half of it is made up for
-    again = _tune(flights, tmp_path / "again.toml", "--jobs", "1")
-    assert again == said, "whoever does the work"
 
 
-def test_the_same_over_a_scheduler(flights: tuple[list[Path], Path], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def alone(flights: tuple[list[Path], Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A short search by one process."""
+    return _tune(flights, tmp_path_factory.mktemp("alone") / "tuned.toml", "--jobs", "1", *_SHORT)
+
+
+def test_the_same_by_two_processes(flights: tuple[list[Path], Path], alone: dict[str, Any], tmp_path: Path) -> None:
+    assert _tune(flights, tmp_path / "two.toml", "--jobs", "2", *_SHORT) == alone
+
+
+def test_the_same_over_a_scheduler(flights: tuple[list[Path], Path], alone: dict[str, Any], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (landfix[cluster])")
-    more = ("--coarse", "2", "--fine", "0")
-    here = _tune(flights, tmp_path / "here.toml", "--jobs", "1", *more)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of dask's own
         with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-            there = _tune(flights, tmp_path / "there.toml", "--scheduler", cluster.scheduler_address, *more)
-    assert there == here
+            there = _tune(flights, tmp_path / "there.toml", "--scheduler", cluster.scheduler_address, *_SHORT)
+    assert there == alone
 
 
 def test_what_cannot_be_tuned_is_said_in_one_line(flights: tuple[list[Path], Path], tmp_path: Path) -> None:
