@@ -17,6 +17,7 @@ from estimator.replay.summary import ReplaySummary
 from estimator.version import version
 from logs.evaluation.evaluate import evaluate
 from logs.evaluation.records import Evaluation
+from logs.exporters.frame import estimate_frame
 from logs.store.reader import LogError, LogReader, Record
 from logs.store.recorder import Recorder
 from logs.wire.codec import Decoder, Encoded, encode, encode_input
@@ -87,6 +88,7 @@ __all__ = [
     "X",
     "encode",
     "encode_input",
+    "estimate_frame",
     "evaluate",
     "horizontal_radius",
     "load_config",
