@@ -6,7 +6,20 @@ from math import isfinite
 import msgspec
 
 from estimator.replay.no_estimate import advice
-from models.messages import AidStatus, Estimate, Health, ImuSample, Input, Mode, Output, Reason, Reset
+from models.messages import (
+    AidStatus,
+    Estimate,
+    GnssFix,
+    Health,
+    ImuSample,
+    Input,
+    LandmarkFix,
+    Mode,
+    Output,
+    PoseFix,
+    Reason,
+    Reset,
+)
 
 _LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, not time in a mode
 
@@ -40,7 +53,7 @@ class SummaryBuilder:
 
     def __init__(self) -> None:
         self.records = 0
-        self._imu = self._estimates = self._resets = self._internal = 0
+        self._imu = self._positions = self._estimates = self._resets = self._internal = 0
         self._first_ns: int | None = None
         self._last_ns = 0
         self._previous_ns: int | None = None
@@ -63,6 +76,8 @@ class SummaryBuilder:
         """One input and what it caused."""
         if isinstance(message, ImuSample):
             self._imu += 1
+        elif isinstance(message, GnssFix | PoseFix | LandmarkFix):
+            self._positions += 1
         for output in outputs:
             if isinstance(output, Estimate):
                 self._estimate(output)
@@ -103,7 +118,7 @@ class SummaryBuilder:
             fixes.setdefault(topic, Counter())[reason.value] += 1
         why = ""
         if not self._estimates:
-            why = advice(kind, self._imu, self._duration_s, fixes, self._details, self._waited_for)
+            why = advice(kind, self._imu, self._positions, self._duration_s, fixes, self._details, self._waited_for)
         return ReplaySummary(
             records=self.records,
             imu_samples=self._imu,
