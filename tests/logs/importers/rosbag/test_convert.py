@@ -29,8 +29,8 @@ def records() -> list[Record]:
     return flight()
 
 
-def imported(source: Path, out: Path, **options: str) -> tuple[ImportSummary, list[Record]]:
-    summary = convert("rosbag", source, out, options=ImportOptions(**options))
+def imported(source: Path, out: Path, imu: str = "") -> tuple[ImportSummary, list[Record]]:
+    summary = convert("rosbag", source, out, options=ImportOptions(imu=imu))
     with LogReader(out) as reader:
         return summary, list(reader)
 
