@@ -5,7 +5,7 @@ from math import isfinite
 
 import msgspec
 
-from estimator.replay.no_estimate import advice
+from estimator.replay.no_estimate import advice, too_slow
 from models.messages import (
     AidStatus,
     Estimate,
@@ -45,6 +45,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     first_estimate_s: float | None = None  # log time before it; None: there is no estimate
     waited_for: str = ""  # what was last said to keep it from an estimate
     advice: str = ""  # why there is no estimate and what to do; empty where there is one
+    remark: str = ""  # why there is one for less than half of the time, where that is known
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
@@ -119,6 +120,8 @@ class SummaryBuilder:
         why = ""
         if not self._estimates:
             why = advice(kind, self._imu, self._positions, self._duration_s, fixes, self._details, self._waited_for)
+        covered_s, since_s = sum(self._modes_ns.values()) * 1e-9, self._duration_s - (self._began_s or 0.0)
+        slow = too_slow(kind, self._imu, self._duration_s) if self._estimates and covered_s < 0.5 * since_s else ""
         return ReplaySummary(
             records=self.records,
             imu_samples=self._imu,
@@ -139,4 +142,5 @@ class SummaryBuilder:
             waited_for=self._waited_for,
             torn_parts=torn,
             advice=why,
+            remark=f"an estimate for {covered_s:.1f} of {since_s:.1f} s: {slow}" if slow else "",
         )

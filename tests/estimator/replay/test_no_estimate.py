@@ -96,3 +96,18 @@ def test_logs_of_other_programs_are_known_by_their_first_bytes(name: str, start:
     result = run("report", tmp_path / name, "-o", tmp_path / "x.html")
     assert result.exit_code == 1
     assert words in result.stderr
+
+
+def test_an_estimate_that_is_lost_for_want_of_imu_samples_says_so(simulation: Simulation, tmp_path: Path) -> None:
+    """GIVEN an IMU at 200 Hz for 3.5 s, and hardly any sample after it, THEN a line says why the estimate ended."""
+    start_ns = simulation.messages[0].t_ns
+
+    def wanted(k: int, m: Input) -> bool:
+        late = m.t_ns - start_ns > 3_500_000_000
+        return not isinstance(m, ImuSample) or not late or k % 500 == 0
+
+    log = of(simulation, tmp_path / "x.mcap", wanted, "tlog")
+    result = run("replay", log, "-o", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert "SR0_RAW_SENS" in result.stderr.splitlines()[-1]
+    assert "an estimate for" in result.stderr.splitlines()[-1]
