@@ -22,6 +22,7 @@ _TEXT: Final = (".geojson", ".json", ".geojsonl", ".geojsons", ".ndjson", ".json
 _GDAL: Final = (".gpkg", ".shp", ".osm", ".pbf", ".fgb", ".kml", ".kmz", ".gml")
 _PARQUET: Final = (".parquet", ".geoparquet")
 _SUFFIXES: Final = (*_TEXT, *_GDAL, *_PARQUET)
+_COMMON_M: Final = (1.5, 2.0)  # shift of a whole map that was traced from images, horizontal and vertical
 MOST: Final = 1_000_000  # landmarks of a map
 
 
@@ -65,7 +66,8 @@ def get(
     sigma_m: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[LandmarkMap, Got]:
-    """The map, and what was found. ground_alt_m: of the place above the ellipsoid; sigma_m: instead of the sources'.
+    """The map, and what was found. ground_alt_m: of the place above the ellipsoid; sigma_m: instead of the
+    sources', and of the shift that what is traced from one image has in common.
 
     Raises MapError where there is no footprint.
     """
@@ -92,7 +94,8 @@ def get(
     credit = "; ".join(attributions)
     document = json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False).encode()
     origin = (round(place.lat_deg, 6), round(place.lon_deg, 6), ground_alt_m)
-    the_map = LandmarkMap.from_geojson(document, Defaults(origin=origin))
+    common = (0.0, 0.0) if sigma_m is not None else _COMMON_M
+    the_map = LandmarkMap.from_geojson(document, Defaults(origin=origin, common_sigma_m=common))
     notes = [f"only the first {MOST} landmarks are taken: ask for fewer kilometres"] if len(features) >= MOST else []
     if UNKNOWN.name in found:
         notes.append("the data set does not say what it is: name it yourself where you publish the map, and give --sigma-m")

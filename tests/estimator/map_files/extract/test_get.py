@@ -76,6 +76,7 @@ def test_every_format_and_system_gives_the_same_buildings(name: str, tmp_path: P
     assert heights == ([8.5, 12.0, 12.0, 12.0] if "parquet" in name else [8.5, 12.0, 6.0, 6.0])
     assert len(set(the_map.columns.ids)) == 4
     assert the_map.columns.sigma_m.tolist() == [2.0] * 4
+    assert the_map.common_sigma_m == (1.5, 2.0)
 
 
 @pytest.mark.parametrize("name", OSM)
@@ -129,6 +130,7 @@ def test_the_map_keeps_the_attribution_and_is_read_again(tmp_path: Path) -> None
     again = LandmarkMap.from_geojson(out.read_bytes())
     assert again.origin == (LAT, LON, 410.0)
     assert again.columns.sigma_m.tolist() == [0.7, 0.7]
+    assert again.common_sigma_m == (0.0, 0.0)
     checked = CliRunner().invoke(app, ["map", "check", str(out), "--json"])
     assert checked.exit_code == 0
 
