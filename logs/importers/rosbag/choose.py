@@ -18,7 +18,6 @@ _FUSED: Final = re.compile(r"filter|fused|global_position/global|estimat|ekf|/la
 _RECEIVER: Final = re.compile(r"gps|gnss|fix|navsat|ublox|novatel|septentrio|(^|/)vel$")
 _LEFT, _RIGHT = re.compile(r"left|cam_?0|infra1"), re.compile(r"right|cam_?1|infra2")
 _POSES: Final = (schemas.ODOMETRY, schemas.POSE_FIX, schemas.POSE)
-_PICTURES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
 _LEAN: Final = 0.85  # share of the mean specific force along an axis: within 32 degrees
 _FEW_HZ: Final = 45.0
 _FRD: Final = np.array([1.0, -1.0, -1.0])
