@@ -20,10 +20,15 @@ def test_health_is_on_diagnostics_where_the_configuration_wants_it(wanted: bool,
     config = ZenohConfig(listen=(f"tcp/127.0.0.1:{port}",), diagnostics=wanted)
     health = encode(Health(1, 1, Mode.AIDED, 0.1, 2.0, 1.0, 0, {}, {}, 1))[0]
     bus = ZenohBus(config, tmp_path, Clock(), {}, ())
+
+    def enough() -> bool:
+        bus.send((), [health, Encoded("/landfix/reset", schemas.RESET, b"")])
+        return len(heard) > 20
+
     try:
         with client(port) as session:
             session.declare_subscriber("0/**", heard.append)
-            until(lambda: (bus.send((), [health, Encoded("/landfix/reset", schemas.RESET, b"")]), len(heard) > 20)[1], "messages")
+            until(enough, "messages")
     finally:
         bus.close()
     topics = {
