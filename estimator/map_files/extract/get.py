@@ -47,7 +47,7 @@ _KNOWN: Final = {"OVERTURE": OVERTURE, "MICROSOFT": MICROSOFT, "OSM": OSM}
 
 
 class Got(msgspec.Struct, frozen=True):
-    """What the map is made from. read: polygons in the files, or around the place where an index tells; sources: landmarks of
+    """What the map is made from. read: polygons in the files, or near the place where the file has an index; sources: landmarks of
     each data set; attribution: what a publication of the map must say.
     """
 

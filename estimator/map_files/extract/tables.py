@@ -1,6 +1,6 @@
 """Formats that need libraries (landfix[geo]): GeoPackage, Shapefile, OpenStreetMap files and others by GDAL, GeoParquet by Arrow.
 
-Only the features around the wanted place are read, where the file has an index or statistics that tell.
+Only the features around the wanted place are read, where the file has an index or bounding boxes.
 """
 
 import json
