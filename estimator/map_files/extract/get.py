@@ -47,8 +47,8 @@ _KNOWN: Final = {"OVERTURE": OVERTURE, "MICROSOFT": MICROSOFT, "OSM": OSM}
 
 
 class Got(msgspec.Struct, frozen=True):
-    """What the map is made from. read: polygons in the files, or near the place where the file has an index; sources: landmarks of
-    each data set; attribution: what a publication of the map must say.
+    """What the map is made from. read: polygons in the files, or near the place where the file has an index; sources: landmarks
+    of each data set; attribution: what a publication of the map must say.
     """
 
     landmarks: int
