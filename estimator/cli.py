@@ -8,7 +8,21 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from estimator.commands import demo, doctor, evaluate, live, monitor, recover, replay, report, run, simulate, tune
+from estimator.commands import (
+    demo,
+    doctor,
+    evaluate,
+    export,
+    forecast,
+    live,
+    monitor,
+    recover,
+    replay,
+    report,
+    run,
+    simulate,
+    tune,
+)
 from estimator.commands import import_ as import_command
 from estimator.commands.calibrate import app as calibrate
 from estimator.commands.map import app as map_command
@@ -82,12 +96,14 @@ app.command("run")(run.command)
 app.command("monitor")(monitor.command)
 app.command("evaluate")(evaluate.command)
 app.command("report")(report.command)
+app.command("export")(export.command)
 app.command("overlay")(overlay.command)
 app.command("live")(live.command)
 app.command("tune")(tune.command)
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
 app.add_typer(map_command.app, name="map")
+app.command("forecast")(forecast.command)
 app.command("recover")(recover.command)
 app.command("doctor")(doctor.command)
 app.add_typer(calibrate.app, name="calibrate")

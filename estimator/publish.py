@@ -13,7 +13,6 @@ from logs.wire.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
 
 OVERLAY_TOPIC = "/landfix/overlay"
-CONFIG_ATTACHMENT = "config.toml"  # of a log: what the estimator was configured with
 
 
 def file_attachment(kind: str, path: Path) -> Attachment:

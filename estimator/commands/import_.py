@@ -3,11 +3,14 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import Json, Out, print_json, progress
+from estimator.commands.common.console import Json, Out, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from logs.importers.summary import TopicRow
 
 
 class Kind(StrEnum):
@@ -18,15 +21,18 @@ class Kind(StrEnum):
     ULOG = "ulog"
     DATAFLASH = "dataflash"
     TLOG = "tlog"
+    ROSBAG = "rosbag"
 
 
 def command(
     kind: Annotated[Kind, typer.Argument(help="Layout of the recording.")],
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="csv, euroc: a folder; ulog, dataflash, tlog: a file.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="csv, euroc: a folder; ulog, dataflash, tlog: a file; rosbag: either.")
+    ],
     out: Out,
     axes: Annotated[str, typer.Option(metavar="XYZ", help="csv, euroc: where the IMU's axes point, as in frd or urf.")] = "",
     world: Annotated[str, typer.Option(metavar="XYZ", help="csv: where the positions' axes point, as in ned or enu.")] = "",
-    imu: Annotated[str, typer.Option(metavar="NAME", help="Which of several IMUs: imu2, IMU3.")] = "",
+    imu: Annotated[str, typer.Option(metavar="NAME", help="Which of several IMUs: imu2, IMU3; rosbag: its topic.")] = "",
     pose_fix_hz: Annotated[
         float, typer.Option(min=0, help="csv: at most so many poses of vision.csv a second as pose fixes.")
     ] = 0.0,
@@ -46,6 +52,7 @@ def command(
       landfix import ulog flight.ulg -o flight.mcap      PX4
       landfix import dataflash 171.BIN -o flight.mcap    ArduPilot, on board
       landfix import tlog flight.tlog -o flight.mcap     MAVLink, on the ground
+      landfix import rosbag bag_folder -o flight.mcap    ROS 2 (MCAP, sqlite3), ROS 1 (.bag)
     """
     from logs.importers import ImportOptions, convert
 
@@ -55,4 +62,15 @@ def command(
     if json:
         print_json(summary)
     else:
+        if summary.topics:
+            _print_topics(source, summary.topics)
         typer.echo(f"{out}: {summary}")
+
+
+def _print_topics(source: Path, topics: "tuple[TopicRow, ...]") -> None:
+    """What becomes of each topic of a bag."""
+    rows = [
+        (row.topic, row.type.replace("/msg/", "/"), str(row.messages), f"{row.rate_hz:.3g} Hz", row.use or "-", row.remark)
+        for row in topics
+    ]
+    print_table(f"{source}", rows, ("topic", "type", "messages", "rate", "[inputs]", ""))

@@ -66,6 +66,8 @@ def command(
         print_json(summary)
     else:
         print_summary(summary, out)
+    if summary.remark:
+        note(f"landfix: {summary.remark}")
     if summary.advice:
         note(f"landfix: no estimate: {summary.advice}")
         raise typer.Exit(1)

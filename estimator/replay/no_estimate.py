@@ -22,22 +22,25 @@ _TAKEN: Final = frozenset({Reason.ALIGNING, Reason.FUSED, Reason.THINNED})
 def advice(
     kind: str,
     imu_samples: int,
+    positions: int,
     duration_s: float,
     fixes: Mapping[str, Mapping[str, int]],
     details: Mapping[str, str],
     waited_for: str,
 ) -> str:
-    """The line; kind: of the importer that wrote the log, "" where none did; fixes: topic -> reason -> measurements.
+    """The line; kind: of the importer that wrote the log, "" where none did; positions: messages that hold one; fixes: topic ->
+    reason -> measurements.
 
     details: topic -> detail of its last refusal; waited_for: what the estimator last said it waits for.
     """
     log_faster = _LOG_FASTER.get(kind, _ANY_LOG)
     if imu_samples < 2:
         return f"no IMU sample in the log: name its topic in [inputs] imu (landfix doctor LOG lists them), or {log_faster}"
-    rate_hz = imu_samples / max(duration_s, 1e-9)
-    if rate_hz < _LOWEST_IMU_RATE_HZ:
-        return f"{rate_hz:.1f} IMU samples a second, {_LOWEST_IMU_RATE_HZ:g} or more are needed: {log_faster}"
-    if not fixes:
+    if slow := too_slow(kind, imu_samples, duration_s):
+        return slow
+    if not positions and kind in _LOG_FASTER:
+        return f"no GNSS position in the log: fly with a receiver that the autopilot logs, and {log_faster}"
+    if not positions:
         return f"no GNSS or pose fix in the log: name their topics in [inputs] (landfix doctor LOG lists them), or {log_faster}"
     refused = {topic: reasons for topic, reasons in fixes.items() if not _TAKEN & set(reasons)}
     if refused:
@@ -49,3 +52,11 @@ def advice(
     autopilot = "begin with the autopilot's attitude ([inputs] attitude, see the .toml of the import)"
     what_to_do = autopilot if kind in _LOG_FASTER else "turn and accelerate while fixes come"
     return f"{waited_for or 'the alignment has not ended'}; {what_to_do}"
+
+
+def too_slow(kind: str, imu_samples: int, duration_s: float) -> str:
+    """What to do about an IMU whose samples are too few; empty where they are not."""
+    rate_hz = imu_samples / max(duration_s, 1e-9)
+    if rate_hz >= _LOWEST_IMU_RATE_HZ:
+        return ""
+    return f"{rate_hz:.1f} IMU samples a second, {_LOWEST_IMU_RATE_HZ:g} or more are needed: {_LOG_FASTER.get(kind, _ANY_LOG)}"

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Protocol
 
 from estimator.fusion import Fusion, FusionConfig
-from estimator.publish import CONFIG_ATTACHMENT, OutputConfig, Publisher
+from estimator.publish import OutputConfig, Publisher
 from estimator.replay.summary import ReplaySummary, SummaryBuilder
 from estimator.version import version
 from logs.store.parts import PartsReader, files_of
 from logs.store.reader import Attachment, LogError, Record
-from logs.store.recorder import Recorder
+from logs.store.recorder import CONFIG_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import Decoder, is_own_transform
 from models.messages import Output

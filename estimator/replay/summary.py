@@ -5,8 +5,21 @@ from math import isfinite
 
 import msgspec
 
-from estimator.replay.no_estimate import advice
-from models.messages import AidStatus, Estimate, Health, ImuSample, Input, Mode, Output, Reason, Reset
+from estimator.replay.no_estimate import advice, too_slow
+from models.messages import (
+    AidStatus,
+    Estimate,
+    GnssFix,
+    Health,
+    ImuSample,
+    Input,
+    LandmarkFix,
+    Mode,
+    Output,
+    PoseFix,
+    Reason,
+    Reset,
+)
 
 _LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, not time in a mode
 
@@ -32,6 +45,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     first_estimate_s: float | None = None  # log time before it; None: there is no estimate
     waited_for: str = ""  # what was last said to keep it from an estimate
     advice: str = ""  # why there is no estimate and what to do; empty where there is one
+    remark: str = ""  # why there is one for less than half of the time, where that is known
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
 
 
@@ -40,7 +54,7 @@ class SummaryBuilder:
 
     def __init__(self) -> None:
         self.records = 0
-        self._imu = self._estimates = self._resets = self._internal = 0
+        self._imu = self._positions = self._estimates = self._resets = self._internal = 0
         self._first_ns: int | None = None
         self._last_ns = 0
         self._previous_ns: int | None = None
@@ -63,6 +77,8 @@ class SummaryBuilder:
         """One input and what it caused."""
         if isinstance(message, ImuSample):
             self._imu += 1
+        elif isinstance(message, GnssFix | PoseFix | LandmarkFix):
+            self._positions += 1
         for output in outputs:
             if isinstance(output, Estimate):
                 self._estimate(output)
@@ -103,7 +119,9 @@ class SummaryBuilder:
             fixes.setdefault(topic, Counter())[reason.value] += 1
         why = ""
         if not self._estimates:
-            why = advice(kind, self._imu, self._duration_s, fixes, self._details, self._waited_for)
+            why = advice(kind, self._imu, self._positions, self._duration_s, fixes, self._details, self._waited_for)
+        covered_s, since_s = sum(self._modes_ns.values()) * 1e-9, self._duration_s - (self._began_s or 0.0)
+        slow = too_slow(kind, self._imu, self._duration_s) if self._estimates and covered_s < 0.5 * since_s else ""
         return ReplaySummary(
             records=self.records,
             imu_samples=self._imu,
@@ -124,4 +142,5 @@ class SummaryBuilder:
             waited_for=self._waited_for,
             torn_parts=torn,
             advice=why,
+            remark=f"an estimate for {covered_s:.1f} of {since_s:.1f} s: {slow}" if slow else "",
         )

@@ -15,7 +15,7 @@ from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.map_files.image_file import ImageFile
-from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
+from estimator.publish import OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
 from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, Px4Config
 from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.base.mailbox import Mailbox
@@ -38,6 +38,7 @@ from estimator.service.zenoh.px4_link import Px4Link
 from estimator.strict_toml import ConfigError
 from estimator.version import version
 from logs.store.reader import Attachment
+from logs.store.recorder import CONFIG_ATTACHMENT
 from logs.wire import schemas
 from logs.wire.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
 

@@ -73,13 +73,20 @@ class Comparison:
         """The common stamps, (n,)."""
         return self.truth.t_ns
 
+    @property
+    def has_attitude(self) -> Mask:
+        """Where both tell the attitude, (n,)."""
+        return np.asarray(np.isfinite(self.theta_error).all(axis=1))
+
 
 def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
-    """The estimate at the truth's stamps, and its errors there. Estimates that are not finite do not count."""
-    estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1) & estimate.has_attitude)]
+    """The estimate at the truth's stamps, and its errors there. Estimates whose position is not finite do not count; of those
+    without an attitude (a variance of 10 rad^2 or more) the position does.
+    """
+    estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     at, covered = interpolate(estimate, truth.t_ns, LONGEST_STEP_NS)
     inside = truth[covered]
-    theta_error, attitude = np.full((len(inside), 3), np.nan), inside.has_attitude
+    theta_error, attitude = np.full((len(inside), 3), np.nan), np.asarray(inside.has_attitude & at.has_attitude)
     if attitude.any():
         theta_error[attitude] = metrics.attitude_error(at.q_wxyz[attitude], inside.q_wxyz[attitude])
     return Comparison(
@@ -88,7 +95,7 @@ def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
         p_error=inside.p - at.p,
         p_covariance=at.covariance[:, :3, :3] + _known(inside.covariance[:, :3, :3]),
         theta_error=theta_error,
-        v_error=inside.v_body - at.v_body,
+        v_error=np.where(at.has_attitude[:, None], inside.v_body - at.v_body, np.nan),
         left_out=int(np.count_nonzero(~covered)),
     )
 
@@ -249,7 +256,7 @@ def _mode_shares(health: tuple[HealthPoint, ...], end_ns: int) -> dict[str, floa
 
 def _accuracy(c: Comparison, aided: Mask) -> Accuracy:
     p_est, p_true = c.estimate.p, c.truth.p
-    attitude = c.truth.has_attitude
+    attitude = c.has_attitude
     theta_deg, velocity = np.rad2deg(c.theta_error), np.isfinite(c.v_error).all(axis=1)
     return Accuracy(
         position_m=metrics.stats(c.p_error),
@@ -285,7 +292,7 @@ def _degrees(s: Stats) -> Stats:
 
 def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
     nees_p = metrics.nees(c.p_error, c.p_covariance)
-    attitude, velocity = c.truth.has_attitude, np.asarray(np.isfinite(c.v_error).all(axis=1))
+    attitude, velocity = c.has_attitude, np.asarray(np.isfinite(c.v_error).all(axis=1))
     pose_error, pose_covariance = np.hstack([c.p_error, c.theta_error]), c.estimate.covariance.copy()
     pose_covariance[:, :3, :3] = c.p_covariance
     radius = horizontal_radius(c.p_covariance[:, :2, :2])
@@ -305,7 +312,7 @@ def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
 
 def _outage(source: str, span: tuple[int, int], comparison: Comparison, start: int) -> Outage:
     c = comparison[metrics.within(comparison.t_ns, [span])]
-    attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.truth.has_attitude], axis=1))
+    attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.has_attitude], axis=1))
     nees_p = metrics.nees(c.p_error, c.p_covariance)
     radius = horizontal_radius(c.p_covariance[-1:, :2, :2])
     return Outage(
@@ -362,12 +369,14 @@ def _percentiles(values: Array | list[float]) -> Percentiles | None:
 def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
     """What a reader of the figures must know."""
     estimate = evidence.estimate
-    broken = np.count_nonzero(~np.isfinite(estimate.p).all(axis=1) | ~estimate.has_attitude)
+    finite = np.isfinite(estimate.p).all(axis=1)
+    broken, level = np.count_nonzero(~finite), np.count_nonzero(finite & ~estimate.has_attitude)
     not_definite = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
     notes = {
         "the log is truncated: read to its last whole record": evidence.torn,
         f"{evidence.unreadable} messages could not be read": evidence.unreadable > 0,
         f"{broken} estimates are not finite": broken > 0,
+        f"{level} estimates have no attitude that is known: of these the position counts": level > 0,
         f"{not_definite} position covariances are not positive definite: their NEES is infinite": not_definite > 0,
         "no truth: nothing can be said about errors": not len(evidence.truth),
         f"the {evidence.yardstick} and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),

@@ -40,7 +40,7 @@ def from_above(evidence: Evidence, outages: Spans) -> Figure:
 def errors(evidence: Evidence, outages: Spans) -> Figure:
     """Error of each axis, true minus estimated, with its 95 % band: position, and attitude where the truth has it."""
     comparison = compare(evidence.estimate, evidence.truth)
-    columns = 2 if comparison.truth.has_attitude.any() else 1
+    columns = 2 if comparison.has_attitude.any() else 1
     figure = _figure(6.5 * columns + 0.5, 7.5)
     grid = figure.subplots(3, columns, sharex=True, squeeze=False)
     variance = np.diagonal(comparison.p_covariance, axis1=1, axis2=2)

@@ -2,8 +2,10 @@
 
     csv        a folder of CSV files             euroc      the folder layout of ASL data sets
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
+    rosbag     ROS 2 and ROS 1 bags, copied message by message
 
-Each importer is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is needed.
+Each importer but rosbag is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is
+needed.
 May import logs.store, logs.wire and models.
 """
 
@@ -11,40 +13,19 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-import msgspec
-
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
+from logs.importers.summary import ImportSummary
 from logs.store.reader import LogError
 from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
 
-__all__ = ["KINDS", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
+__all__ = ["KINDS", "ROSBAG", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
 
+ROSBAG = "rosbag"
 KINDS = {"csv": "csv_folder", "euroc": "euroc", "ulog": "ulog", "dataflash": "dataflash", "tlog": "tlog"}
 
 _PROGRESS_EVERY = 2000  # messages
 _READING = 0.3  # its share of the work
-
-
-class ImportSummary(msgspec.Struct, frozen=True):
-    """What was written: the log, its configuration, messages by topic, when they arrived, and what a person should know."""
-
-    out: str
-    config: str
-    messages: dict[str, int]
-    start_ns: int
-    end_ns: int
-    notes: tuple[str, ...]
-
-    @property
-    def seconds(self) -> float:
-        """Length of the log."""
-        return (self.end_ns - self.start_ns) * 1e-9
-
-    def __str__(self) -> str:
-        counts = ", ".join(f"{topic} {n}" for topic, n in self.messages.items())
-        lines = [f"{self.seconds:.1f} s: {counts}", f"configuration: {self.config}", *(f"note: {note}" for note in self.notes)]
-        return "\n".join(lines)
 
 
 def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
@@ -63,6 +44,10 @@ def convert(
     """Write the log of that kind to `out`, and its configuration next to it (same name, .toml). Raises LogError."""
     if out.exists() and source.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
+    if kind == ROSBAG:
+        options.refuse_but(kind, "imu")
+        copy: Callable[..., ImportSummary] = import_module("logs.importers.rosbag.convert").convert
+        return copy(source, out, progress, options.imu)
     recording = read(kind, source, options, None if progress is None else lambda done: progress(_READING * done))
     counts: dict[str, int] = {}
     start_ns = end_ns = None

@@ -146,7 +146,8 @@ def _vector(table: Mapping[str, Array], *fields: str) -> Array:
 def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[str]) -> Stream:
     table = tables.get(name)
     if table is None:
-        raise LogError(f"{source.name}: no IMU messages called {name} in it{'; try --imu IMU' if name != 'IMU' else ''}")
+        remedy = "try --imu IMU" if name != "IMU" else "in ArduPilot tick IMU, or Fast IMU, in LOG_BITMASK and fly again"
+        raise LogError(f"{source.name}: no IMU messages called {name} in it: {remedy}")
     gyro_b, accel_b = _vector(table, "GyrX", "GyrY", "GyrZ"), _vector(table, "AccX", "AccY", "AccZ")
     t_ns = _t_ns(table[_TIME], timebase_us)
     notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)

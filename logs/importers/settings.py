@@ -4,7 +4,7 @@ Noise is *effective*: vibration that folds into a sample, scale and mounting err
 data sheet's. Values of known data sets are tuned on them; the rest are chosen by kind of vehicle, and the text says so.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -51,23 +51,34 @@ class Settings(msgspec.Struct, frozen=True):
             "odometry": [t for t in topics if t == ODOMETRY_TOPIC and kind == "csv"],  # elsewhere it may be our own
             "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
+        offered = [_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs["odometry"] else []
+        return self.text(kind, source, inputs, offered)
+
+    def text(
+        self, kind: str, source: Path, inputs: Mapping[str, Sequence[str]], offered: Sequence[str] = (), axes: str = "flu",
+        mounting_deg: tuple[float, float] = (0.0, 0.0),
+    ) -> str:  # fmt: skip
+        """The text; inputs: [inputs], key -> topics; offered: lines of comment below it; axes: of the IMU's messages;
+        mounting_deg: its roll and pitch in the body.
+        """
         lines = [
             f"# Written by: landfix import {kind} {source.name}   (importing again writes it anew: copy it before you change it)",
             "",
             "[imu]",
-            'axes = "flu"  # as the importer wrote the samples',
+            f'axes = "{axes}"',
+            *([f"mounting_rpy_deg = [{mounting_deg[0]:g}, {mounting_deg[1]:g}, 0]"] if any(mounting_deg) else []),
             f"# noise: {self.noise_reason}",
             *(f"{field} = {getattr(self.noise, field):.6g}" for field in self.noise.__struct_fields__),
             "",
             "[inputs]",
             *(f"{name} = [{', '.join(map(_quoted, found))}]" for name, found in inputs.items() if found),
-            *([_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs["odometry"] else []),
+            *offered,
         ]
-        if inputs["gnss"]:
+        if inputs.get("gnss"):
             antenna = ", ".join(repr(float(x)) for x in self.antenna_b_m)
             lines += ["", "[gnss]", f"delay_s = {round(self.gnss_delay_s, 6)!r}", f"antenna_b_m = [{antenna}]"]
             lines += [f"{name} = {value!r}" for name, value in self.receiver.items()]
-        if inputs["magnetometer"] and self.hard_iron_ut is not None:
+        if inputs.get("magnetometer") and self.hard_iron_ut is not None:
             lines += ["", "[magnetometer]", f"offset_ut = {list(self.hard_iron_ut)}"]
         if self.origin is not None:
             lat, lon, alt = self.origin

@@ -8,6 +8,7 @@ Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED
 message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
 """
 
+import re
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -47,6 +48,8 @@ _FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _CLOCK_SET_US = 30e6
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
+_BEGINNING = 1 << 24  # bytes: a file may begin with a block of zeros, as one does that was not written to its end
+_FRAME = re.compile(rb"\x00[\x03-\x07][\x00-\xff]{6}[\xfd\xfe]")  # time of arrival [us] of 1997 to 2041, then a frame
 _GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
 _SPEED_SIGMA = 0.5  # m/s, where the receiver reports none
 _NO_VERTICAL_SIGMA = 100.0  # m/s: GPS_RAW_INT has no vertical speed; 0 with this says nothing
@@ -133,10 +136,16 @@ def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[floa
 
 
 def _open(source: Path) -> Any:
+    """pymavlink's reader, at the first frame: by the first bytes it decides on the version of MAVLink for the whole file."""
     try:
-        return mavutil.mavlogfile(str(source))
+        with source.open("rb") as file:
+            frame = _FRAME.search(file.read(_BEGINNING))
+        log: Any = mavutil.mavlogfile(str(source))
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None
+    if frame is not None:
+        log.f.seek(frame.start())
+    return log
 
 
 def _stamp_us(message: Any) -> float:

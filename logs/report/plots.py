@@ -194,7 +194,7 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of consistent ones."""
     if not len(c):
         return {}
-    attitude, velocity = c.truth.has_attitude, np.isfinite(c.v_error).all(axis=1)
+    attitude, velocity = c.has_attitude, np.isfinite(c.v_error).all(axis=1)
     values = np.full((len(c), 3), np.nan)
     values[:, 0] = metrics.nees(c.p_error, c.p_covariance) / 3.0
     values[velocity, 1] = metrics.nees(c.v_error[velocity], c.estimate.v_covariance[velocity]) / 3.0

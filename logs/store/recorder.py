@@ -14,6 +14,7 @@ from logs.store.records import LogError
 from logs.wire.schemas import is_known, schema_text, type_hash
 
 METADATA_NAME: Final = "landfix"
+CONFIG_ATTACHMENT: Final = "config.toml"  # what the estimator was configured with
 REFERENCE_ATTACHMENT: Final = "reference.txt"  # says what /truth is where it is no ground truth
 FLUSH_NS: Final = 100_000_000  # of log time
 CHUNK_BYTES: Final = 64 * 1024

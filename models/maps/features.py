@@ -222,9 +222,9 @@ def _other_form(data: bytes) -> str:
         ("KML", b"<kml" in head),
     ):
         if seen:
-            return f"{name}: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE"
+            return f"{name}: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE, or use landfix map get"
     if b'"elements"' in head and b'"osm3s"' in head:
-        return "Overpass JSON: export as GeoJSON in overpass-turbo.eu, or convert it with osmtogeojson FILE > map.geojson"
+        return "Overpass JSON: export as GeoJSON in overpass-turbo.eu, or use landfix map get"
     return ""
 
 

@@ -9,7 +9,7 @@ import pytest
 from docs.draw_architecture import OUT, drawn
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("estimator", "vision", "models", "calib", "logs")
+PACKAGES = ("landfix", "estimator", "vision", "models", "calib", "logs")
 FOLDERS = sorted({p.parent for top in (*PACKAGES, "benchmarks", "tests") for p in (ROOT / top).rglob("*.py")})
 SOURCES = [f for f in FOLDERS if f.relative_to(ROOT).parts[0] != "tests"]
 

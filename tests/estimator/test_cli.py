@@ -17,7 +17,7 @@ from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ["demo", "replay", "evaluate", "report", "simulate", "import", "recover", "doctor", "calibrate"]
+COMMANDS = ["demo", "replay", "evaluate", "report", "export", "forecast", "simulate", "import", "recover", "doctor", "calibrate"]
 
 
 def run(*args: object) -> Result:

@@ -1,4 +1,4 @@
-"""landfix map build, learn, show, check."""
+"""landfix map build, get, learn, show, check."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from estimator.commands.common.console import Json, Out, note, print_json, print_table, progress
-from estimator.commands.map import learn
+from estimator.commands.map import get, learn
 
 if TYPE_CHECKING:
     from estimator.tools.maps.check import MapCheck
@@ -18,7 +18,7 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _IMAGES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
-app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, learn, show, check.", rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, get, learn, show, check.", rich_markup_mode=None)
 MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or any GeoJSON of polygons.")]
 
 
@@ -121,6 +121,7 @@ def build(
 
 
 app.command("learn")(learn.command)
+app.command("get")(get.command)
 
 
 @app.command()

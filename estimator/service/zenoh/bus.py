@@ -5,7 +5,7 @@ Callbacks run on Zenoh's own thread and do nothing but enqueue. Nothing ever wai
 
 import contextlib
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +30,7 @@ OUTPUTS: Final = {
     "/landfix/reset": schemas.RESET,
     DAEMON_TOPIC: schemas.DIAGNOSTICS,
 }
+_DIAGNOSTICS: Final = "/diagnostics"  # ROS's topic for all DiagnosticArrays, by option
 _FAST: Final = frozenset({"/landfix/odometry"})  # sent at once, not gathered into batches
 _GID_BYTES: Final = 16
 _KB, _MB = 1_000, 1_000_000
@@ -158,7 +159,7 @@ class ZenohBus:
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Put what is due on the bus."""
-        for topic, schema, data in encoded:
+        for topic, schema, data in self._with_diagnostics(encoded):
             try:
                 sender = self._senders.get(topic)
                 if sender is None:
@@ -166,6 +167,13 @@ class ZenohBus:
                 sender.put(data, self._clock.now_ns())
             except zenoh.ZError:
                 self.unsent += 1
+
+    def _with_diagnostics(self, encoded: Sequence[Encoded]) -> Iterator[Encoded]:
+        """Each message, and by option what is of ROS's common topic on that one as well."""
+        for message in encoded:
+            yield message
+            if self._config.diagnostics and message.schema == schemas.DIAGNOSTICS:
+                yield message._replace(topic=_DIAGNOSTICS)
 
     def close(self) -> None:
         """Leave the network."""
@@ -208,4 +216,5 @@ class ZenohBus:
     def _output_keys(self) -> list[str]:
         """Likewise of the outputs and queryables."""
         domain = self._config.domain
-        return ["landfix/**", f"{domain}/landfix/**", "tf", f"{domain}/tf/**", f"{domain}/fmu/in/**"]
+        common = ["diagnostics", f"{domain}/diagnostics/**"] if self._config.diagnostics else []
+        return ["landfix/**", f"{domain}/landfix/**", "tf", f"{domain}/tf/**", f"{domain}/fmu/in/**", *common]

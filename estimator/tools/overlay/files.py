@@ -8,8 +8,8 @@ from calib.errors import CalibrationError
 from calib.files.formats import load_cameras
 from estimator.config import Config, ConfigError, parse, read
 from estimator.map_files import store as map_store
-from estimator.publish import CONFIG_ATTACHMENT
 from logs.store.reader import Attachment
+from logs.store.recorder import CONFIG_ATTACHMENT
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError

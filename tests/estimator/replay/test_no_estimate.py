@@ -13,7 +13,7 @@ from estimator.tools.doctor import log as doctor_log
 from estimator.tools.doctor.machine import State
 from logs.store.recorder import Recorder
 from logs.wire.codec import encode_input
-from models.messages import GnssFix, ImuSample, Input
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input
 from models.sim.scenario import Simulation
 
 
@@ -42,6 +42,7 @@ def slow_imu(k: int, m: Input) -> bool:
         (slow_imu, "ulog", "SDLOG_PROFILE"),
         (slow_imu, "dataflash", "LOG_BITMASK"),
         (slow_imu, "tlog", "SR0_RAW_SENS"),
+        (lambda _, m: isinstance(m, ImuSample | GnssVelocity), "ulog", "no GNSS position in the log"),
     ],
 )
 def test_the_last_line_says_why_and_what_to_do(
@@ -77,7 +78,7 @@ def test_a_good_log_passes_the_check_of_the_alignment(flight: Path) -> None:
 
 
 def test_refused_measurements_are_named_with_their_reason() -> None:
-    said = advice("", 2000, 10.0, {"/gnss": {"not_psd": 50}}, {"/gnss": "covariance is zero"}, "waiting for a position")
+    said = advice("", 2000, 50, 10.0, {"/gnss": {"not_psd": 50}}, {"/gnss": "covariance is zero"}, "waiting for a position")
     assert said.startswith("every measurement of /gnss was refused, 50 of 50 as not_psd (covariance is zero)")
 
 
@@ -95,3 +96,18 @@ def test_logs_of_other_programs_are_known_by_their_first_bytes(name: str, start:
     result = run("report", tmp_path / name, "-o", tmp_path / "x.html")
     assert result.exit_code == 1
     assert words in result.stderr
+
+
+def test_an_estimate_that_is_lost_for_want_of_imu_samples_says_so(simulation: Simulation, tmp_path: Path) -> None:
+    """GIVEN an IMU at 200 Hz for 3.5 s, and hardly any sample after it, THEN a line says why the estimate ended."""
+    start_ns = simulation.messages[0].t_ns
+
+    def wanted(k: int, m: Input) -> bool:
+        late = m.t_ns - start_ns > 3_500_000_000
+        return not isinstance(m, ImuSample) or not late or k % 500 == 0
+
+    log = of(simulation, tmp_path / "x.mcap", wanted, "tlog")
+    result = run("replay", log, "-o", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert "SR0_RAW_SENS" in result.stderr.splitlines()[-1]
+    assert "an estimate for" in result.stderr.splitlines()[-1]

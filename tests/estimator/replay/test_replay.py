@@ -4,10 +4,9 @@ from pathlib import Path
 import pytest
 
 from estimator.config import Config, load
-from estimator.publish import CONFIG_ATTACHMENT
 from estimator.replay.replay import replay
 from logs.store.reader import LogError, LogReader, Record
-from logs.store.recorder import Recorder
+from logs.store.recorder import CONFIG_ATTACHMENT, Recorder
 from logs.wire.codec import encode_input, encode_slow
 from models.messages import Estimate, ImuSample, Tick
 

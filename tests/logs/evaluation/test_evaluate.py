@@ -364,3 +364,20 @@ def test_a_real_flight_with_nothing_but_poses(
     assert (e.modes, e.aids, e.resets, e.outages) == ({}, (), (), ())
     assert e.notes == ("neither /landfix/aid_status nor /landfix/health: outages are not known",)
     assert e.compared > 0.9 * e.duration_s * 200
+
+
+def test_estimates_without_an_attitude_are_finite_and_their_positions_count(log: Path) -> None:
+    """GIVEN a heading that is not known from 40 s to 60 s (a variance of 12 rad^2, "not given" on the wire)."""
+    evidence = read(log)
+    unknown = (evidence.estimate.t_ns >= EPOCH_NS + 40 * S) & (evidence.estimate.t_ns < EPOCH_NS + 60 * S)
+    evidence.estimate.covariance[unknown, 5, 5] = 12.0
+    evidence.estimate.q_wxyz[unknown] = np.nan
+    e, whole = assess(evidence, "unknown heading"), evaluate(log)
+    assert e.compared == whole.compared
+    assert e.notes == (f"{np.count_nonzero(unknown)} estimates have no attitude that is known: of these the position counts",)
+    assert e.accuracy is not None
+    assert whole.accuracy is not None
+    assert e.accuracy.position_m == whole.accuracy.position_m
+    assert e.accuracy.attitude_deg.n == whole.accuracy.attitude_deg.n - np.count_nonzero(unknown)
+    assert e.accuracy.velocity_m_s.n == e.accuracy.attitude_deg.n
+    assert np.isfinite(e.accuracy.velocity_m_s.rmse)

@@ -173,8 +173,8 @@ def test_every_kind_refuses_what_is_of_another_kind(kind: str, tmp_path: Path) -
 
 
 def test_unknown_kinds_and_overwriting_the_source_are_refused(flight: Path, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no importer called rosbag; there are csv, euroc, ulog, dataflash, tlog"):
-        convert("rosbag", flight, tmp_path / "out.mcap")
+    with pytest.raises(LogError, match="no importer called blackbox; there are csv, euroc, ulog, dataflash, tlog"):
+        convert("blackbox", flight, tmp_path / "out.mcap")
     log = tmp_path / "flight.bin"
     log.write_bytes(b"\xa3\x95")
     with pytest.raises(LogError, match="would overwrite the input"):

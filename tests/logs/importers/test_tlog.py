@@ -276,3 +276,16 @@ def test_what_is_no_telemetry_log_is_reported_in_one_line(tmp_path: Path, conten
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"gone\.tlog: No such file"):
         tlog.read(tmp_path / "gone.tlog")
+
+
+@pytest.mark.parametrize("size", [1, 53_000])
+def test_a_block_of_zeros_before_the_first_frame_is_passed_over(size: int, tmp_path: Path) -> None:
+    """Of MAVLink 2, whose version the reader takes from the first bytes of the file."""
+    ground = Ground()
+    for k in range(50):
+        ground.imu(k * 10_000, 5_000_000 + k * 10_000)
+    path = ground.write(tmp_path)
+    whole = [m.t_ns for m in tlog.read(path)]
+    path.write_bytes(bytes(size) + path.read_bytes())
+    assert [m.t_ns for m in tlog.read(path)] == whole
+    assert len(whole) == 50

@@ -180,7 +180,7 @@ def test_too_many_corners() -> None:
         (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
         (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
         (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
-        (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "osmtogeojson"),
+        (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "landfix map get"),
     ],
 )
 def test_other_forms_of_maps_are_named_with_their_converter(data: bytes, said: str) -> None:

@@ -1,0 +1,201 @@
+"""Is a route fit to be flown without GPS on this map? The estimator itself flies it, with a perfect IMU and possible fixes.
+
+GPS ends where the route begins. At each image the landmarks whose roofs lie whole inside the field of view give one fix, unless
+all that is in view may be taken for something else within the 95 % radius of that moment:
+
+    usable(i):  nearest look-alike > 2 r95,  or three landmarks in view whose arrangement repeats no nearer than 2 r95
+
+The covariance of a fix is its measurement's, in proportion to the distance, and what each landmark's own error in the map moves
+it by. The radius that comes out is the filter's own. Fixes that fail for light, weather or season are in it by `found` only, the
+share of images that give one.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.fusion import Fusion, FusionConfig
+from estimator.tools.maps.ambiguity import SIMILAR, look_alikes, marks
+from estimator.tools.maps.route import HOVER_S, RATE_HZ, Flight
+from models import so3
+from models.frames import Origin
+from models.maps import outline as polygon
+from models.maps.landmarks import LandmarkMap
+from models.maps.table import Alike, MapError
+from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, LandmarkFix, Mode, vec3
+from models.radius import horizontal_radius
+from models.state import E
+
+_EPOCH_NS: Final = 1_700_000_000_000_000_000
+_GNSS_EVERY: Final = round(RATE_HZ / 5.0)  # samples
+_ROW_EVERY: Final = round(RATE_HZ)
+_PROGRESS_EVERY: Final = 500
+_ATTITUDE_PRIOR: Final = np.diag(np.deg2rad([2.0, 2.0, 4.0]) ** 2)
+_GROUP: Final = 3  # landmarks that make an arrangement
+_REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first that the map's density allows
+
+
+class Camera(msgspec.Struct, frozen=True):
+    """What sees the ground, and how well. view_deg: full angle of the smaller side; images_hz; found: share of images with usable
+    landmarks that give a fix; sigma_share: of a fix from one landmark, standard deviation / distance; sigma_deg: of its attitude.
+    """
+
+    view_deg: float = 60.0
+    images_hz: float = 1.0
+    found: float = 0.5
+    sigma_share: float = 0.01
+    sigma_deg: float = 0.5
+
+
+class Row(msgspec.Struct, frozen=True):
+    """A second of the flight. state: fix, alike (what is in view may be something else), none (no landmark in view)."""
+
+    t_s: float
+    way_m: float
+    lat_deg: float
+    lon_deg: float
+    radius95_m: float
+    in_view: int
+    state: str
+
+
+class Stretch(msgspec.Struct, frozen=True):
+    """A part of the route beyond the limit, and what it lacks."""
+
+    from_m: float
+    to_m: float
+    worst_radius95_m: float
+    reason: str
+
+
+class Forecast(msgspec.Struct, frozen=True):
+    """fit: the radius stays below the limit everywhere."""
+
+    fit: bool
+    limit_m: float
+    length_m: float
+    worst_radius95_m: float
+    fixes: int
+    longest_without_fix_s: float
+    unfit: tuple[Stretch, ...]
+    rows: tuple[Row, ...]
+
+
+def forecast(
+    the_map: LandmarkMap,
+    flight: Flight,
+    config: FusionConfig,
+    camera: Camera,
+    limit_m: float,
+    progress: Callable[[float], None] | None = None,
+) -> Forecast:
+    """Fly it. Raises MapError where the estimate does not begin, or the map is too dense to search for look-alikes."""
+    alike, reach_m = _alike(the_map)
+    config = msgspec.structs.replace(config, origin=the_map.origin)
+    fusion, place, rng = Fusion(config), Origin(*the_map.origin), np.random.default_rng(0)
+    q = so3.from_euler(0.0, 0.0, flight.heading_rad)
+    quat = (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
+    seen = _Seen(the_map, alike, reach_m, camera)
+    rows: list[Row] = []
+    radius, state, in_view, last_fix_s, longest_s, fixes = math.inf, "none", 0, HOVER_S, 0.0, 0
+    every, n = max(1, round(RATE_HZ / camera.images_hz)), len(flight.t_s)
+    for k in range(n):
+        t_s, t_ns = float(flight.t_s[k]), _EPOCH_NS + round(1e9 * float(flight.t_s[k]))
+        if t_s < HOVER_S and k % _GNSS_EVERY == 0:
+            fusion.handle(AttitudePrior(t_ns, t_ns, quat, _ATTITUDE_PRIOR))
+            fusion.handle(GnssFix(t_ns, t_ns, *place.to_geodetic(flight.p_n[k]), None))
+            fusion.handle(GnssVelocity(t_ns, t_ns, vec3(flight.v_n[k]), None))
+        if t_s >= HOVER_S and k % every == 0:
+            usable, in_view = seen.from_above(flight.p_n[k], radius)
+            state = "fix" if len(usable) else "alike" if in_view else "none"
+            if len(usable) and rng.random() < camera.found:
+                fusion.handle(seen.fix(t_ns, flight.p_n[k], quat, usable))
+                longest_s, last_fix_s, fixes = max(longest_s, t_s - last_fix_s), t_s, fixes + 1
+        for output in fusion.handle(ImuSample(t_ns, t_ns, (0.0, 0.0, 0.0), vec3(flight.accel_b[k]))):
+            if isinstance(output, Estimate) and output.mode is not Mode.ALIGNING_HEADING:
+                radius = float(horizontal_radius(output.covariance[None, E.P, E.P][:, :2, :2])[0])
+        if t_s >= HOVER_S and k % _ROW_EVERY == 0:
+            lat, lon, _ = place.to_geodetic(flight.p_n[k])
+            rows.append(Row(t_s - HOVER_S, float(flight.s_m[k]), lat, lon, radius, in_view, state))
+        if progress and k % _PROGRESS_EVERY == 0:
+            progress(k / n)
+    if not rows or not math.isfinite(rows[0].radius95_m):
+        raise MapError("the estimate does not begin with this configuration; try the default one, without -c")
+    longest_s = max(longest_s, float(flight.t_s[-1]) - last_fix_s)
+    unfit = _stretches(rows, limit_m)
+    worst = max(row.radius95_m for row in rows)
+    return Forecast(not unfit, limit_m, float(flight.s_m[-1]), worst, fixes, longest_s, tuple(unfit), tuple(rows))
+
+
+def _alike(the_map: LandmarkMap) -> tuple[Alike, float]:
+    """What looks alike, and how far it was looked for [m]. Raises MapError."""
+    for reach_m in _REACHES_M:
+        try:
+            pairs, distances, _ = look_alikes(the_map, reach_m, SIMILAR)
+        except ValueError:  # too many pairs
+            continue
+        return marks(the_map, pairs, distances), reach_m
+    raise MapError("the map is too dense to search for landmarks that look alike: cut it to the route (landfix map get --km)")
+
+
+class _Seen:
+    """Landmarks from above, and the fix that they give. reach_m: beyond it no look-alike was looked for."""
+
+    def __init__(self, the_map: LandmarkMap, alike: Alike, reach_m: float, camera: Camera) -> None:
+        self._map, self._alike, self._reach_m, self._camera = the_map, alike, reach_m, camera
+        d = the_map.description
+        self._half = 0.5 * np.hypot(d[:, polygon.WIDTH], d[:, polygon.LENGTH])
+        self._place = d[:, [polygon.NORTH, polygon.EAST]]
+
+    def from_above(self, p_n: Array, radius95_m: float) -> tuple[NDArray[np.int64], int]:
+        """Rows that can be told from all that they may be taken for, and how many are in view."""
+        c = self._map.columns
+        half = math.tan(math.radians(0.5 * self._camera.view_deg))
+        widest = half * float(-p_n[2] - c.base_d.min() + 1000.0)
+        rows = self._map.rows_near(float(p_n[0]), float(p_n[1]), min(widest, 3000.0))
+        above = (c.base_d[rows] - c.height_m[rows]) - p_n[2]
+        far = np.hypot(*(self._place[rows] - p_n[:2]).T) + self._half[rows]
+        rows = rows[(above > 1.0) & (far <= half * above)]
+        if 2.0 * radius95_m > self._reach_m:
+            return rows[:0], len(rows)
+        alone = self._alike.nearest_m[rows] > 2.0 * radius95_m
+        together = (len(rows) >= _GROUP) & (self._alike.repeats_m[rows] > 2.0 * radius95_m)
+        return rows[alone | together], len(rows)
+
+    def fix(self, t_ns: int, p_n: Array, q: tuple[float, float, float, float], rows: NDArray[np.int64]) -> LandmarkFix:
+        """One of all usable landmarks; the mean of m has 1/m of the error of each."""
+        c, m = self._map.columns, len(rows)
+        distance = float(np.mean(c.base_d[rows] - c.height_m[rows])) - float(p_n[2])
+        sigma, turn = self._camera.sigma_share * distance / math.sqrt(m), math.radians(self._camera.sigma_deg)
+        errors = np.zeros((m, 6, 3))
+        errors[:, 0, 0] = errors[:, 1, 1] = c.sigma_m[rows] / m
+        errors[:, 2, 2] = c.height_sigma_m[rows] / m
+        common = np.einsum("mik,mjk->ij", errors, errors)
+        shift = np.diag([self._map.common_sigma_m[0]] * 2 + [self._map.common_sigma_m[1]] + [0.0] * 3) ** 2
+        names = tuple(c.ids[row] for row in rows.tolist())
+        covariance = np.diag([sigma**2] * 3 + [turn**2] * 3)
+        return LandmarkFix(t_ns, t_ns, vec3(p_n), q, covariance, common + shift, names, 0.9, 0.5, errors, shift)
+
+
+def _stretches(rows: list[Row], limit_m: float) -> list[Stretch]:
+    """Runs of rows beyond the limit, each with what is missing most often in it and in the way to it."""
+    found: list[Stretch] = []
+    begin = 0  # of the time without a fix that leads there
+    k = 0
+    while k < len(rows):
+        if rows[k].state == "fix":
+            begin = k + 1
+        if rows[k].radius95_m <= limit_m:
+            k += 1
+            continue
+        end = next((j for j in range(k, len(rows)) if rows[j].radius95_m <= limit_m), len(rows))
+        states = [row.state for row in rows[min(begin, k) : end] if row.state != "fix"]
+        alike = states.count("alike") > states.count("none")
+        reason = "landmarks in view may be taken for others" if alike else "no landmark in view" if states else "too few fixes"
+        found.append(Stretch(rows[k].way_m, rows[end - 1].way_m, max(row.radius95_m for row in rows[k:end]), reason))
+        k = end
+    return found

@@ -1,0 +1,175 @@
+"""The messages of a bag as CDR, whatever its storage.
+
+    NAME.mcap, a folder of them        ROS 2; by logs.store, which reads torn files too
+    NAME.db3, a folder of them         ROS 2; by rosbags
+    NAME.bag                           ROS 1; by rosbags, without an index record by record
+
+The files of a folder are one recording, in the order of their names.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import apsw
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection
+from rosbags.serde import SerdeError
+
+from logs.importers.rosbag import unindexed
+from logs.store.reader import LogError, LogReader, Record
+from logs.wire.schemas import STORE, is_known
+
+_STORAGES: Final = (".mcap", ".db3", ".bag")
+_FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
+
+
+class Topic(NamedTuple):
+    """A topic of a bag with its type; readable: its messages come out of the bag as CDR."""
+
+    name: str
+    schema: str
+    readable: bool
+
+
+class Bag:
+    """A recording. `notes` says what was damaged, once the messages are through. Raises LogError."""
+
+    def __init__(self, source: Path) -> None:
+        self.files = _files(source)
+        self.kind = self.files[0].suffix
+        self.topics: dict[str, Topic] = {}
+        self.notes: list[str] = []
+        self._done = 0  # files that are through
+        self._share = 0.0  # of the one that is read
+
+    @property
+    def fraction(self) -> float:
+        """How much has been read, 0 to 1."""
+        return (self._done + self._share) / len(self.files)
+
+    def messages(self, wanted: frozenset[str] | None = None) -> Iterator[Record]:
+        """The messages in the order of their recording; wanted: of these topics only. Types that are not known are left out."""
+        read = {".mcap": self._mcap, ".db3": self._sqlite, ".bag": self._ros1}[self.kind]
+        self.notes = []
+        for done, path in enumerate(self.files):
+            self._done, self._share = done, 0.0
+            for record in read(path):
+                if wanted is None or record.topic in wanted:
+                    yield record
+        self._done, self._share = len(self.files), 0.0
+
+    def _note(self, path: Path, why: str) -> None:
+        self.notes.append(f"{path.name}: {why}; what stands before was read")
+
+    def _add(self, name: str, schema: str, *, readable: bool) -> bool:
+        self.topics.setdefault(name, Topic(name, schema, readable))
+        return readable
+
+    def _mcap(self, path: Path) -> Iterator[Record]:
+        with LogReader(path) as reader:
+            for record in reader:
+                self._share = reader.fraction
+                if self._add(record.topic, record.schema, readable=is_known(record.schema)):
+                    yield record
+            for name, encoding in reader.foreign.items():
+                self._add(name, encoding, readable=False)
+            if reader.torn or reader.skipped_chunks:
+                self._note(path, "torn" if reader.torn else "damaged in places")
+
+    def _sqlite(self, path: Path) -> Iterator[Record]:
+        """A file of its own where there is no metadata.yaml, which a recorder that was killed does not write."""
+        with_metadata = path.with_name("metadata.yaml").exists()
+        try:
+            reader = rosbag2.Reader(path.parent if with_metadata and len(self.files) == 1 else path)
+            reader.open()
+        except _FAILURES as error:
+            raise _unreadable(path, error) from None
+        passed = 0
+        try:
+            connections = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=is_known(c.msgtype))]
+            total = max(1, reader.message_count)
+            if not connections:
+                return
+            for passed, (connection, t_ns, data) in enumerate(reader.messages(connections), 1):
+                self._share = min(1.0, passed / total)
+                yield Record(connection.topic, connection.msgtype, t_ns, bytes(data))
+        except _FAILURES as error:
+            if not passed:
+                raise _unreadable(path, error) from None
+            self._note(path, f"damaged ({_words(error)})")
+        finally:
+            reader.close()
+
+    def _ros1(self, path: Path) -> Iterator[Record]:
+        try:
+            reader = rosbag1.Reader(path)
+            reader.open()
+        except _FAILURES as error:
+            try:
+                yield from self._converted(path, unindexed.messages(path))
+            except ValueError:
+                raise LogError(f"{path}: cannot be read as a ROS 1 bag: {_words(error)}") from None
+            self._note(path, "has no index")
+            return
+        try:
+            known = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=is_known(c.msgtype))]
+            if known:
+                yield from self._converted(path, _of(reader, known))
+        except _FAILURES as error:
+            self._note(path, f"damaged ({_words(error)})")
+        finally:
+            reader.close()
+
+    def _converted(self, path: Path, messages: Iterator[tuple[str, str, int, bytes, float]]) -> Iterator[Record]:
+        """ROS 1's bytes as CDR. A type that is named as one of ROS 2's but is another one cannot be read so."""
+        broken: set[str] = set()
+        for topic, schema, t_ns, raw, share in messages:
+            self._share = share
+            if topic in broken or not self._add(topic, schema, readable=is_known(schema)):
+                continue
+            try:
+                data = bytes(STORE.ros1_to_cdr(raw, schema))
+            except (SerdeError, ValueError, IndexError):
+                broken.add(topic)
+                self.topics[topic] = Topic(topic, schema, readable=False)
+                self.notes.append(f"{path.name}: {topic} is no {schema} as ROS 2 has it; left out")
+                continue
+            yield Record(topic, schema, t_ns, data)
+
+
+def _of(reader: rosbag1.Reader, known: list[Connection]) -> Iterator[tuple[str, str, int, bytes, float]]:
+    total = max(1, reader.message_count)
+    for k, (connection, t_ns, raw) in enumerate(reader.messages(known)):
+        yield connection.topic, connection.msgtype, t_ns, raw, min(1.0, k / total)
+
+
+def _unreadable(path: Path, why: Exception) -> LogError:
+    remedy = f"; rescue what is whole: sqlite3 {path.name} .recover | sqlite3 whole.db3"
+    damaged = remedy if "malformed" in str(why) else ""
+    return LogError(f"{path}: cannot be read as a ROS 2 bag ({_words(why)}){damaged}")
+
+
+def _files(source: Path) -> list[Path]:
+    """The files of one recording: the one that is named, or those of one storage in the folder."""
+    if not source.is_dir():
+        if source.suffix not in _STORAGES:
+            raise LogError(f"{source}: is no bag by its name; a bag is NAME.mcap, NAME.db3, NAME.bag or a folder of them")
+        return [source]
+    for suffix in _STORAGES:
+        if found := sorted(source.glob(f"*{suffix}"), key=_natural):
+            return found
+    if packed := [*source.glob("*.zstd"), *source.glob("*.active")]:
+        remedy = "unpack it: zstd -d" if packed[0].suffix == ".zstd" else "name it .bag: it was not closed"
+        raise LogError(f"{packed[0]}: {remedy}")
+    raise LogError(f"{source}: holds no bag (*.mcap, *.db3 or *.bag)")
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """bag_2 before bag_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem)]
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

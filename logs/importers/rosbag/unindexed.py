@@ -1,0 +1,113 @@
+"""A ROS 1 bag record by record, for one whose recorder was killed before it wrote the index.
+
+    record = header length, header, data length, data      header = (length, "name=value")*      all lengths uint32
+
+op 5: a chunk, whose data are records; op 7: a connection, whose data is a header with its type; op 2: a message. The rest is
+index. Source: the format's definition, "Bags/Format/2.0" of the ROS wiki.
+"""
+
+import bz2
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import lz4.frame
+
+_MAGIC: Final = b"#ROSBAG V2.0\n"
+_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+_LENGTH: Final = struct.Struct("<I")
+_MOST: Final = 1 << 30  # bytes of a record or of a chunk's content
+_UNPACK: Final[Mapping[bytes, Callable[[bytes], bytes]]] = {
+    b"none": lambda data: data,
+    b"bz2": bz2.decompress,
+    b"lz4": lz4.frame.decompress,
+}
+
+
+def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
+    """(topic, type, time of arrival [ns], bytes, share of the file) of every whole record before the first torn one.
+
+    Raises ValueError where the file is no bag, or holds no whole record.
+    """
+    connections: dict[bytes, tuple[str, str]] = {}
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise ValueError("no ROS 1 bag of version 2.0")
+        whole = 0
+        for header, data in _records(file):
+            whole += 1
+            parts = _of_chunk(header, data) if header.get(b"op") == bytes([_CHUNK]) else [(header, data)]
+            for inner, content in parts:
+                if inner.get(b"op") == bytes([_CONNECTION]):
+                    about = _fields(content)
+                    connections[inner[b"conn"]] = inner[b"topic"].decode(), _ros2_name(about[b"type"].decode())
+                elif inner.get(b"op") == bytes([_MESSAGE]) and inner[b"conn"] in connections:
+                    sec, nsec = struct.unpack("<II", inner[b"time"])
+                    yield *connections[inner[b"conn"]], sec * 1_000_000_000 + nsec, content, file.tell() / size
+        if not whole:
+            raise ValueError("no whole record")
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
+    """Header and data of each record; of a torn one at the end what there is of the data."""
+    while True:
+        blocks = []
+        for _ in range(2):
+            length = file.read(_LENGTH.size)
+            if len(length) < _LENGTH.size or (n := _LENGTH.unpack(length)[0]) > _MOST:
+                return
+            blocks.append(file.read(n))
+        torn = len(blocks[1]) < n
+        try:
+            header = _fields(blocks[0])
+        except ValueError:
+            return
+        if not torn or header.get(b"op") == bytes([_CHUNK]):
+            yield header, blocks[1]
+        if torn:
+            return
+
+
+def _of_chunk(header: dict[bytes, bytes], data: bytes) -> list[tuple[dict[bytes, bytes], bytes]]:
+    """The records of a chunk; none where it cannot be unpacked."""
+    try:
+        if _LENGTH.unpack(header[b"size"])[0] > _MOST:
+            return []
+        content = _UNPACK[header[b"compression"]](data)
+    except (KeyError, OSError, RuntimeError, ValueError, EOFError, struct.error):
+        return []
+    found, at = [], 0
+    while at + _LENGTH.size <= len(content):
+        blocks = []
+        for _ in range(2):
+            (n,) = _LENGTH.unpack_from(content, at) if at + _LENGTH.size <= len(content) else (_MOST,)
+            blocks.append(content[at + _LENGTH.size : at + _LENGTH.size + n])
+            at += _LENGTH.size + n
+        if at > len(content):
+            break
+        found.append((_fields(blocks[0]), blocks[1]))
+    return found
+
+
+def _fields(block: bytes) -> dict[bytes, bytes]:
+    """The fields of a header. Raises ValueError."""
+    fields, at = {}, 0
+    while at < len(block):
+        if at + _LENGTH.size > len(block):
+            raise ValueError("torn header")
+        (n,) = _LENGTH.unpack_from(block, at)
+        at += _LENGTH.size
+        name, equals, value = block[at : at + n].partition(b"=")
+        if not equals or at + n > len(block):
+            raise ValueError("torn header")
+        fields[name] = value
+        at += n
+    return fields
+
+
+def _ros2_name(name: str) -> str:
+    """sensor_msgs/Imu -> sensor_msgs/msg/Imu."""
+    package, _, kind = name.partition("/")
+    return f"{package}/msg/{kind}"

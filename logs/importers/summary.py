@@ -1,0 +1,40 @@
+"""What an import wrote, for a person and for a program."""
+
+import msgspec
+
+
+class TopicRow(msgspec.Struct, frozen=True):
+    """A topic of a ROS bag, and what becomes of it. use: the key of [inputs], empty: it feeds none; copied: it is in the log."""
+
+    topic: str
+    type: str
+    messages: int
+    rate_hz: float
+    use: str = ""
+    remark: str = ""
+    copied: bool = False
+
+
+class ImportSummary(msgspec.Struct, frozen=True):
+    """What was written: the log, its configuration, messages by topic, when they arrived, and what a person should know.
+
+    topics: of a ROS bag.
+    """
+
+    out: str
+    config: str
+    messages: dict[str, int]
+    start_ns: int
+    end_ns: int
+    notes: tuple[str, ...]
+    topics: tuple[TopicRow, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Length of the log."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{topic} {n}" for topic, n in self.messages.items())
+        lines = [f"{self.seconds:.1f} s: {counts}", f"configuration: {self.config}", *(f"note: {note}" for note in self.notes)]
+        return "\n".join(lines)
