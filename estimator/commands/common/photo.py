@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _ORIENTATION: Final = 0x0112
 _QUARTERS: Final = {1: 0, 6: 1, 3: 2, 8: 3}
-_SAME_ASPECT: Final = 3e-3  # one row of a picture of 480, for which sizes are rounded
+_SAME_ASPECT: Final = 3e-3  # one row of an image of 480, for which sizes are rounded
 
 
 def quarter_turns(path: Path) -> int:
@@ -28,7 +28,7 @@ def quarter_turns(path: Path) -> int:
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
             flag = photo.getexif().get(_ORIENTATION, 1)
-    except Exception:  # what Pillow cannot read has no flag; whether it is a picture, OpenCV says
+    except Exception:  # what Pillow cannot read has no flag; whether it is an image, OpenCV says
         return 0
     if flag in range(9) and flag not in (0, *_QUARTERS):
         raise CalibrationError(f"{path}: EXIF orientation {flag} is mirrored: save it as the camera saw it")

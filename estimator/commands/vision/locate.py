@@ -11,14 +11,14 @@ from estimator.commands.common.console import Json, note, print_json, print_tabl
 from estimator.commands.common.mount import Mount, MountSigma, mount_of
 
 if TYPE_CHECKING:
-    from estimator.map_files.picture_file import PictureFile
+    from estimator.map_files.image_file import ImageFile
     from models.camera import StereoRig
     from models.maps.landmarks import LandmarkMap
     from models.messages import Array, LandmarkFix
     from vision.identify.identify import Prior
     from vision.image.rectify import Image
     from vision.pipeline import Result
-    from vision.recognisers import MapPicture
+    from vision.recognisers import MapImage
 
 
 _APART_NS = 1_000_000_000  # of photos, whose time nobody has said
@@ -47,7 +47,7 @@ def command(
     mount_sigma: MountSigma = "0.02,1",
     prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of that, each axis.")] = "10,2",
     picture: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
+        Path | None, typer.Option(metavar="IMAGE", help="Orthophoto or satellite image: GeoTIFF, or with a world file.")
     ] = None,
     picture_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of its horizontal position, per axis.")] = 1.0,
     picture_height_m: Annotated[
@@ -55,7 +55,7 @@ def command(
     ] = None,
     picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of the height of its ground.")] = 2.0,
     picture_heights: Annotated[
-        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or picture with a world file: heights above the ellipsoid [m].")
+        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or image with a world file: heights above the ellipsoid [m].")
     ] = None,
     picture_epsg: Annotated[
         int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
@@ -63,7 +63,7 @@ def command(
     within_m: Annotated[
         float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
     """Say where the vehicle is: a fix from a stereo pair, from one image, or from several photos of one camera.
@@ -83,10 +83,10 @@ def command(
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
       landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
-      landfix locate left.png --rig rig.yaml --image ortho.tif --image-height-m 455 --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from calib.files.formats import load_cameras
-    from estimator.map_files.picture_file import PictureFile
+    from estimator.map_files.image_file import ImageFile
 
     poses = [_numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90") for text in prior]
     sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
@@ -105,11 +105,11 @@ def command(
         raise typer.BadParameter(f"--prior given {len(poses)} times for {len(shots)} photos: give one for all, or one for each")
     known = None
     if picture is not None:
-        known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
-    landmarks, map_picture = _map(map_file, known)
+        known = ImageFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
+    landmarks, map_image = _map(map_file, known)
     starts = [_prior(landmarks, pose, sigma) for pose in poses] * (len(shots) if len(poses) == 1 else 1)
     rig, images = _images(shots, rig, bool(mount))
-    results = _results(rig_file, rig, landmarks, map_picture, images, starts)
+    results = _results(rig_file, rig, landmarks, map_image, images, starts)
     k = max((k for k, result in enumerate(results) if result.fix is not None), default=len(results) - 1)
     start, result = starts[k], results[k]
     left = images[k][0]
@@ -142,18 +142,18 @@ def _images(
     import msgspec
 
     from estimator.commands.common import photo
-    from estimator.commands.common.picture_source import picture as read_picture
+    from estimator.commands.common.image_source import read_image
 
     if not rig.one_camera:
         return rig, [
             (
-                photo.fitted(left, read_picture(left), rig.left, 0)[0],
-                None if right is None else photo.fitted(right, read_picture(right), rig.right, 0)[0],
+                photo.fitted(left, read_image(left), rig.left, 0)[0],
+                None if right is None else photo.fitted(right, read_image(right), rig.right, 0)[0],
             )
             for left, right in shots
         ]
     turns = [photo.quarter_turns(left) for left, _ in shots]
-    fitted = [photo.fitted(left, read_picture(left), rig.left, n) for (left, _), n in zip(shots, turns, strict=True)]
+    fitted = [photo.fitted(left, read_image(left), rig.left, n) for (left, _), n in zip(shots, turns, strict=True)]
     if shown:
         left_to_turn = {0 if turned else n for n, (_, turned) in zip(turns, fitted, strict=True)}
         if len(left_to_turn) > 1:
@@ -168,7 +168,7 @@ def _results(
     rig_file: Path,
     rig: "StereoRig",
     landmarks: "LandmarkMap",
-    map_picture: "MapPicture | None",
+    map_image: "MapImage | None",
     images: "list[tuple[Image, Image | None]]",
     starts: "list[Prior]",
 ) -> "list[Result]":
@@ -176,7 +176,7 @@ def _results(
     from vision.recognisers import Recognisers
 
     try:
-        recognisers = Recognisers(rig, landmarks, map_picture)
+        recognisers = Recognisers(rig, landmarks, map_image)
     except ValueError as error:
         raise LocateError(f"{rig_file}: {error}") from None
     return [
@@ -185,9 +185,9 @@ def _results(
     ]
 
 
-def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
+def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap, MapImage | None]":
     """Landmarks, none without a file of them, and the map's image in the same frame."""
-    from estimator.map_files import picture as picture_store
+    from estimator.map_files import image as image_store
     from estimator.map_files import store as map_store
     from models.maps.landmarks import LandmarkMap
 
@@ -197,8 +197,8 @@ def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkM
             raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
     else:
         assert known is not None
-        landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
-    return landmarks, picture_store.load(known, landmarks.origin) if known else None
+        landmarks = LandmarkMap.from_landmarks(image_store.origin(known), [])
+    return landmarks, image_store.load(known, landmarks.origin) if known else None
 
 
 def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
@@ -314,7 +314,7 @@ def _print(answer: dict[str, Any], result: "Result") -> None:
             for r in result.regions
         ]
         print_table("Regions", rows, ("landmark", "state", "similarity", "why"))
-    for title, pose in (("The pictures alone", answer["fix"]), ("With the prior", answer["with_prior"])):
+    for title, pose in (("The images alone", answer["fix"]), ("With the prior", answer["with_prior"])):
         if pose is not None:
             print_table(title, _pose_rows(pose))
     if result.fix is not None:
@@ -342,7 +342,7 @@ def _write_overlay(
     from vision.describe.survey import to_8_bit
     from vision.show.overlay import draw_overlay, outline_residuals
 
-    picture = to_8_bit(image)
+    canvas = to_8_bit(image)
     p_n, R_nb = (prior.p_n, prior.R_nb) if result.fix is None else _joint(prior, result.fix)[:2]
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     near = landmarks.near(float(p_nc[0]), float(p_nc[1]), 300.0)
@@ -350,9 +350,9 @@ def _write_overlay(
     caption = [f"{result.report.outcome}: {result.report.detail}" if result.fix is None else result.report.detail]
     if result.fix is None:
         caption.append("drawn from the prior")
-    residuals = outline_residuals(picture, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
-    drawn = draw_overlay(picture, rig.left, p_nc, R_nc, near, used, residuals, caption)
+    residuals = outline_residuals(canvas, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
+    drawn = draw_overlay(canvas, rig.left, p_nc, R_nc, near, used, residuals, caption)
     done, png = cv2.imencode(".png", drawn)
     if not done:
-        raise LocateError(f"{path}: the picture could not be encoded")
+        raise LocateError(f"{path}: the image could not be encoded")
     path.write_bytes(png.tobytes())
