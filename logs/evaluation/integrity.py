@@ -31,7 +31,7 @@ class Regions(msgspec.Struct, frozen=True):
     hazardous: int
     unavailable: int
     exceeded: tuple[int, ...]
-    median_level_m: float
+    median_level_m: float | None  # None: infinite
 
     @property
     def available(self) -> float:
@@ -84,7 +84,7 @@ def regions(error: Array, level: Array, limit_m: float, others: Sequence[Array])
         hazardous=int(np.sum(within & above & (error > limit_m))),
         unavailable=int(np.sum(~within)),
         exceeded=tuple(int(np.sum(error > other)) for other in (*others, level)),
-        median_level_m=float(np.median(level)) if len(level) else float("nan"),
+        median_level_m=_limit(float(np.median(level))) if len(level) else None,
     )
 
 
