@@ -1,7 +1,6 @@
 """Tables and the Stanford plot of benchmarks.integrity."""
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 
 import numpy as np
 from scipy.stats import beta
@@ -53,8 +52,11 @@ def table(rows: Sequence[Row]) -> Table:
     above = tuple(f"> PL({risk:g})" for risk in RISKS)
     ends = ("worst e / PL", "over limit", "alert s", "do not use s")
     columns = ("flights", "kind", "size", "runs", "hours", "HPL <= 10 m %", *above, *_REGIONS, *ends)
-    flown = [r for r in rows if r.horizontal is not None]
-    return Table(_TITLE, columns, [_line(list(group)) for _, group in groupby(flown, key=lambda r: (r.group, r.kind, r.size))])
+    groups: dict[tuple[str, str, float], list[Row]] = {}
+    for row in rows:
+        if row.horizontal is not None:
+            groups.setdefault((row.group, row.kind, row.size), []).append(row)
+    return Table(_TITLE, columns, [_line(group) for group in groups.values()])
 
 
 def _line(rows: list[Row]) -> tuple[str, ...]:
