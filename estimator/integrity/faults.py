@@ -141,7 +141,7 @@ def _without(
     """Solutions that do not rest on the source: offset and sigma, horizontal and vertical, and t^2."""
     lead = now.hypotheses.members[0]
     for member in now.hypotheses.members[1:]:
-        if member.without == topic:
+        if member.without == topic and _is_confirmed(member, topic, now):
             f = _separated("", 0.0, member, lead)
             yield f.offset_h, f.sigma_h, f.offset_v, f.sigma_v, _t2(f)
     rejected = lead.rejected if config.exclude_rejected else ()
@@ -153,6 +153,12 @@ def _without(
         sigma_h, sigma_v = max(seen.sigma[:2]), seen.sigma[2]
         t2 = sum((x / s) ** 2 for x, s in zip(seen.innovation, seen.sigma, strict=True))
         yield math.hypot(n, e), sigma_h, abs(d), sigma_v, t2
+
+
+def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
+    """Whether another source has been compared with it since it began, as the leading one, which follows the receiver."""
+    others = (seen for other, seen in now.positions.items() if other != topic and seen.kind != GNSS)
+    return any(seen.t_ns >= member.fused_ns for seen in others)
 
 
 def _separated(name: str, probability: float, member: Hypothesis, lead: Hypothesis) -> Fault:

@@ -84,14 +84,16 @@ def test_an_old_position_or_a_second_receiver_checks_nothing() -> None:
 
 def test_the_hypothesis_without_gnss_bounds_gnss() -> None:
     lead, without = Hypothesis(_filter((0.0, 0.0, 0.0), 0.5)), Hypothesis(_filter((3.0, 4.0, 1.0), 2.0), weight=-4.6)
-    without.without = "/gnss"
-    gnss = {"/gnss": _position("gnss_position", (0.1, 0.0, 0.0))}
+    without.without, without.fused_ns = "/gnss", NOW - 20 * S
+    gnss = {"/gnss": _position("gnss_position", (0.1, 0.0, 0.0)), "/fix": _position("pose", (0.1, 0.0, 0.0), age_s=20.0)}
     found = faults(_now([lead, without], gnss), CONFIG)
     (wrong,) = [f for f in found if f.name == "/gnss wrong for long"]
     assert (wrong.offset_h, wrong.sigma_h, wrong.offset_v, wrong.sigma_v) == (5.0, 2.0, 1.0, 2.0)
     prior = 1e-4 * SHARE
     assert wrong.probability == pytest.approx(prior / (prior + math.exp(-0.5 * (2.5**2 + 0.5**2))))
     assert found[0].probability == 1.0  # a spare hypothesis takes nothing from the nominal one
+    without.fused_ns = NOW - 10 * S  # it began since the last fix, as the leading one
+    assert "/gnss wrong for long, with no second source to check it" in _by_name(faults(_now([lead, without], gnss), CONFIG))
 
 
 def test_what_the_filter_has_not_decided_counts_with_its_weight() -> None:
