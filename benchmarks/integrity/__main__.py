@@ -51,16 +51,13 @@ def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int) -> list[Job]:
         for seed in range(seeds)
     ]
 
-    work += [
-        ("stress", flight, kind.name, size, 0, folder)
-        for flight in (("sim/rotor",) if quick else ("sim/rotor", "sim/wing"))
-        for kind in KINDS.values()
-        for size in kind.sizes[-2:]
-    ]
+    cells = [(kind.name, size) for kind in KINDS.values() for size in kind.sizes[-2:]]
+    work += [("stress", "sim/rotor", *cell, 0, folder) for cell in cells]
     if not quick and (data_folder() / "flights").is_dir():
         recorded = [f"{group}/{flight}" for group in SETS for flight in flights(group)]
         work += [("real", flight, scenario, 0.0, 0, folder) for scenario in _SCENARIOS for flight in recorded]
         work += [("stress", flight, "nothing, with GNSS", 0.0, 0, folder) for flight in recorded]
+    work += [] if quick else [("stress", "sim/wing", *cell, 0, folder) for cell in cells]
     batches = looks // (_FRAMES * len(WORLDS))
     work += [("looks", world, "", float(_FRAMES), seed, folder) for seed in range(batches) for world in WORLDS]
     return work
