@@ -126,7 +126,7 @@ def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, co
         p = prior / (prior + math.exp(-0.5 * t2)) if prior else 0.0
         yield Fault(name, p, offset_h, sigma_h, offset_v, sigma_v)
     if not without:
-        yield Fault(f"{name}, with no second source to check it", prior, 0.0, math.inf, 0.0, math.inf)
+        yield Fault(f"{name}: no second source checks it", prior, 0.0, math.inf, 0.0, math.inf)
     for said, rate, offset_h, offset_v in kinds:
         yield _moved(nominal, said, _share(rate, config), offset_h, offset_v)
     if not is_gnss:

@@ -45,7 +45,7 @@ def _by_name(found: list[Fault]) -> dict[str, Fault]:
 def test_a_source_alone_is_not_bounded_and_has_faults_of_known_size() -> None:
     now = _now([Hypothesis(_filter((0.0, 0.0, 0.0), 0.5))], {"/fix": _position("pose", (0.1, 0.0, 0.0))})
     found = _by_name(faults(now, CONFIG))
-    alone = found["/fix wrong for long, with no second source to check it"]
+    alone = found["/fix wrong for long: no second source checks it"]
     assert math.isinf(alone.sigma_h)
     assert alone.probability == pytest.approx(1e-6 * SHARE)
     assert found["the map shifted"].offset_h == CONFIG.map_shift_m
@@ -77,9 +77,9 @@ def test_sources_that_agree_bound_each_other_and_such_that_do_not_make_the_fault
 def test_an_old_position_or_a_second_receiver_checks_nothing() -> None:
     lead = Hypothesis(_filter((0.0, 0.0, 0.0), 0.5))
     old = {"/gnss": _position("gnss_position", (0.5, 0.0, 0.0), age_s=2.5), "/fix": _position("pose", (0.1, 0.0, 0.0))}
-    assert "/fix wrong for long, with no second source to check it" in _by_name(faults(_now([lead], old), CONFIG))
+    assert "/fix wrong for long: no second source checks it" in _by_name(faults(_now([lead], old), CONFIG))
     two = {"/gnss": _position("gnss_position", (0.5, 0.0, 0.0)), "/gnss2": _position("gnss_position", (0.1, 0.0, 0.0))}
-    assert "/gnss wrong for long, with no second source to check it" in _by_name(faults(_now([lead], two), CONFIG))
+    assert "/gnss wrong for long: no second source checks it" in _by_name(faults(_now([lead], two), CONFIG))
 
 
 def test_the_hypothesis_without_gnss_bounds_gnss() -> None:
@@ -93,7 +93,7 @@ def test_the_hypothesis_without_gnss_bounds_gnss() -> None:
     assert wrong.probability == pytest.approx(prior / (prior + math.exp(-0.5 * (2.5**2 + 0.5**2))))
     assert found[0].probability == 1.0  # a spare hypothesis takes nothing from the nominal one
     without.fused_ns = NOW - 10 * S  # it began since the last fix, as the leading one
-    assert "/gnss wrong for long, with no second source to check it" in _by_name(faults(_now([lead, without], gnss), CONFIG))
+    assert "/gnss wrong for long: no second source checks it" in _by_name(faults(_now([lead, without], gnss), CONFIG))
 
 
 def test_what_the_filter_has_not_decided_counts_with_its_weight() -> None:
