@@ -8,7 +8,7 @@ from estimator.config import parse
 from estimator.fusion import Fusion
 from estimator.integrity.config import IntegrityConfig
 from models.frames import Origin
-from models.messages import Alert, Array, Estimate, GnssFix, Input, Integrity, Output, PoseFix, vec3
+from models.messages import Alert, Array, Estimate, GnssFix, Health, Input, Integrity, Output, PoseFix, vec3
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
@@ -129,6 +129,6 @@ def test_an_outage_ends_the_use_before_the_error_passes_the_limit() -> None:
 
 def test_health_says_the_state() -> None:
     run = Run(LIMITS)
-    said = [o.integrity for o in run.outputs if type(o).__name__ == "Health"]
+    said = [o.integrity for o in run.outputs if isinstance(o, Health)]
     assert said[0] == "do not use: there is no estimate"
     assert said[-1] == "usable"
