@@ -9,7 +9,8 @@ from models.messages import Array
 
 _SIDE, _LEFT, _UNDER, _OVER = 320.0, 52.0, 42.0, 26.0  # px
 _CELLS: Final = 64
-_INK, _BAD, _OFF = "#7a838b", "#d55e00", "#e69f00"
+_INK, _BAD, _OFF = "#5d666e", "#d55e00", "#e69f00"
+_HALO: Final = 'paint-order="stroke" stroke="#fff" stroke-opacity="0.8" stroke-width="3"'  # words may stand on cells
 _LOWEST_M: Final = 0.01
 _DECADES: Final = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0, 10_000.0)
 _SHADES: Final = ("#9ecae9", "#56b4e9", "#2a8fd0", "#0072b2", "#00497a", "#002a47")  # 1, 10, 100, ... in a cell
@@ -64,7 +65,7 @@ def stanford(error: Array, level: Array, limit_m: float, title: str) -> str:
         _text(_LEFT, 15, title, "start"),
         *_counts(error, level, limit_m, x_px(limit_m), y_px(limit_m)),
     ]
-    size_px = f"{right + 16:.0f}", f"{bottom + _UNDER:.0f}"
+    size_px = f"{right + 24:.0f}", f"{bottom + _UNDER:.0f}"
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {" ".join(size_px)}" width="{size_px[0]}" height="{size_px[1]}">'
         + "".join(parts)
@@ -102,5 +103,5 @@ def _frame() -> str:
 
 
 def _text(x: float, y: float, words: str, anchor: str = "middle") -> str:
-    style = f'fill="{_INK}" font-size="11" font-family="sans-serif" text-anchor="{anchor}"'
+    style = f'fill="{_INK}" font-size="11" font-family="sans-serif" text-anchor="{anchor}" {_HALO}'
     return f'<text x="{x:.1f}" y="{y:.1f}" {style}>{words}</text>'
