@@ -151,7 +151,7 @@ def _without(
             continue
         n, e, d = seen.innovation
         sigma_h, sigma_v = max(seen.sigma[:2]), seen.sigma[2]
-        t2 = sum((x / s) ** 2 for x, s in zip(seen.innovation, seen.sigma, strict=True))
+        t2 = sum((x / s) * (x / s) for x, s in zip(seen.innovation, seen.sigma, strict=True))
         yield math.hypot(n, e), sigma_h, abs(d), sigma_v, t2
 
 
@@ -174,7 +174,8 @@ def _moved(nominal: Fault, name: str, probability: float, offset_h: float, offse
 
 
 def _t2(f: Fault) -> float:
-    return (f.offset_h / f.sigma_h) ** 2 + (f.offset_v / f.sigma_v) ** 2
+    h, v = f.offset_h / f.sigma_h, f.offset_v / f.sigma_v
+    return h * h + v * v
 
 
 def _sigmas(P: Array) -> tuple[float, float]:

@@ -68,24 +68,17 @@ class Monitor:
     def at(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Integrity:
         """What is published at t_ns, as far as it can be trusted."""
         self._next_ns = t_ns + self._period_ns
-        found = self._faults(tracker, t_ns)
-        if found is None:
-            levels, reason = [_UNKNOWN] * len(self._shares), "there is no estimate"
-        else:
-            horizontal, vertical = [f.horizontal for f in found], [f.vertical for f in found]
-            solved = {
-                share: Levels(
-                    protection_level(horizontal, share, self._tail, in_plane),
-                    protection_level(vertical, share, self._tail, one_axis),
-                )
-                for share in set(self._shares)
-            }
-            levels = [solved[share] for share in self._shares]
-            reason = ""
+        reason = "there is no estimate"
+        try:
+            found = self._faults(tracker, t_ns)
+            levels = self._levels(found)
+        except (ArithmeticError, ValueError) as error:  # a defect here costs the level, never the estimate
+            found, reason = None, f"internal error: {type(error).__name__}: {error}"
+            levels = self._levels(None)
         at_risk, at_caution = levels[-2:]
         state = self._judge.judge(t_ns, at_risk, at_caution)
-        if found is not None and state not in {Alert.NOT_JUDGED, Alert.USABLE}:
-            reason = self._reason(found, at_risk)
+        if found is not None:
+            reason = self._reason(found, at_risk) if state in {Alert.CAUTION, Alert.DO_NOT_USE} else ""
         config = self._config
         self.last = Integrity(
             t_ns,
@@ -103,6 +96,20 @@ class Monitor:
             levels[0].vpl_m / self._units[1],
         )
         return self.last
+
+    def _levels(self, found: list[Fault] | None) -> list[Levels]:
+        """At each of the risks; infinite without an estimate."""
+        if found is None:
+            return [_UNKNOWN] * len(self._shares)
+        horizontal, vertical = [f.horizontal for f in found], [f.vertical for f in found]
+        solved = {
+            share: Levels(
+                protection_level(horizontal, share, self._tail, in_plane),
+                protection_level(vertical, share, self._tail, one_axis),
+            )
+            for share in set(self._shares)
+        }
+        return [solved[share] for share in self._shares]
 
     def _faults(self, tracker: Tracker, t_ns: int) -> list[Fault] | None:
         """None without an estimate, or with one that is not finite."""

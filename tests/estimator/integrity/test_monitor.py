@@ -132,3 +132,16 @@ def test_health_says_the_state() -> None:
     said = [o.integrity for o in run.outputs if isinstance(o, Health)]
     assert said[0] == "do not use: there is no estimate"
     assert said[-1] == "usable"
+
+
+def test_a_defect_costs_the_level_and_not_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> float:
+        raise ZeroDivisionError("of sigma")
+
+    whole = Run(LIMITS, gnss=False)
+    monkeypatch.setattr("estimator.integrity.monitor.faults", broken)
+    run = Run(LIMITS, gnss=False)
+    assert len(run.estimates()) == len(whole.estimates())
+    assert run.integrity[-1].state is Alert.DO_NOT_USE
+    assert run.integrity[-1].reason == "internal error: ZeroDivisionError: of sigma"
+    assert math.isinf(run.integrity[-1].hpl_m)
