@@ -7,10 +7,10 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real stress campaign soak site install kernels lock clean
+.PHONY: help demo test check bench bench-real stress campaign campaign-integrity soak site install kernels lock clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-19s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: install  ## the main job: a simulated flight, GPS cut off; says where the report is
 	$(BIN)/landfix demo
@@ -35,6 +35,9 @@ stress: install  ## accuracy and consistency where the world differs from the co
 
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign
+
+campaign-integrity: install  ## protection levels against true errors, goes on where it ended (JOBS=2, LOOKS=0, SCHEDULER=tcp://...)
+	$(BIN)/python -m benchmarks.integrity --jobs $(or $(JOBS),1) --looks $(or $(LOOKS),0) --scheduler "$(SCHEDULER)"
 
 soak: install  ## the daemon under load for an hour: latency, memory, drops, and its log replayed (MINUTES=60)
 	$(BIN)/python -m benchmarks.service --minutes $(or $(MINUTES),60)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,10 +23,11 @@ def run_jobs(
     *,
     processes: int = 1,
     resume: bool = False,
+    executor: Executor | None = None,
 ) -> list[Result]:
     """The jobs' results in their order. kept: file of one line a job; with resume those that stand there are not done again.
 
-    work: a function of a module; kind: what it returns, for msgspec.
+    work: a function of a module; kind: what it returns, for msgspec; executor: does the work in place of processes here.
     """
     results = dict(_read(kept, kind)) if resume else {}
     left = [job for job in jobs if _name(job) not in results]
@@ -34,7 +36,7 @@ def run_jobs(
     with kept.open("w") as file, context.Pool(processes, cv2.setNumThreads, (1,)) as pool:
         for name, result in results.items():  # anew: the last line may have been cut off
             file.write(_line(name, result))
-        done = pool.imap(work, left)
+        done = pool.imap(work, left) if executor is None else executor.map(work, left)
         for job, result in track(zip(left, done, strict=True), "jobs", len(left), console=Console(stderr=True)):
             results[_name(job)] = result
             file.write(_line(_name(job), result))

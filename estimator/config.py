@@ -15,6 +15,7 @@ from estimator.filter.bounds import BoundsConfig
 from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
+from estimator.integrity.config import IntegrityConfig
 from estimator.map_files.image_file import ImageFile
 from estimator.publish import OutputConfig
 from estimator.service.autopilot.output_policy import AutopilotConfig, Px4Config
@@ -117,6 +118,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     output: OutputConfig = OutputConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()
+    integrity: IntegrityConfig = IntegrityConfig()
     initialise: InitialiseConfig = InitialiseConfig()
     coast: Coast = Coast()
     service: ServiceConfig = ServiceConfig()
@@ -136,6 +138,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             initialise=self.initialise,
             estimator=self.estimator,
             bounds=self.bounds,
+            integrity=self.integrity,
             origin=self.map.origin,
         )
 

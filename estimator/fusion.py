@@ -12,6 +12,8 @@ from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf
 from estimator.filter.history import Entry, History
 from estimator.filter.tracker import Tracker
+from estimator.integrity.config import IntegrityConfig
+from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
 from estimator.sources.imu import sample_refusal
 from estimator.sources.rest import rest_aid
@@ -63,6 +65,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
 
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()
+    integrity: IntegrityConfig = IntegrityConfig()
 
 
 class Fusion:
@@ -72,6 +75,7 @@ class Fusion:
         self._config = config
         self._history = self._begin()
         self._counts: dict[str, int] = {}
+        self._integrity = Monitor(config.integrity)
         self._detail = ""
         self._assumed: dict[str, str] = {}  # topic -> what was taken in place of what it does not give
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
@@ -270,6 +274,8 @@ class Fusion:
             out.append(self._published)
         if changed:
             out += [self._aid_status(entry) for entry in changed]
+        if self._integrity.due(t_ns):
+            out.append(self._integrity.at(tracker, t_ns, arrived_ns))
         if self._next_health_ns is None or t_ns >= self._next_health_ns:
             self._next_health_ns = t_ns + self._health_period_ns
             out.append(self._health(tracker, t_ns, arrived_ns))
@@ -306,6 +312,7 @@ class Fusion:
         tracker: whose map and sources the next one takes over; None: none, its times are of another clock.
         """
         self._history = History(tracker.restarted(), self._config.estimator.history_s) if tracker else self._begin()
+        self._integrity.begin_again()
         self._reset_counter += self._published is not None
         self._published = None
         return self._state_status(t_ns, arrived_ns, reason, f"{detail}; aligning again")
@@ -323,7 +330,7 @@ class Fusion:
             self._counts[entry.counted] -= 1
         entry.counted = decision.reason
         self._count(decision.reason)
-        return AidStatus(
+        status = AidStatus(
             aid.t_ns,
             aid.arrived_ns,
             aid.topic,
@@ -337,6 +344,8 @@ class Fusion:
             entry.replayed,
             "; ".join(filter(None, (decision.detail, aid.assumed))),
         )
+        self._integrity.note(status)
+        return status
 
     def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:
         """The report of a message that is no measurement."""
@@ -382,6 +391,7 @@ class Fusion:
             tracker.anchor.at(t_ns) if tracker.anchor else None,
             self._say(tracker),
             biases,
+            self._integrity.summary,
         )
 
 

@@ -404,9 +404,43 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     last_gnss: LastGnss | None = None
     detail: str = ""
     biases: dict[str, float] = {}
+    integrity: str = ""  # of the last Integrity: state, and the reason for it
 
 
-Output: TypeAlias = Estimate | AidStatus | Health | Reset | VisionReport | VisionRequest | OdometryRequest
+class Alert(StrEnum):
+    """Whether the estimate may be used for what the alert limits are for."""
+
+    NOT_JUDGED = "not judged"  # no alert limit is configured
+    USABLE = "usable"
+    CAUTION = "caution"
+    DO_NOT_USE = "do not use"
+
+
+class Integrity(msgspec.Struct, frozen=True, eq=False):
+    """How far off the position may be at a stated risk, and what follows for its use.
+
+    hpl_m, vpl_m: horizontal and vertical protection level at risk_per_hour, inf where nothing bounds the error; hal_m, val_m:
+    alert limits, inf: none; risks_per_hour and hpls_m, vpls_m: the same at fixed risks; sigma_h_m, sigma_v_m: of the Gaussian
+    that has the protection levels of the first of them (horizontal: per axis); reason: of a state other than usable.
+    """
+
+    t_ns: int
+    arrived_ns: int
+    state: Alert
+    reason: str
+    risk_per_hour: float
+    hpl_m: float
+    vpl_m: float
+    hal_m: float
+    val_m: float
+    risks_per_hour: tuple[float, ...]
+    hpls_m: tuple[float, ...]
+    vpls_m: tuple[float, ...]
+    sigma_h_m: float
+    sigma_v_m: float
+
+
+Output: TypeAlias = Estimate | AidStatus | Health | Integrity | Reset | VisionReport | VisionRequest | OdometryRequest
 
 
 def vec3(v: Any) -> Vec3:

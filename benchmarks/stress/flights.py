@@ -95,10 +95,22 @@ def _simulated(name: str, aids: Aids, seed: int) -> Flight:
 
 def _recorded(group: str, name: str, aids: Aids, seed: int, tasks: Path) -> Flight:
     """Scenario A (outages) or N of the scoring tool; a flight too short for the outages has none."""
-    path = make(Task(group, name, "A", seed), tasks) if aids == "fixes" else None
-    path = path or make(Task(group, name, "N", seed), tasks)
-    if path is None:
+    flight = of_task(Task(group, name, "A", seed), tasks) if aids == "fixes" else None
+    flight = flight or of_task(Task(group, name, "N", seed), tasks)
+    if flight is None:
         raise SystemExit(f"{group}/{name}: no task can be made of it")
+    if aids == "fixes":
+        return flight
+    with_gnss = in_order([*_received(flight, np.random.default_rng(seed)), *flight.messages])
+    placed = msgspec.structs.replace(flight.config, origin=_ORIGIN)
+    return Flight(with_gnss, flight.t_ns, flight.p_n, flight.v_n, flight.R_nb, flight.outages_s, placed)
+
+
+def of_task(task: Task, tasks: Path) -> Flight | None:
+    """A flight of the scoring tool; None where it is too short for the scenario. tasks: folder where the MCAP files are kept."""
+    path = make(task, tasks)
+    if path is None:
+        return None
     config = load(path.with_suffix(".toml"))
     decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), ImuMounting(axes="flu"))
     messages: list[Input] = []
@@ -110,13 +122,7 @@ def _recorded(group: str, name: str, aids: Aids, seed: int, tasks: Path) -> Flig
     enu = read_odometry(path, "/truth")
     R_nb = ENU_FROM_NED.T @ rotation(enu.q_wxyz).as_matrix() @ FLU_FROM_FRD
     outages = tuple((float(a), float(b)) for a, b in json.loads(path.with_suffix(".json").read_text())["outages"])
-    fusion = config.fusion()
-    flight = Flight(messages, enu.t_ns, enu.p @ ENU_FROM_NED.T, enu.v @ ENU_FROM_NED.T, R_nb, outages, fusion)
-    if aids == "fixes":
-        return flight
-    with_gnss = in_order([*_received(flight, np.random.default_rng(seed)), *messages])
-    placed = msgspec.structs.replace(fusion, origin=_ORIGIN)
-    return Flight(with_gnss, flight.t_ns, flight.p_n, flight.v_n, R_nb, outages, placed)
+    return Flight(messages, enu.t_ns, enu.p @ ENU_FROM_NED.T, enu.v @ ENU_FROM_NED.T, R_nb, outages, config.fusion())
 
 
 def _received(flight: Flight, rng: np.random.Generator) -> list[Input]:

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from estimator.service.log.recovery import is_torn
-from models.messages import Estimate, Health, Mode, Output
+from models.messages import Alert, Estimate, Health, Integrity, Mode, Output
 
 _STDERR: Final = 2
 _WAITING_LINES: Final = 200
@@ -32,6 +32,7 @@ class Console:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="console", daemon=True)
         self._mode: Mode | None = None
+        self._alert = Alert.NOT_JUDGED
         self._estimated = False
 
     def __enter__(self) -> Self:
@@ -60,6 +61,10 @@ class Console:
             radius = "" if output.mode in _NO_ESTIMATE_YET else f", 95 % radius {output.radius95_m:.1f} m"
             detail = f": {output.detail}" if output.detail else ""
             self.say(f"mode: {output.mode.value}{radius}{detail}")
+
+        elif isinstance(output, Integrity) and output.state is not self._alert:
+            self._alert = output.state
+            self.say(f"integrity: {output.state.value}, {output.reason or f'HPL {output.hpl_m:.1f} m, VPL {output.vpl_m:.1f} m'}")
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
         """Print each log file of this run with its size, and whether it is complete; called after the log is closed."""

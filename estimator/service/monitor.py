@@ -21,9 +21,10 @@ from estimator.service.zenoh.bus import BusError
 from estimator.service.zenoh.config import ZenohConfig, client_config
 from estimator.service.zenoh.keys import rmw_key
 from logs.wire import schemas
-from logs.wire.codec import Odometry, decode_aid_status, decode_odometry
+from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode_integrity, decode_odometry
 from logs.wire.schemas import STORE
 from models import so3
+from models.messages import Alert, Integrity
 
 _STALE_S: Final = 2.0
 _RECENT: Final = 200  # measurements of a source whose fate is shown, and estimates whose rate is
@@ -36,6 +37,7 @@ _MODES: Final = {
     "aligning_heading": "yellow",
     "starting": "yellow",
 }
+_ALERTS: Final = {Alert.NOT_JUDGED: "", Alert.USABLE: "green", Alert.CAUTION: "yellow", Alert.DO_NOT_USE: "bold red"}
 _WIDTH: Final = 100
 _REFRESH_HZ: Final = 5.0
 _ANSWER_S: Final = 3.0
@@ -48,6 +50,7 @@ class View:
         self.health: dict[str, str] = {}
         self.daemon: dict[str, str] = {}
         self.odometry: Odometry | None = None
+        self.integrity: Integrity | None = None
         self.place: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_m
         self._heard_s: dict[str, float] = {}
         self._stamps_ns: deque[int] = deque(maxlen=_RECENT)  # of estimates
@@ -61,6 +64,8 @@ class View:
             self._stamps_ns.append(self.odometry.t_ns)
         elif topic == "/landfix/health":
             self.health = _values(data)
+        elif topic == INTEGRITY_TOPIC:
+            self.integrity = decode_integrity(data)
         elif topic == "/landfix/daemon":
             self.daemon = _values(data)
         elif topic == "/landfix/aid_status":
@@ -85,6 +90,8 @@ class View:
         table.add_row("mode", Text(mode, style=f"bold {_MODES.get(mode, 'red')}"))
         table.add_row("last absolute fix", _age(health.get("absolute_age_s")))
         table.add_row("95 % radius", _metres(health.get("radius95_m")))
+        if (found := self.integrity) is not None:
+            table.add_row("integrity", _alert(found))
         if o := self.odometry:
             n, e, d = o.p_n
             table.add_row("position", f"north {n:9.2f} m   east {e:9.2f} m   up {-d:8.2f} m")
@@ -207,6 +214,7 @@ def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subsc
     topics = {
         "/landfix/odometry": schemas.ODOMETRY,
         "/landfix/health": schemas.DIAGNOSTICS,
+        INTEGRITY_TOPIC: schemas.INTEGRITY,
         "/landfix/daemon": schemas.DIAGNOSTICS,
         "/landfix/aid_status": schemas.AID_STATUS,
         "/landfix/global": schemas.NAV_SAT_FIX,
@@ -246,6 +254,18 @@ def _age(given: str | None) -> Text:
     if math.isinf(age_s):
         return Text("never", style="yellow")
     return Text(f"{age_s:.1f} s ago", style="green" if age_s < _STALE_S + 1 else "yellow")
+
+
+def _alert(integrity: Integrity) -> Text:
+    """usable   HPL 3.2 of 10 m, VPL 3.1 m at 1e-05 per hour."""
+    i = integrity
+    levels = (("HPL", i.hpl_m, i.hal_m), ("VPL", i.vpl_m, i.val_m))
+    shown = ", ".join(
+        f"{name} {level:.1f}{'' if math.isinf(limit) else f' of {limit:g}'} m" if math.isfinite(level) else f"{name} unbounded"
+        for name, level, limit in levels
+    )
+    words = f"{i.state}   {shown} at {i.risk_per_hour:g} per hour"
+    return Text(f"{words}\n{i.reason}" if i.reason else words, style=_ALERTS[i.state])
 
 
 def _metres(given: str | None) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from logs.evaluation import metrics
 from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
+from logs.evaluation.integrity import summarise
 from logs.evaluation.metrics import Mask, Stats, Times
 from logs.evaluation.records import (
     Accuracy,
@@ -224,6 +225,7 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
             for j in evidence.resets
         ),
         notes=_notes(evidence, comparison),
+        integrity=summarise(evidence.integrity, comparison.t_ns, comparison.p_error),
     )
 
 

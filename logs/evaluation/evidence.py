@@ -12,9 +12,9 @@ from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode, decode_ge
 from logs.store.reader import Attachment, LogError, LogReader, Record
 from logs.store.recorder import REFERENCE_ATTACHMENT
 from logs.wire import schemas
-from logs.wire.codec import decode_aid_status
+from logs.wire.codec import INTEGRITY_TOPIC, decode_aid_status, decode_integrity
 from models.frames import Origin
-from models.messages import AidStatus, Array, Reason, Vec3
+from models.messages import AidStatus, Array, Integrity, Reason, Vec3
 
 ODOMETRY_TOPIC: Final = "/landfix/odometry"
 TRUTH_TOPIC: Final = "/truth"
@@ -79,6 +79,7 @@ class Evidence:
     metadata: dict[str, dict[str, str]]
     skipped_chunks: int
     reference: str = ""
+    integrity: tuple[Integrity, ...] = ()
 
     @property
     def yardstick(self) -> str:
@@ -143,7 +144,7 @@ def read(
     most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
     Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
     """
-    own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, truth_topic}
+    own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, INTEGRITY_TOPIC, truth_topic}
     poses = {ODOMETRY_TOPIC, truth_topic}
     sheaves: dict[str, _Sheaf] = {}
     with LogReader(path) as reader:
@@ -186,6 +187,7 @@ def read(
         metadata=metadata,
         skipped_chunks=skipped_chunks,
         reference=_reference(attachments) if truth_topic == TRUTH_TOPIC else "",
+        integrity=tuple(i for _, i in sheaves.get(INTEGRITY_TOPIC, _Sheaf("")).parsed(decode_integrity)),
     )
 
 

@@ -2,6 +2,7 @@
 
 import msgspec
 
+from logs.evaluation.integrity import IntegritySummary
 from logs.evaluation.metrics import Consistency, Drift, Stats
 
 
@@ -127,3 +128,4 @@ class Evaluation(msgspec.Struct, frozen=True):
     latency_s: dict[str, Percentiles]
     resets: tuple[ResetRow, ...]
     notes: tuple[str, ...]
+    integrity: IntegritySummary | None = None

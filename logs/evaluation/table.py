@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from logs.evaluation.integrity import IntegritySummary
 from logs.evaluation.metrics import Consistency, Stats
 from logs.evaluation.records import Accuracy, ConsistencySummary, Evaluation
 
@@ -21,6 +22,8 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
         console.print(_table(*accuracy(evaluation.accuracy)))
     if evaluation.consistency:
         console.print(_table(*consistency(evaluation.consistency)))
+    if evaluation.integrity:
+        console.print(_table(*integrity(evaluation.integrity)))
     for title, header, rows in (outages(evaluation), aids(evaluation), resets(evaluation)):
         if rows:
             console.print(_table(title, header, rows))
@@ -105,6 +108,20 @@ def consistency(h: ConsistencySummary) -> Rows:
     covered = f"{h.radius95_covered:.1%} inside the 95 % horizontal radius (median {h.radius95_median_m:.3g} m)"
     header = ("NEES / dof", "mean", "95 % band", "in band", "in 95 %", "n", "n eff", "verdict")
     return f"Consistency: {covered}", header, rows
+
+
+def integrity(i: IntegritySummary) -> Rows:
+    """Protection levels against errors; states."""
+    rows = []
+    for name, r, limit in zip(("horizontal", "vertical"), (i.horizontal, i.vertical), i.limits_m, strict=True):
+        if r is not None:
+            share = "-" if limit is None else f"{r.available:.1%}"
+            counts = (r.compared, r.nominal, r.misleading, r.hazardous, r.unavailable, *r.exceeded[:-1])
+            rows.append((name, number(limit), number(r.median_level_m), share, *map(str, counts)))
+    states = ", ".join(f"{state} {share:.1%}" for state, share in sorted(i.states.items(), key=lambda s: -s[1]))
+    counted = "compared", "nominal", "misleading", "hazardous", "unavailable"
+    header = ("level", "limit m", "median m", "available", *counted, *(f"> PL({r:g}/h)" for r in i.risks_per_hour))
+    return f"Integrity at {i.risk_per_hour:g} per hour, {i.hours:.2g} h: {states}", header, rows
 
 
 def outages(e: Evaluation) -> Rows:

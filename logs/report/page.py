@@ -15,6 +15,7 @@ from logs.evaluation.evaluate import Comparison, compare
 from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.evaluation.table import number
+from logs.report import integrity as report_integrity
 from logs.report import map as report_map
 from logs.report import plots as report_plots
 from logs.report.charts import Chart, Drawing, Span
@@ -98,6 +99,7 @@ def page(m: Material) -> str:
     parts = {
         "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
         "Error and 95 % radius": _errors(m, sheet, c),
+        "Integrity": _integrity(m, sheet, c),
         "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation))
         or _faint("None."),
         "Measurements": _measurements(m, sheet),
@@ -200,6 +202,17 @@ def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
     tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []
     tables += [evaluation_table.consistency(m.evaluation.consistency)] if m.evaluation.consistency else []
     return body + _beside(*tables)
+
+
+def _integrity(m: Material, sheet: _Sheet, c: Comparison) -> str:
+    """Protection levels over time, against errors where there is a truth, and the states."""
+    levels, found = m.evidence.integrity, m.evaluation.integrity
+    if found is None:
+        return ""
+    body = web_page.table(evaluation_table.integrity(found)) + sheet.add(report_integrity.charts(levels, c, m.start_ns), "one")
+    plots = report_integrity.plots(levels, c)
+    words = "Each protection level with the largest error until the next one, logarithmic; darker: ten times as many."
+    return body + plots + (_faint(words) if plots else "")
 
 
 def _measurements(m: Material, sheet: _Sheet) -> str:

@@ -27,10 +27,12 @@ from logs.wire.encoding import (
     encode_slow,
     encode_truth,
 )
+from logs.wire.integrity import INTEGRITY_TOPIC, decode_integrity
 from logs.wire.schemas import SCHEMAS, type_hash
 
 __all__ = [
     "CHECKPOINT_TOPIC",
+    "INTEGRITY_TOPIC",
     "ODOMETRY_REQUEST_TOPIC",
     "SCHEMAS",
     "TICK_TOPIC",
@@ -41,6 +43,7 @@ __all__ = [
     "Odometry",
     "Topics",
     "decode_aid_status",
+    "decode_integrity",
     "decode_odometry",
     "decode_odometry_request",
     "decode_vision_request",

@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from logs.wire import axes, cdr_fast, schemas
+from logs.wire import axes, cdr_fast, integrity, schemas
 from logs.wire.axes import ImuMounting
 from logs.wire.schemas import STORE
 from logs.wire.sensors import SENSORS
@@ -22,6 +22,7 @@ from models.messages import (
     ImageName,
     ImuSample,
     Input,
+    Integrity,
     LandmarkFix,
     Mode,
     OdometryDelta,
@@ -79,6 +80,9 @@ def encode(output: Output) -> list[Encoded]:
         return [packed("/landfix/aid_status", schemas.AID_STATUS, **_aid_status(output))]
     if isinstance(output, Health):
         return [packed("/landfix/health", schemas.DIAGNOSTICS, header=header_of(output.t_ns, ""), status=[_diagnostic(output)])]
+    if isinstance(output, Integrity):
+        header = header_of(output.t_ns, _MAP)
+        return [packed(integrity.INTEGRITY_TOPIC, schemas.INTEGRITY, header=header, **integrity.fields(output))]
     if isinstance(output, VisionReport):
         return [packed("/landfix/vision", schemas.VISION_REPORT, **_vision_report(output))]
     if isinstance(output, VisionRequest):

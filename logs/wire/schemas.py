@@ -31,6 +31,7 @@ VISION_REPORT: Final = "landfix_msgs/msg/VisionReport"
 VISION_REQUEST: Final = "landfix_msgs/msg/VisionRequest"
 ODOMETRY_REQUEST: Final = "landfix_msgs/msg/OdometryRequest"
 RESET: Final = "landfix_msgs/msg/Reset"
+INTEGRITY: Final = "landfix_msgs/msg/Integrity"
 CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
 LANDFIX_MSGS: Final = {
@@ -155,6 +156,29 @@ geometry_msgs/Vector3 delta_position
 geometry_msgs/Vector3 delta_velocity
 # rad, about the axes of map
 geometry_msgs/Vector3 delta_rotation
+""",
+    INTEGRITY: """\
+# How far off the position may be at a stated risk, and whether it may be used.
+# header.stamp: that of the estimate; header.frame_id: map.
+std_msgs/Header header
+# usable, caution, do not use; not judged: no alert limit is configured. A state without a successor for longer than
+# [integrity] time_to_alert_s counts as do not use.
+string state
+string reason
+# Horizontal and vertical protection level, m, which the error exceeds so many times an hour; infinite: nothing bounds it.
+float64 risk_per_hour
+float64 hpl
+float64 vpl
+# Horizontal and vertical alert limit, m; infinite: none.
+float64 hal
+float64 val
+# Protection levels at other risks.
+float64[] risks_per_hour
+float64[] hpls
+float64[] vpls
+# Standard deviations, m (horizontal: per axis), of the Gaussian that has the first of these protection levels.
+float64 sigma_h
+float64 sigma_v
 """,
     CHECKPOINT: """\
 # Where the estimator was interrupted: the first message of a log whose estimate goes on from an earlier one.

@@ -113,7 +113,8 @@ def test_every_key_has_a_meaning_and_every_number_a_default() -> None:
     of_the_image = {"map.picture", "map.picture_heights", "map.picture_height_m"}
     of_the_vehicle = {"bounds.speed_m_s", "bounds.lowest_m", "bounds.highest_m"}
     of_the_place = {"map.origin", "visual_odometry.ground_m", "range.ground_m", "magnetometer.declination_deg"}
-    assert without == {"map.landmarks", "rig.file"} | of_the_place | of_the_image | of_the_vehicle
+    limits = {"integrity.hal_m", "integrity.val_m"}
+    assert without == {"map.landmarks", "rig.file"} | of_the_place | of_the_image | of_the_vehicle | limits
 
 
 def test_every_physical_number_has_a_unit() -> None:

@@ -6,7 +6,8 @@ odometry is its accuracy, with r the 95 % radius of the horizontal position and 
 
     100 ... 1   100 (1 - r / r_max): an autopilot may switch to it at any time, and VISO_QUAL_MIN or EKF2_EV_QMIN is a radius
       0         nothing but the autopilot's own GNSS and IMU, where own_gnss_quality says that this is not for it
-     -1         r >= r_max, no IMU, or not aligned: do not use. Both autopilots refuse it with their default parameters
+     -1         r >= r_max, no IMU, not aligned, or the state of integrity is "do not use". Both autopilots refuse it with their
+                default parameters; 0 would be "unknown" to MAVLink, and used
 
 The reset counter counts every step of what was sent, not the estimator's resets alone: after a long dead reckoning the first fix
 is an ordinary update to the estimator, and metres to an autopilot that followed it.
@@ -19,7 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from models.messages import AidStatus, Estimate, Mode, Output, Reason, Vec3
+from models.messages import AidStatus, Alert, Estimate, Integrity, Mode, Output, Reason, Vec3
 from models.radius import horizontal_radius
 from models.state import E, X
 
@@ -30,6 +31,7 @@ _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
 _SECOND_NS: Final = 1_000_000_000
 _LARGEST: Final = 1e12  # of any number of an estimate that is one, in SI units and their squares
+_TINY: Final = 1e-9
 _LAT_DEG, _LON_DEG, _HEIGHT_M = 90.0, 360.0, 1e5
 
 
@@ -76,6 +78,7 @@ class Handover:
         self._steps = 0
         self._last: tuple[Estimate, Vec3] | None = None
         self._usable_ns = _NEVER  # of the last one sent that was to be used
+        self.integrity: Integrity | None = None  # the newest, where alert limits are configured
 
     @property
     def most_radius_m(self) -> float:
@@ -86,6 +89,8 @@ class Handover:
         """Take notice; whether a fix from outside is among what was just fused."""
         news = False
         for output in outputs:
+            if isinstance(output, Integrity) and output.state is not Alert.NOT_JUDGED:
+                self.integrity = output
             if not isinstance(output, AidStatus) or output.reason is not Reason.FUSED:
                 continue
             if output.kind in _GNSS_KINDS and self._config.own_gnss:
@@ -97,11 +102,30 @@ class Handover:
 
     def is_fix(self, estimate: Estimate) -> bool:
         """Whether the estimate, into which a fix has just entered, may be sent as one."""
-        return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns
+        return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns and not self.is_alarmed
+
+    @property
+    def is_alarmed(self) -> bool:
+        """Whether integrity says that the estimate is not to be used."""
+        return self.integrity is not None and self.integrity.state is Alert.DO_NOT_USE
+
+    def widened(self, estimate: Estimate) -> Estimate:
+        """For a message that carries an accuracy: where alert limits are configured, the sigmas are those of the levels.
+
+        P <- D P D,   D = diag(s, s, v) on the position, s and v at least 1
+        """
+        if self.integrity is None:
+            return estimate
+        P = estimate.covariance
+        sigma_h, sigma_v = np.sqrt(np.linalg.eigvalsh(P[:2, :2])[-1]), np.sqrt(P[2, 2])
+        scale = np.ones(len(P))
+        scale[:2] = max(1.0, self.integrity.sigma_h_m / max(sigma_h, _TINY))
+        scale[2] = max(1.0, self.integrity.sigma_v_m / max(sigma_v, _TINY))
+        return msgspec.structs.replace(estimate, covariance=P * np.minimum(np.outer(scale, scale), _LARGEST))
 
     def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> int:
         """-1 to 100, as above; one_source_at_a_time: of the autopilot, for own_gnss_quality = "auto"."""
-        if estimate.mode not in {Mode.AIDED, Mode.ODOMETRY, Mode.DEAD_RECKONING}:
+        if estimate.mode not in {Mode.AIDED, Mode.ODOMETRY, Mode.DEAD_RECKONING} or self.is_alarmed:
             return -1
         share = float(horizontal_radius(estimate.covariance[None, :2, :2])[0]) / self._config.most_radius_m
         if not share < 1.0:

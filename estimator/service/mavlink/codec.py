@@ -19,7 +19,7 @@ from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
+from models.messages import Alert, Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Integrity, Vec3, vec3
 from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
@@ -54,6 +54,13 @@ _IGNORED: Final = (
     | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
     | mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
 )
+_SEVERITY: Final = {
+    Alert.NOT_JUDGED: mavlink.MAV_SEVERITY_INFO,
+    Alert.USABLE: mavlink.MAV_SEVERITY_INFO,
+    Alert.CAUTION: mavlink.MAV_SEVERITY_WARNING,
+    Alert.DO_NOT_USE: mavlink.MAV_SEVERITY_CRITICAL,
+}
+_TEXT_BYTES: Final = 50
 _NOT_COUNTED: Final = 255  # satellites: there are none
 
 Stamp = Callable[[int], int | None]  # ns since boot -> ns on our clock
@@ -189,6 +196,13 @@ def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int |
     return mavlink.MAVLink_gps_input_message(
         time_usec, gps_id, _IGNORED, week_ms, week, _FIX_3D, *_degrees_e7(at), at.sea_m, *nothing, eph, epv, _NOT_COUNTED
     )
+
+
+def alert(integrity: Integrity) -> Any:
+    """STATUSTEXT of the state and the reason for it, as far as 50 characters hold it."""
+    state = integrity.state
+    words = f"landfix: {state}, {integrity.reason}" if integrity.reason else f"landfix: {state}, HPL {integrity.hpl_m:.1f} m"
+    return mavlink.MAVLink_statustext_message(_SEVERITY[state], words.encode("ascii", "replace")[:_TEXT_BYTES])
 
 
 def is_date(utc_ns: int) -> bool:

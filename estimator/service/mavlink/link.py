@@ -24,7 +24,7 @@ from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Encoded, Topics
 from models import so3
 from models.frames import Origin
-from models.messages import Estimate, Output, vec3
+from models.messages import Alert, Estimate, Output, vec3
 from models.radius import horizontal_radius
 from models.state import X
 
@@ -74,6 +74,7 @@ class MavlinkLink:
         self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
         self._map_origin: tuple[float, float, float] | None = None
         self._quality: int | None = None  # of the last odometry
+        self._told: Alert | None = None  # as the last STATUSTEXT said
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -96,12 +97,10 @@ class MavlinkLink:
         self._fix_waits |= self._handover.note(outputs)
         estimate = newest(outputs)
         autopilot = self._autopilot
-        if (
-            estimate is None
-            or autopilot is None
-            or autopilot not in _NAMES
-            or self._clock.now_ns() - self._heartbeat_ns > _GONE_NS
-        ):
+        if autopilot is None or autopilot not in _NAMES or self._clock.now_ns() - self._heartbeat_ns > _GONE_NS:
+            return
+        self._tell_alert()
+        if estimate is None:
             return
         if not is_sound(estimate):
             self.out_of_range += 1
@@ -165,11 +164,19 @@ class MavlinkLink:
         counter = self._handover.reset_counter(estimate, pose[0], quality)
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
+    def _tell_alert(self) -> None:
+        """A change of the state of integrity, as STATUSTEXT."""
+        now = self._handover.integrity
+        if now is not None and now.state is not self._told and self._tell(codec.alert(now)):
+            self._told = now.state
+
     def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
         """Whether the autopilot may use the odometry, and why not, when that changes, once a second at most."""
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
+        elif (now := self._handover.integrity) is not None and self._handover.is_alarmed:
+            line = f"odometry is not to be used: {now.reason}"
         elif not knows_frame:
             line = "odometry is not to be used: the origin of EKF3 is " + self._ekf3.report(self._map_origin, self._geoid_m)
         elif radius_m < self._handover.most_radius_m:
@@ -184,6 +191,7 @@ class MavlinkLink:
         origin = Origin.of(estimate.origin)
         if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
             return
+        estimate = self._handover.widened(estimate)
         at = codec.place(origin.to_geodetic(estimate.nav[X.P]), self._geoid_m)
         if self._autopilot == codec.PX4:
             message = codec.global_position(estimate, at, time_usec, self._config.slot, self._config.system)

@@ -28,6 +28,7 @@ OUTPUTS: Final = {
     "/landfix/aid_status": schemas.AID_STATUS,
     "/landfix/health": schemas.DIAGNOSTICS,
     "/landfix/reset": schemas.RESET,
+    "/landfix/integrity": schemas.INTEGRITY,
     DAEMON_TOPIC: schemas.DIAGNOSTICS,
 }
 _DIAGNOSTICS: Final = "/diagnostics"  # ROS's topic for all DiagnosticArrays, by option

@@ -100,7 +100,7 @@ class Px4Link:
         origin = Origin.of(estimate.origin)
         if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
             return
-        lla = origin.to_geodetic(estimate.nav[X.P])
+        lla, estimate = origin.to_geodetic(estimate.nav[X.P]), self._handover.widened(estimate)
         if self._config.release == "1.18":
             data = px4.aux_global_position(estimate, lla, self._geoid_m, sent_us, sample_us, self._config.slot)
         else:

@@ -109,7 +109,7 @@ def test_ros_sees_the_node_and_its_topics(flown: tuple[Path, str, dict[str, int]
     assert [t[-1] for t in tokens if t[5] == "NN"] == ["landfix"]
     published = {t[9].replace("%", "/"): t[10] for t in tokens if t[5] == "MP"}
     assert published["/landfix/odometry"] == "nav_msgs::msg::dds_::Odometry_"
-    assert len(published) == 8
+    assert len(published) == 9
     subscribed = {t[9].replace("%", "/") for t in tokens if t[5] == "MS"}
     assert {"/imu", "/gnss", "/pose_fix", "/landfix/fix", "/left/image"} <= subscribed
     assert "/landfix/tick" not in subscribed

@@ -15,7 +15,7 @@ from estimator.service.base.status import Status
 from estimator.service.monitor import View
 from logs.wire import cdr_fast
 from logs.wire.codec import encode
-from models.messages import AidStatus, Health, LastGnss, Mode, Reason
+from models.messages import AidStatus, Alert, Health, Integrity, LastGnss, Mode, Reason
 from tests.estimator.service.flying import client, environment, fly, free_port, in_thread, toml
 
 T0 = 1_795_000_000_000_000_000
@@ -35,6 +35,17 @@ def test_silence_is_reported_and_how_long_it_lasts() -> None:
         view.hear(message.topic, message.data, 10.0)
     assert "1.25 m" in _text(view, 11.0)
     assert "nothing heard for 7 s" in _text(view, 17.0)
+
+
+def test_integrity_is_shown_with_its_limits_and_the_reason() -> None:
+    view = View()
+    wide = Integrity(T0, T0, Alert.DO_NOT_USE, "HPL unbounded", 1e-5, np.inf, 4.04, 10.0, np.inf, (), (), (), 1.0, 1.0)
+    view.hear("/landfix/integrity", encode(wide)[0].data, 1.0)
+    text = _text(view, 1.5)
+    assert "do not use   HPL unbounded, VPL 4.0 m at 1e-05 per hour" in text
+    good = msgspec.structs.replace(wide, state=Alert.USABLE, reason="", hpl_m=3.21)
+    view.hear("/landfix/integrity", encode(good)[0].data, 1.0)
+    assert "usable   HPL 3.2 of 10 m, VPL 4.0 m at 1e-05 per hour" in _text(view, 1.5)
 
 
 def test_the_rate_is_that_of_the_stamps_however_fast_they_are_read() -> None:

@@ -18,6 +18,7 @@ from logs.wire.codec import (
     ImuMounting,
     Topics,
     decode_aid_status,
+    decode_integrity,
     decode_odometry,
     decode_vision_request,
     encode,
@@ -32,6 +33,7 @@ from models import so3
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD, Origin
 from models.messages import (
     AidStatus,
+    Alert,
     Array,
     AttitudePrior,
     Estimate,
@@ -41,6 +43,7 @@ from models.messages import (
     ImageName,
     ImuSample,
     Input,
+    Integrity,
     LandmarkFix,
     LastGnss,
     Mode,
@@ -435,6 +438,18 @@ def test_aid_status_round_trip() -> None:
     same(decode_aid_status(encoded.data), status)
     with pytest.raises(ValueError, match="AidStatus"):
         decode_aid_status(encoded.data[:40])
+
+
+def test_integrity_round_trip() -> None:
+    risks, levels = (1e-3, 1e-5, 1e-7), (1.0, 3.5, np.inf)
+    integrity = Integrity(
+        T_NS, ARRIVED_NS, Alert.CAUTION, "HPL 12 m", 1e-5, 12.0, 4.0, 10.0, np.inf, risks, levels, levels, 0.2, 0.3
+    )
+    encoded = encode(integrity)[0]
+    assert encoded[:2] == ("/landfix/integrity", "landfix_msgs/msg/Integrity")
+    same(decode_integrity(encoded.data, ARRIVED_NS), integrity)
+    with pytest.raises(ValueError, match="string length"):
+        decode_integrity(encoded.data[:40])
 
 
 def test_health_reports_every_field() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from estimator.service.autopilot.output_policy import AutopilotConfig, Handover
 from models import so3
-from models.messages import AidStatus, Estimate, Mode, Reason, Vec3, vec3
+from models.messages import AidStatus, Alert, Estimate, Integrity, Mode, Reason, Vec3, vec3
 from models.state import E, X
 
 T0, SECOND = 1_795_000_000_000_000_000, 1_000_000_000
@@ -36,6 +36,34 @@ def test_nothing_is_a_fix_while_it_rests_on_the_autopilots_own_gnss() -> None:
     assert handover.note([_fused("pose", 6)])
     assert handover.is_fix(_estimate(6))
     assert not handover.note([_fused("gnss_velocity", 7)])
+
+
+def _integrity(state: Alert, sigma_m: float = 0.1) -> Integrity:
+    return Integrity(T0, T0, state, "", 1e-5, 3.0, 3.0, 10.0, 10.0, (), (), (), sigma_m, 2.0 * sigma_m)
+
+
+def test_what_integrity_forbids_is_neither_odometry_nor_fix() -> None:
+    handover = Handover(AutopilotConfig())
+    handover.note([_fused("pose", 0), _integrity(Alert.CAUTION)])
+    assert handover.quality(_estimate(), one_source_at_a_time=False) > 0
+    assert handover.is_fix(_estimate())
+    handover.note([_integrity(Alert.DO_NOT_USE)])
+    assert handover.quality(_estimate(), one_source_at_a_time=False) == -1
+    assert not handover.is_fix(_estimate())
+    handover.note([_integrity(Alert.USABLE)])
+    assert handover.quality(_estimate(), one_source_at_a_time=False) > 0
+
+
+def test_an_accuracy_is_that_of_the_protection_level_where_one_is_judged() -> None:
+    handover = Handover(AutopilotConfig())
+    handover.note([_integrity(Alert.NOT_JUDGED, 5.0)])
+    np.testing.assert_array_equal(handover.widened(_estimate()).covariance, _estimate().covariance)
+    handover.note([_integrity(Alert.USABLE, 0.5)])
+    P = handover.widened(_estimate()).covariance
+    np.testing.assert_allclose(np.sqrt(P.diagonal()[:3]), [0.5, 0.5, 1.0])
+    np.testing.assert_array_equal(P[3:, 3:], _estimate().covariance[3:, 3:])
+    handover.note([_integrity(Alert.USABLE, 0.01)])
+    np.testing.assert_array_equal(handover.widened(_estimate()).covariance, _estimate().covariance)
 
 
 def test_a_second_receiver_is_news_to_the_autopilot() -> None:

@@ -21,7 +21,7 @@ from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.link import MavlinkLink
 from logs.wire.codec import Topics
 from models import so3
-from models.messages import AidStatus, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Mode, Reason
+from models.messages import AidStatus, Alert, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Integrity, Mode, Reason
 from models.state import X
 from tests.estimator.service.autopilots import ARDUPILOT, PASSPHRASE, PX4, Flight, SerialAutopilot, UdpAutopilot
 from tests.estimator.service.flying import (
@@ -212,6 +212,21 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         ]
         assert (moved.y - third.y, moved.reset_counter, moved.quality) == (pytest.approx(-100.0, abs=0.5), 5, third.quality)
         assert link.report()["refused"] == link.report()["defects"] == 0
+
+
+def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -> None:
+    with _px4() as (link, _, clock, autopilot):
+        for k, state in enumerate([Alert.USABLE, Alert.DO_NOT_USE, Alert.DO_NOT_USE, Alert.USABLE]):
+            t_ns = clock.now_ns() + k * SECOND
+            reason = "HPL 31.4 m, limit 10 m: /pose_fix wrong for long" if state is Alert.DO_NOT_USE else ""
+            integrity = Integrity(t_ns, t_ns, state, reason, 1e-5, 3.0, 3.0, 10.0, 10.0, (), (), (), 0.1, 0.1)
+            link.send([_estimate(t_ns), _fused(t_ns), integrity], ())
+        autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 4, "four estimates")
+        texts = [(m.severity, m.text) for m in autopilot.of("STATUSTEXT")]
+        assert [severity for severity, _ in texts] == [6, 2, 6]
+        assert texts[1][1] == "landfix: do not use, HPL 31.4 m, limit 10 m: /pose"
+        assert [m.quality for m in autopilot.of("ODOMETRY")] == [84, -1, -1, 84]
+        assert said[-1] == "px4: odometry may be used"
 
 
 def test_after_a_reboot_of_ardupilot_its_old_origin_is_not_used() -> None:

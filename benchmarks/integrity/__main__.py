@@ -1,0 +1,96 @@
+"""Protection levels against true errors: counts, availability, time to alert.
+
+python -m benchmarks.integrity --quick              simulated flights: the stress table and villages (minutes)
+python -m benchmarks.integrity                      those of LANDFIX_DATA too: outages, false fixes, outliers (an hour)
+python -m benchmarks.integrity --looks 1000000      frames of the identification benchmark beside the flights (hours)
+python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
+
+What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew.
+"""
+
+import argparse
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+
+from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
+from benchmarks.identification.numbers import WORLDS
+from benchmarks.integrity.report import is_faulty, plot, summary, table
+from benchmarks.integrity.runs import Job, Row, run
+from benchmarks.jobs import run_jobs
+from benchmarks.stress.perturbations import KINDS
+
+_SCENARIOS = "ACXB"  # of the scoring tool: outages, false fixes after outages, outliers, one long outage
+_FRAMES = 1000  # of a job
+_VILLAGE_S = 300.0
+
+
+def main() -> None:
+    args = arguments()
+    os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
+    work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks)
+    with cluster(args.scheduler) as executor:
+        rows = run_jobs(work, run, Row, args.out / "rows.jsonl", processes=args.jobs, resume=True, executor=executor)
+    text = f"{summary(rows)}\n{table(rows).markdown()}"
+    (args.out / "report.md").write_text(text)
+    for name, some in (("nominal", [r for r in rows if not is_faulty(r)]), ("faults", [r for r in rows if is_faulty(r)])):
+        (args.out / f"stanford_{name}.svg").write_text(plot(some, f"{name}: HPL at 1e-5 per hour"))
+    print(text)
+    print(f"{args.out}/report.md, rows.jsonl, stanford_nominal.svg, stanford_faults.svg")
+
+
+def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int) -> list[Job]:
+    """Villages, the stress table on simulated flights, recorded flights with outages and false fixes, identification."""
+    folder = str(tasks)
+    work: list[Job] = [
+        ("village", vehicle, aids, _VILLAGE_S, seed, folder)
+        for aids in ("fixes", "both")
+        for vehicle in ("rotor", "wing")
+        for seed in range(seeds)
+    ]
+
+    cells = [(kind.name, size) for kind in KINDS.values() for size in kind.sizes[-2:]]
+    work += [("stress", "sim/rotor", *cell, 0, folder) for cell in cells]
+    if not quick and (data_folder() / "flights").is_dir():
+        recorded = [f"{group}/{flight}" for group in SETS for flight in flights(group)]
+        work += [("real", flight, scenario, 0.0, 0, folder) for scenario in _SCENARIOS for flight in recorded]
+        work += [("stress", flight, "nothing, with GNSS", 0.0, 0, folder) for flight in recorded]
+    work += [] if quick else [("stress", "sim/wing", *cell, 0, folder) for cell in cells]
+    batches = looks // (_FRAMES * len(WORLDS))
+    work += [("looks", world, "", float(_FRAMES), seed, folder) for seed in range(batches) for world in WORLDS]
+    return work
+
+
+@contextmanager
+def cluster(scheduler: str) -> Iterator[Executor | None]:
+    """The workers of a dask.distributed scheduler, where one is given."""
+    if not scheduler:
+        yield None
+        return
+    try:
+        from distributed import Client  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise SystemExit("--scheduler needs dask.distributed: pip install 'landfix[cluster]'") from None
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise SystemExit(f"{scheduler}: no scheduler answers ({' '.join(str(error).split())[:100]})") from None
+    with client:
+        yield client.get_executor()
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="simulated flights, the two largest sizes of each kind")
+    parser.add_argument("--seeds", type=int, default=3, help="of the villages")
+    parser.add_argument("--looks", type=int, default=0, help="frames of the identification benchmark")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "integrity")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

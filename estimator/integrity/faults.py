@@ -1,0 +1,194 @@
+"""What may be wrong with what is published now, how probably, and how far off it is then: the fault modes of protection.py.
+
+    nominal                  sigma of the leading hypothesis
+    a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k: what the filter has not decided
+    a source wrong for long  the solution without it: the hypothesis without GNSS, and each newest position of another source
+    map, rig, timing, IMU    an offset from the configuration
+    a false fix in the gate  offset 4 sigma: what one fix that passes the gate can move
+
+A rate r becomes the probability r correlation_s / 3600, one event a fault. Solution separation d shows a fault as well as it
+bounds it, so Bayes' rule with the likelihood of d without a fault, exp(-t^2 / 2), raises that to
+
+    p' = p / (p + exp(-t^2 / 2)),   t^2 = d_h^2 / sigma_h^2 + d_v^2 / sigma_v^2
+
+(ARAIM declares a fault where d exceeds a threshold; this is the same without one.)
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from estimator.filter.hypotheses import Hypotheses, Hypothesis
+from estimator.integrity.config import IntegrityConfig
+from estimator.integrity.protection import Mode, allowed
+from models.messages import RADIAN_M, Array
+from models.state import E, X
+
+GNSS, FIX = "gnss_position", "pose"  # kinds of absolute sources
+IN_USE_S: Final = 60.0  # since it was last fused: what it did is in the estimate so long
+WITNESS_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
+_GATED_SIGMAS: Final = 4.0
+_EXTENT: Final = 3
+
+
+class Position(NamedTuple):
+    """The newest position of a source against the estimate: innovation and sigma, NED [m], (3,); when it was fused last."""
+
+    kind: str
+    t_ns: int
+    innovation: tuple[float, ...]
+    sigma: tuple[float, ...]
+    fused_ns: int
+
+
+class Snapshot(NamedTuple):
+    """What the faults are counted for. covariance: (3, 3) of position as published without other hypotheses."""
+
+    t_ns: int
+    hypotheses: Hypotheses
+    covariance: Array
+    absolute_age_s: float
+    positions: Mapping[str, Position]
+    single: bool  # the hypotheses are in the covariance already
+
+
+class Fault(NamedTuple):
+    """One of them, horizontally and vertically [m]."""
+
+    name: str
+    probability: float
+    offset_h: float
+    sigma_h: float
+    offset_v: float
+    sigma_v: float
+
+    @property
+    def horizontal(self) -> Mode:
+        """In the plane."""
+        return Mode(self.name, self.probability, self.offset_h, self.sigma_h)
+
+    @property
+    def vertical(self) -> Mode:
+        """Along the vertical."""
+        return Mode(self.name, self.probability, self.offset_v, self.sigma_v)
+
+
+def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
+    """All modes; probabilities of what the filter weighs sum to 1, those of the rates come on top (a union bound)."""
+    found = list(_weighed(now))
+    nominal = found[0]
+    for topic, position in now.positions.items():
+        if (now.t_ns - position.fused_ns) * 1e-9 <= IN_USE_S:
+            found += _of_source(topic, position, now, nominal, config)
+    fallen = 0.5 * config.imu_fault_m_s2 * now.absolute_age_s**2
+    found.append(_moved(nominal, "the IMU wrong", _share(config.imu_fault_per_hour, config), fallen, fallen))
+    return found
+
+
+def _weighed(now: Snapshot) -> Iterator[Fault]:
+    """The leading hypothesis as nominal, and the others with their weights."""
+    sigma_h, sigma_v = _sigmas(now.covariance)
+    lead, *others = now.hypotheses.members
+    others = [] if now.single else [m for m in others if not _is_spare(m)]
+    whole = 1.0 + sum(math.exp(m.weight + m.benefit) for m in others)
+    yield Fault("nominal errors", 1.0 / whole, 0.0, sigma_h, 0.0, sigma_v)
+    for member in others:
+        yield _separated(_said(member, lead), math.exp(member.weight + member.benefit) / whole, member, lead)
+
+
+def _is_spare(member: Hypothesis) -> bool:
+    """Kept for a receiver that may be misled, and in no conflict: its weight is a prior, which the configuration gives here."""
+    return bool(member.without) and not member.benefit
+
+
+def _said(member: Hypothesis, lead: Hypothesis) -> str:
+    """What is wrong with the estimate if this hypothesis is right."""
+    refused = sorted(member.doubts.keys() - lead.doubts.keys()), sorted(lead.doubts.keys() - member.doubts.keys())
+    if refused[0]:
+        return f"{refused[0][0]} fused and false"
+    return f"{refused[1][0]} refused and true" if refused[1] else "another hypothesis true"
+
+
+def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, config: IntegrityConfig) -> Iterator[Fault]:
+    """One source wrong for long: by any distance, which only another source bounds, and by the kinds that have a bound."""
+    is_gnss = position.kind == GNSS
+    any_size = config.gnss_fault_per_hour if is_gnss else config.fix_fault_per_hour
+    v = now.hypotheses.lead.x[X.V].tolist()
+    late_h, late_v = math.hypot(v[0], v[1]) * config.timing_s, abs(v[2]) * config.timing_s
+    kinds = [(f"stamps of {topic} wrong", config.timing_fault_per_hour, late_h, late_v)]
+    if not is_gnss:
+        shift, turn = config.map_shift_m, math.radians(config.rig_turn_deg) * RADIAN_M
+        kinds.append(("the map shifted", config.map_fault_per_hour, shift, shift))
+        kinds.append(("the cameras turned on their mount", config.rig_fault_per_hour, turn, turn))
+    prior, name = _share(any_size, config), f"{topic} wrong for long"
+    without = list(_without(topic, position, now, config))
+    for offset_h, sigma_h, offset_v, sigma_v, t2 in without:
+        p = prior / (prior + math.exp(-0.5 * t2)) if prior else 0.0
+        yield Fault(name, p, offset_h, sigma_h, offset_v, sigma_v)
+    if not without:
+        yield Fault(f"{name}: no second source checks it", prior, 0.0, math.inf, 0.0, math.inf)
+    for said, rate, offset_h, offset_v in kinds:
+        yield _moved(nominal, said, _share(rate, config), offset_h, offset_v)
+    if not is_gnss:
+        p = _share(config.landmark_fault_per_hour, config)
+        gated_h, gated_v = _GATED_SIGMAS * nominal.sigma_h, _GATED_SIGMAS * nominal.sigma_v
+        yield _moved(nominal, "a false fix inside the gate", p, gated_h, gated_v)
+
+
+def _without(
+    topic: str, position: Position, now: Snapshot, config: IntegrityConfig
+) -> Iterator[tuple[float, float, float, float, float]]:
+    """Solutions that do not rest on the source: offset and sigma, horizontal and vertical, and t^2."""
+    lead = now.hypotheses.members[0]
+    for member in now.hypotheses.members[1:]:
+        if member.without == topic and _is_confirmed(member, topic, now):
+            f = _separated("", 0.0, member, lead)
+            yield f.offset_h, f.sigma_h, f.offset_v, f.sigma_v, _t2(f)
+    rejected = lead.rejected if config.exclude_rejected else ()
+    for other, seen in now.positions.items():
+        fresh = 0.0 <= (now.t_ns - seen.t_ns) * 1e-9 <= WITNESS_S
+        if other == topic or not fresh or other in rejected or (seen.kind == GNSS and position.kind == GNSS):
+            continue
+        n, e, d = seen.innovation
+        sigma_h, sigma_v = max(seen.sigma[:2]), seen.sigma[2]
+        t2 = sum((x / s) * (x / s) for x, s in zip(seen.innovation, seen.sigma, strict=True))
+        yield math.hypot(n, e), sigma_h, abs(d), sigma_v, t2
+
+
+def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
+    """Whether another source has been compared with it since it began, as the leading one, which follows the receiver."""
+    others = (seen for other, seen in now.positions.items() if other != topic and seen.kind != GNSS)
+    return any(seen.t_ns >= member.fused_ns for seen in others)
+
+
+def _separated(name: str, probability: float, member: Hypothesis, lead: Hypothesis) -> Fault:
+    """The error of the leading hypothesis if `member` is right."""
+    n, e, d = (member.filter.x[X.P] - lead.filter.x[X.P]).tolist()
+    sigma_h, sigma_v = _sigmas(member.filter.variance_factor * member.filter.cov[E.P, E.P])
+    return Fault(name, probability, math.hypot(n, e), sigma_h, abs(d), sigma_v)
+
+
+def _moved(nominal: Fault, name: str, probability: float, offset_h: float, offset_v: float) -> Fault:
+    """Nominal errors about an offset."""
+    return nominal._replace(name=name, probability=probability, offset_h=offset_h, offset_v=offset_v)
+
+
+def _t2(f: Fault) -> float:
+    h, v = f.offset_h / f.sigma_h, f.offset_v / f.sigma_v
+    return h * h + v * v
+
+
+def _sigmas(P: Array) -> tuple[float, float]:
+    """The largest in the plane, and the vertical one, of a covariance (3, 3)."""
+    (a, b, _), (_, c, _), (_, _, v) = P.tolist()
+    largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+    return math.sqrt(max(largest, 0.0)), math.sqrt(max(v, 0.0))
+
+
+def _share(rate_per_hour: float, config: IntegrityConfig) -> float:
+    return allowed(rate_per_hour, config.correlation_s)
+
+
+def position_of(innovation: Sequence[float], detail: str) -> bool:
+    """Whether the innovation of an absolute source begins with a position in NED; directions of a fix in part are none."""
+    return len(innovation) >= _EXTENT and "directions" not in detail

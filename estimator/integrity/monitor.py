@@ -1,0 +1,144 @@
+"""Protection levels and alert of what is published, five times in `time_to_alert_s`; reads the tracker, changes nothing of it."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from estimator.filter.tracker import Tracker
+from estimator.integrity.alert import CAUTION_RISK, Judge, Levels
+from estimator.integrity.config import IntegrityConfig
+from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults, position_of
+from estimator.integrity.protection import Mode, Tail, allowed, exceeded, in_plane, one_axis, protection_level
+from models.messages import AidStatus, Alert, Integrity, Reason
+from models.state import E
+
+RISKS: Final = (1e-3, 1e-5, 1e-7)  # per hour
+_PER_ALERT: Final = 5
+_USED: Final = frozenset({Reason.FUSED, Reason.ALIGNING})
+_NEVER: Final = -(2**62)
+_UNKNOWN: Final = Levels(math.inf, math.inf)
+
+
+class Monitor:
+    """note() what became of each measurement; at() when due()."""
+
+    def __init__(self, config: IntegrityConfig) -> None:
+        self._config = config
+        self._tail = Tail(config.core_scale, config.tail_scale, config.tail_share)
+        self._period_ns = round(config.time_to_alert_s * 1e9) // _PER_ALERT
+        self._judge = Judge(config)
+        self._positions: dict[str, Position] = {}
+        self._next_ns: int | None = None
+        self.last: Integrity | None = None
+        risks = (*RISKS, config.risk_per_hour, min(1.0, CAUTION_RISK * config.risk_per_hour))
+        self._shares = [allowed(risk, config.correlation_s) for risk in risks]
+        gaussian = [Mode("", 1.0, 0.0, 1.0)]  # of sigma 1 m, at the first risk
+        pure = Tail(1.0, 1.0, 0.0)
+        self._units = [protection_level(gaussian, self._shares[0], pure, q) for q in (in_plane, one_axis)]
+
+    def begin_again(self) -> None:
+        """The clock has stepped, or the alignment begins again: nothing noted holds, and an answer is due."""
+        self._positions, self._next_ns = {}, None
+
+    @property
+    def summary(self) -> str:
+        """Of the last answer, for Health."""
+        last = self.last
+        return "" if last is None else f"{last.state}: {last.reason}" if last.reason else str(last.state)
+
+    def note(self, status: AidStatus) -> None:
+        """What became of a measurement."""
+        if status.kind not in {GNSS, FIX}:
+            return
+        last = self._positions.get(status.topic)
+        used_ns = status.t_ns if status.reason in _USED else _NEVER
+        fused_ns = max(used_ns, last.fused_ns if last else _NEVER)
+        if position_of(status.innovation, status.detail) and (last is None or status.t_ns >= last.t_ns):
+            innovation, sigma = status.innovation[:3], status.innovation_sigma[:3]
+            self._positions[status.topic] = Position(status.kind, status.t_ns, innovation, sigma, fused_ns)
+        elif last is not None:
+            self._positions[status.topic] = last._replace(fused_ns=fused_ns)
+        else:
+            self._positions[status.topic] = Position(status.kind, _NEVER, (), (), fused_ns)
+
+    def due(self, t_ns: int) -> bool:
+        """Whether it is time."""
+        return self._next_ns is None or t_ns >= self._next_ns
+
+    def at(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Integrity:
+        """What is published at t_ns, as far as it can be trusted."""
+        self._next_ns = t_ns + self._period_ns
+        reason = "there is no estimate"
+        try:
+            found = self._faults(tracker, t_ns)
+            levels = self._levels(found)
+        except (ArithmeticError, ValueError) as error:  # a defect here costs the level, never the estimate
+            found, reason = None, f"internal error: {type(error).__name__}: {error}"
+            levels = self._levels(None)
+        at_risk, at_caution = levels[-2:]
+        state = self._judge.judge(t_ns, at_risk, at_caution)
+        if found is not None:
+            reason = self._reason(found, at_risk) if state in {Alert.CAUTION, Alert.DO_NOT_USE} else ""
+        config = self._config
+        self.last = Integrity(
+            t_ns,
+            arrived_ns,
+            state,
+            reason,
+            config.risk_per_hour,
+            *at_risk,
+            math.inf if config.hal_m is None else config.hal_m,
+            math.inf if config.val_m is None else config.val_m,
+            RISKS,
+            tuple(level.hpl_m for level in levels[: len(RISKS)]),
+            tuple(level.vpl_m for level in levels[: len(RISKS)]),
+            levels[0].hpl_m / self._units[0],
+            levels[0].vpl_m / self._units[1],
+        )
+        return self.last
+
+    def _levels(self, found: list[Fault] | None) -> list[Levels]:
+        """At each of the risks; infinite without an estimate."""
+        if found is None:
+            return [_UNKNOWN] * len(self._shares)
+        horizontal, vertical = [f.horizontal for f in found], [f.vertical for f in found]
+        solved = {
+            share: Levels(
+                protection_level(horizontal, share, self._tail, in_plane),
+                protection_level(vertical, share, self._tail, one_axis),
+            )
+            for share in set(self._shares)
+        }
+        return [solved[share] for share in self._shares]
+
+    def _faults(self, tracker: Tracker, t_ns: int) -> list[Fault] | None:
+        """None without an estimate, or with one that is not finite."""
+        shown = tracker.shown
+        if shown is None or not shown.lead.sound:
+            return None
+        single = not tracker.is_aligned or tracker.without_sensor is not None
+        lead = shown.lead
+        covariance = tracker.shown_covariance()[E.P, E.P] if single else lead.variance_factor * lead.cov[E.P, E.P]
+        age_s = (t_ns - tracker.last_absolute_ns) * 1e-9 if tracker.last_absolute_ns >= 0 else math.inf
+        for topic in [k for k, p in self._positions.items() if (t_ns - max(p.t_ns, p.fused_ns)) * 1e-9 > IN_USE_S]:
+            del self._positions[topic]
+        return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single), self._config)
+
+    def _reason(self, found: list[Fault], at_risk: Levels) -> str:
+        """Which limit is exceeded, and the fault that contributes most."""
+        config = self._config
+        sides: list[tuple[str, float, float | None, list[Mode], Callable[[float], float]]] = [
+            ("HPL", at_risk.hpl_m, config.hal_m, [f.horizontal for f in found], in_plane),
+            ("VPL", at_risk.vpl_m, config.val_m, [f.vertical for f in found], one_axis),
+        ]
+        for name, level, limit, modes, exceeds in sides:
+            if limit is not None and not level <= limit:
+                worst = self._largest(modes, limit, exceeds)
+                shown = f"{level:.1f} m" if math.isfinite(level) else "unbounded"
+                return f"{name} {shown}, limit {limit:g} m: {worst}"
+        return "within the limits again, for less than 2 s"
+
+    def _largest(self, modes: Sequence[Mode], limit_m: float, exceeds: Callable[[float], float]) -> str:
+        """The mode that is beyond the limit with the largest probability."""
+        shares = exceeded(modes, limit_m, self._tail, exceeds)
+        return modes[shares.index(max(shares))].name

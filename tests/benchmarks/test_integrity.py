@@ -1,0 +1,74 @@
+"""Counting and bounds of the integrity campaign; one short flight of each group that needs no recorded data."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from benchmarks.integrity.__main__ import cluster, jobs
+from benchmarks.integrity.report import bound, is_faulty, plot, summary, table
+from benchmarks.integrity.runs import Row, _delays, _events, run
+from models.messages import Alert, Integrity
+
+S = 1_000_000_000
+
+
+def test_the_bound_is_that_of_clopper_and_pearson() -> None:
+    assert bound(0, 3412) == pytest.approx(1.0 - 0.05 ** (1.0 / 3412), rel=1e-6)  # rule of three
+    assert bound(1, 100) == pytest.approx(0.0466, abs=1e-4)
+    assert bound(3, 3) == 1.0
+
+
+def test_errors_that_follow_one_another_are_one_event() -> None:
+    assert _events(np.array([0, 1, 2, 9, 30, 31]) * S) == 2
+    assert _events(np.empty(0, np.int64)) == 0
+
+
+def _level(t_s: float, state: Alert) -> Integrity:
+    return Integrity(round(t_s * S), 0, state, "", 1e-5, 1.0, 1.0, 10.0, 10.0, (), (), (), 1.0, 1.0)
+
+
+def test_the_time_to_alert_counts_from_the_error_passing_the_limit() -> None:
+    t_ns = (np.arange(0.0, 60.0, 0.1) * S).astype(np.int64)
+    t_s = t_ns / S
+    far = ((t_s > 5.0) & (t_s < 8.0)) | ((t_s > 20.0) & (t_s < 22.0)) | ((t_s > 40.0) & (t_s < 41.0))
+    usable, stop = Alert.USABLE, Alert.DO_NOT_USE
+    states = [(0.0, usable), (5.6, stop), (9.0, usable), (19.0, stop), (30.0, usable), (45.0, stop)]
+    levels = [_level(t, state) for t, state in states]
+    first, second, never = _delays(levels, t_ns, far, {stop})
+    assert first == pytest.approx(0.5, abs=0.11)
+    assert second == 0.0
+    assert never is None
+
+
+def test_a_shifted_map_beside_gnss_is_covered_and_alerted_at_once(tmp_path: Path) -> None:
+    row = run(("stress", "sim/rotor", "map shift", 20.0, 0, str(tmp_path)))
+    assert row.horizontal is not None
+    assert row.events == (0, 0, 0)
+    assert row.horizontal.unavailable == row.horizontal.compared
+    assert row.alerts_s == row.stops_s == (0.0,)
+    assert is_faulty(row)
+    assert msgspec.json.decode(msgspec.json.encode(row), type=Row) == row
+    village = run(("village", "rotor", "fixes", 60.0, 0, str(tmp_path)))
+    assert village.within_10_m > 200
+    looks = run(("looks", "random, prior 5 m", "", 5.0, 0, ""))
+    rows = [village, row, looks]
+    said = summary(rows)
+    assert "no fault injected: 0.0" in said
+    assert "identification: 5 frames" in said
+    assert len(table(rows).rows) == 2
+    assert "unavailable" in plot(rows, "all")
+
+
+def test_jobs_are_named_once() -> None:
+    work = jobs(Path("tasks"), quick=True, seeds=1, looks=12_000)
+    assert len(set(work)) == len(work)
+    assert {job[0] for job in work} == {"village", "stress", "looks"}
+
+
+def test_without_a_scheduler_processes_here_do_the_work() -> None:
+    with cluster("") as executor:
+        assert executor is None
+    with pytest.raises(SystemExit, match=r"distributed|no scheduler answers"), cluster("tcp://127.0.0.1:1"):
+        pass
