@@ -75,7 +75,7 @@ class Panel:
         for begin, end in outages["all"].spans:
             at.axvspan((begin - self._start_ns) * 1e-9, (end - self._start_ns) * 1e-9, color="0.9", linewidth=0.0)
             begin_s, words = (begin - self._start_ns) * 1e-9, carried_by(evidence, (begin, end))
-            at.text(begin_s, 0.95, words, va="top", fontsize=7, transform=at.get_xaxis_transform())
+            at.text(begin_s, 0.78, words, va="top", fontsize=7, transform=at.get_xaxis_transform())
         off = (outages["/gnss"].spans[0][0] - self._start_ns) * 1e-9
         at.axvline(off, color=BLACK, linestyle="--", linewidth=0.9)
         at.text(off, 0.95, " GPS cut off", va="top", fontsize=8, transform=at.get_xaxis_transform())
@@ -83,7 +83,7 @@ class Panel:
         at.set_xlabel("time [s]", fontsize=8)
         at.set_ylabel("horizontal [m]", fontsize=8)
         at.tick_params(labelsize=8)
-        at.legend(loc="upper right", fontsize=7, frameon=False)
+        at.legend(loc="upper left", fontsize=7, frameon=False)
         self._when, self._reported = t, radius
 
     def at(self, number: int) -> np.ndarray[Any, Any]:
