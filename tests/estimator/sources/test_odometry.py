@@ -81,6 +81,49 @@ def test_it_carries_a_lasting_error_that_is_considered_and_a_scale_that_is_estim
     assert math.sqrt(scale.covariance[0, 0]) == pytest.approx(0.02)
 
 
+CAMERAS = msgspec.structs.replace(DELTA, systematic=np.zeros((6, 2)))
+
+
+def _widened(delta: OdometryDelta, noisy_m: float) -> tuple[np.ndarray, np.ndarray, float]:
+    aid = _aid(delta)
+    end = aid.motion
+    assert isinstance(end, Increment)
+    assert end.reported is not None
+    aid, z, noisy_m = odometry.widened(aid, end.z, end.reported, noisy_m)
+    J = np.asarray(aid.slow_errors[0].jacobian)
+    return z.noise, J @ J.T, noisy_m
+
+
+def test_the_error_of_cameras_lasts_and_an_increment_is_no_more_certain_than_the_one_before() -> None:
+    """Of a scene that moves slowly some steps show that they are uncertain, and all are wrong."""
+    noise, lasting, noisy_m = _widened(CAMERAS, 0.0)
+    np.testing.assert_array_equal(noise, _noise(CAMERAS))
+    np.testing.assert_allclose(np.diag(lasting), [0.02**2 + 0.02**2] * 3 + [0.002**2] * 3, rtol=1e-6)
+    assert noisy_m == pytest.approx(0.02 * math.sqrt(3.0))
+    noise, lasting, noisy_m = _widened(CAMERAS, 3.0 * noisy_m)
+    np.testing.assert_allclose(noise, 9.0 * _noise(CAMERAS))
+    np.testing.assert_allclose(np.diag(lasting), [0.02**2 + 9.0 * 0.02**2] * 3 + [9.0 * 0.002**2] * 3, rtol=1e-6)
+    state = SourceState(last_ns=T0, noisy_m=noisy_m)
+    assert odometry.noisy_at(state, T0 + 10 * SECOND) == pytest.approx(noisy_m / math.e)
+
+
+def test_flow_wheels_and_increments_without_a_covariance_do_not_remember() -> None:
+    flat = np.diag([0.01, 0.01, -1.0, -1.0, -1.0, -1.0])
+    for delta in (
+        DELTA,
+        msgspec.structs.replace(CAMERAS, covariance=flat),
+        msgspec.structs.replace(CAMERAS, covariance=np.zeros((6, 6))),
+    ):
+        end = _aid(delta).motion
+        assert isinstance(end, Increment)
+        assert end.reported is None
+
+
+def test_keys_of_competing_sources_are_none_of_odometry() -> None:
+    for key in ("spacing_s", "fault_s", "reset_after_s"):
+        assert key not in OdometryConfig.__struct_fields__
+
+
 def test_a_rig_that_says_how_it_errs_takes_the_place_of_the_scale() -> None:
     moved = np.arange(12.0).reshape(6, 2)
     _, rig = _aid(msgspec.structs.replace(DELTA, systematic=moved)).slow_errors

