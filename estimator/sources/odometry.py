@@ -42,6 +42,7 @@ _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
 _SCALE_HOLDS_S, _DISPUTE_S, _FADES_S = 600.0, 60.0, 10.0
+_USUAL = 3.0  # ratio of the sigmas of two increments of one scene
 _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
@@ -280,16 +281,21 @@ def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError
     return (SlowError(f"{delta.topic}.scale", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
-def widened(aid: OdometryAid, z: RelativePose, reported: Array, noisy_m: float) -> tuple[OdometryAid, RelativePose, float]:
-    """An increment of cameras is no more certain than the one before, but for what has faded; and its error lasts as well:
+def widened(
+    aid: OdometryAid, z: RelativePose, reported: Array, spread_m: tuple[float, float]
+) -> tuple[OdometryAid, RelativePose, tuple[float, float]]:
+    """An increment of cameras is no more certain than those before, but for what has faded.
 
-        C <- f C,   f = max(1, (noisy_m / sigma)^2),   J_l J_l^T <- J_l J_l^T + f C,   sigma^2 = tr C_p
+    With sigma^2 = tr C_p, and a and b the smallest and the largest sigma of late (spread_m; with this one's, which is returned):
 
-    A scene of which a part moves slowly spoils all steps alike, and not every step shows it. Also: sigma, for the next one.
+        C <- f C,   f = (b / sigma)^2,   J_l J_l^T <- J_l J_l^T + f C  where b > 3 a
+
+    A scene of which a part moves slowly spoils all steps alike, in the same direction, and not every step shows it.
     """
     sigma_m = math.sqrt(float(np.trace(reported[:_XYZ, :_XYZ])))
-    factor = max(1.0, noisy_m / sigma_m) ** 2
-    shared = factor * reported + np.eye(_SIX) * _NOTHING
+    least_m, most_m = min(spread_m[0], sigma_m), max(spread_m[1], sigma_m)
+    factor = (most_m / sigma_m) ** 2
+    shared = (factor if most_m > _USUAL * least_m else 0.0) * reported + np.eye(_SIX) * _NOTHING
 
     def lasting(error: SlowError) -> SlowError:
         if error.block != f"{aid.topic}.lasting":
@@ -298,12 +304,14 @@ def widened(aid: OdometryAid, z: RelativePose, reported: Array, noisy_m: float) 
         return replace(error, jacobian=np.linalg.cholesky(moved @ moved.T + shared))
 
     errors = tuple(lasting(error) for error in aid.slow_errors)
-    return replace(aid, slow_errors=errors), widen(z, noise=factor * z.noise), max(sigma_m, noisy_m)
+    return replace(aid, slow_errors=errors), widen(z, noise=factor * z.noise), (least_m, most_m)
 
 
-def noisy_at(state: SourceState, t_ns: int) -> float:
-    """What is left of noisy_m at t_ns."""
-    return state.noisy_m * math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / _FADES_S)
+def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
+    """What is left of spread_m at t_ns: both fade, apart from each other."""
+    faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / _FADES_S)
+    least_m, most_m = state.spread_m
+    return least_m / faded if faded > 0.0 else math.inf, most_m * faded
 
 
 def disputed(topic: str, drift_m_s: float, seconds: float) -> SlowError:
@@ -333,8 +341,8 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 def arrived(state: SourceState, rules: GateRules, t_ns: int, *, alone: bool) -> SourceState:
     """An increment of t_ns comes in. An odometry that positions have found out comes back only beside a position."""
-    was, drift, noisy_m = state.phase, state.drift_m_s, noisy_at(state, t_ns)
-    state = replace(state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0)), noisy_m=noisy_m)
+    was, drift, spread_m = state.phase, state.drift_m_s, spread_at(state, t_ns)
+    state = replace(state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0)), spread_m=spread_m)
     if state.phase is not Phase.ACTIVE:
         return replace(state, drift_m_s=drift)
     is_cleared = not alone and was is not Phase.ACTIVE

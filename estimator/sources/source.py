@@ -254,7 +254,7 @@ class SourceState(msgspec.Struct, frozen=True):
     held_until_ns: int = _NEVER
     sums: tuple[float, ...] = ()
     drift_m_s: float = 0.0  # of odometry that has contradicted the IMU with nobody to decide: by so much it may be wrong
-    noisy_m: float = 0.0  # of odometry: sigma of the least certain increment of late, fading since last_ns
+    spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
     def arrive(self, rules: GateRules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source."""

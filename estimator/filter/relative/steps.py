@@ -97,8 +97,8 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
     seconds = (aid.t_ns - kept.t_ns) * 1e-9
     if end.reported is not None:
-        aid, z, noisy_m = odometry.widened(aid, z, end.reported, state.noisy_m)
-        state = replace(state, noisy_m=noisy_m)
+        aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
+        state = replace(state, spread_m=spread_m)
     if state.drift_m_s:
         dispute = odometry.disputed(aid.topic, state.drift_m_s, seconds)
         aid = replace(aid, slow_errors=(*aid.slow_errors, dispute))
