@@ -118,7 +118,7 @@ def test_an_outage_with_odometry_stands_beside_the_flight_without_it(log: Path, 
     start_s = (int(evidence.estimate.t_ns[0]) - EPOCH_NS) * 1e-9 + outage.start_s
     steps = [aid(start_s + s, "/odometry", "odometry") for s in (-1.0, 0.5, 1.0, outage.duration_s + 1.0)]
     gated = aid(start_s + 1.5, "/odometry", "odometry", Reason.GATED)
-    beside = replace(evidence.estimate, p=evidence.estimate.p + (3.0, 0.0, 0.0))
+    beside = replace(evidence.estimate, p=evidence.estimate.p + np.array([3.0, 0.0, 0.0]))
     assessed = assess(replace(evidence, aids=(*evidence.aids, *steps, gated)), "flight", without_odometry=beside)
     first, found = assessed.outages
     assert (first.increments, found.increments) == (0, 2)
