@@ -15,9 +15,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from estimator.frontend.residuals import Overlay, View
+from estimator.tools.demo import carried_by
 from estimator.tools.overlay.files import scenery
 from estimator.tools.overlay.log import images, read, views
 from logs.evaluation.evaluate import compare, find_outages
+from logs.evaluation.evidence import Evidence
 from logs.evaluation.evidence import read as read_evidence
 from logs.evaluation.plots import BLACK, BLUE, ORANGE
 from models.maps.landmarks import LandmarkMap
@@ -43,7 +45,7 @@ class Panel:
         self._canvas: Any = FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, height_ratios=(1.7, 1.0))
         self._draw_map(above, landmarks)
-        self._draw_error(below, find_outages(evidence.aids, evidence.health, evidence.estimate, 5.0))
+        self._draw_error(below, evidence)
 
     def _draw_map(self, at: Any, landmarks: LandmarkMap) -> None:
         way = np.array([view.p_n for view in self._flown])
@@ -63,7 +65,8 @@ class Panel:
         at.set_yticks([])
         at.set_title("where it is, and its 95 % radius", fontsize=9)
 
-    def _draw_error(self, at: Any, outages: Any) -> None:
+    def _draw_error(self, at: Any, evidence: Evidence) -> None:
+        outages = find_outages(evidence.aids, evidence.health, evidence.estimate, 5.0)
         t = np.array([(view.t_ns - self._start_ns) * 1e-9 for view in self._flown])
         radius = np.array([view.radius95_m for view in self._flown])
         at.plot(t, radius, color="0.8", linewidth=1.0)
@@ -71,6 +74,8 @@ class Panel:
         (self._line,) = at.plot([], [], color=BLUE, linewidth=1.4, label="error")
         for begin, end in outages["all"].spans:
             at.axvspan((begin - self._start_ns) * 1e-9, (end - self._start_ns) * 1e-9, color="0.9", linewidth=0.0)
+            begin_s, words = (begin - self._start_ns) * 1e-9, carried_by(evidence, (begin, end))
+            at.text(begin_s, 0.78, words, va="top", fontsize=7, transform=at.get_xaxis_transform())
         off = (outages["/gnss"].spans[0][0] - self._start_ns) * 1e-9
         at.axvline(off, color=BLACK, linestyle="--", linewidth=0.9)
         at.text(off, 0.95, " GPS cut off", va="top", fontsize=8, transform=at.get_xaxis_transform())
@@ -78,7 +83,7 @@ class Panel:
         at.set_xlabel("time [s]", fontsize=8)
         at.set_ylabel("horizontal [m]", fontsize=8)
         at.tick_params(labelsize=8)
-        at.legend(loc="upper right", fontsize=7, frameon=False)
+        at.legend(loc="upper left", fontsize=7, frameon=False)
         self._when, self._reported = t, radius
 
     def at(self, number: int) -> np.ndarray[Any, Any]:

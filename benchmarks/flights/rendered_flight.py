@@ -24,7 +24,7 @@ def draw(folder: Path, plan: Scenario, seed: int) -> None:
     simulation = simulate(plan, seed)
     images = flight_images.plan(plan.cameras, simulation, seed)
     images.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
-    (folder / "flight.toml").write_text(flight_images.configuration(simulation, "map.geojson", "rig.yaml"))
+    (folder / "flight.toml").write_text(flight_images.configuration(plan.cameras, simulation, "map.geojson", "rig.yaml"))
     simulated.write(simulation, folder / "flight.mcap", images=images)
 
 

@@ -1,11 +1,12 @@
 """The daemon under load for minutes: latency, processor, memory, drops, fixes, and whether its log says the same again.
 
-    python -m benchmarks.service [--minutes 10] [--mavlink] [--realtime] [--awake] [--json]
+    python -m benchmarks.service [--minutes 10] [--odometry] [--mavlink] [--realtime] [--awake] [--json]
 
 Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
 10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
 the estimator between them; next to it how late the machine wakes a process that only sleeps, at the same priority, and what a
-host takes from a virtual machine. The images are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
+host takes from a virtual machine. The images are rendered beforehand. --odometry: visual
+odometry of every pair (10 Hz) in a process of its own. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
 """
 
 import argparse
@@ -22,19 +23,21 @@ from typing import Any
 
 from benchmarks.service import images
 from benchmarks.service.vehicle import ORIGIN
-from benchmarks.service.watch import child, watch
+from benchmarks.service.watch import children, watch
 from estimator.config import parse
 from estimator.replay.replay import replay
 from estimator.service.zenoh.bus import OUTPUTS
 from logs.store.reader import LogReader
 from logs.wire.decoding import LANDMARK_FIX_TOPIC
+from models.messages import ODOMETRY_DELTA_TOPIC
 
 _OWN_WORDS = "/landfix/daemon"
 _ALIGNMENT = ["--fix-hz", "5", "--fix-s", "2"]  # on a circle at constant speed the heading is observable too slowly
 
 
-def configuration(folder: Path, port: int, mavlink_port: int | None) -> str:
+def configuration(folder: Path, port: int, mavlink_port: int | None, *, odometry: bool = False) -> str:
     """The vehicle's."""
+    motion = "[visual_odometry]\nenabled = true\ninterval_s = 0.1\nground_m = 0.0\n" if odometry else ""
     link = f'[mavlink]\nendpoint = "udpin:127.0.0.1:{mavlink_port}"\nimu_hz = 400.0\ngnss_hz = 5.0\n' if mavlink_port else ""
     return f"""
 [map]
@@ -46,12 +49,14 @@ file = "{folder / "rig.yaml"}"
 listen = ["tcp/127.0.0.1:{port}"]
 [log]
 folder = "{folder / "logs"}"
-{link}"""
+{link}{motion}"""
 
 
-def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, awake: bool = False) -> dict[str, Any]:
+def run(
+    minutes: float, port: int, mavlink_port: int | None, folder: Path, *, awake: bool = False, odometry: bool = False
+) -> dict[str, Any]:
     """One run; what was measured."""
-    text = configuration(folder, port, mavlink_port)
+    text = configuration(folder, port, mavlink_port, odometry=odometry)
     (folder / "vehicle.toml").write_text(text)
     began_s = time.monotonic()
     daemon = python("estimator", "run", "-c", str(folder / "vehicle.toml"))
@@ -69,8 +74,9 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, aw
         vehicle = python("benchmarks.service.vehicle", *words)
     machine = python("benchmarks.service.machine")
     keepers = [python("benchmarks.service.awake", str(core)) for core in os.sched_getaffinity(0)] if awake else []
-    vision = child(daemon.pid, "spawn_main")
-    processes = {"daemon": daemon.pid, "vision": vision, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
+    names = ("vision", "odometry")[: 1 + odometry]
+    workers = dict(zip(names, children(daemon.pid, "spawn_main", len(names)), strict=True))
+    processes = {"daemon": daemon.pid, **workers, "vehicle": vehicle.pid, "subscriber": subscriber.pid}
     used = watch(processes, lambda: vehicle.poll() is not None)
     flown = json.loads(vehicle.communicate()[0])
     machine.send_signal(signal.SIGTERM)
@@ -86,12 +92,13 @@ def run(minutes: float, port: int, mavlink_port: int | None, folder: Path, *, aw
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     (log,) = (folder / "logs").glob("*.mcap")
     logged, status = _counts(log), heard.pop("daemon")
-    shown = "log ", "vision ", "zenoh ", "mavlink ", "handling"
+    shown = "log ", "vision ", "visual_odometry ", "zenoh ", "mavlink ", "handling"
     result: dict[str, Any] = (heard | flown) | {
         "start_s": round(start_s, 1),
         "processes": used,
         "not_logged": {topic: n - logged.get(topic, 0) for topic, n in flown["sent"].items()},
         "fixes": logged.get(LANDMARK_FIX_TOPIC, 0),
+        "increments": logged.get(ODOMETRY_DELTA_TOPIC, 0),
         "status": {name: value for name, value in status.items() if name.startswith(shown)},
         "estimates_logged": logged.get("/landfix/odometry", 0),
         "log_mb": round(log.stat().st_size / 1e6, 1),
@@ -135,6 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--port", type=int, default=17447)
+    parser.add_argument("--odometry", action="store_true", help="visual odometry of every pair")
     parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
     parser.add_argument("--realtime", action="store_true", help="SCHED_RR, but for vision, for a busy machine; needs root")
     parser.add_argument("--awake", action="store_true", help="no core goes idle: a host that takes idle ones away cannot")
@@ -148,7 +156,8 @@ def main() -> None:
             images.write(folder)
         if given.realtime:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))
-        result = run(given.minutes, given.port, given.port + 1 if given.mavlink else None, folder, awake=given.awake)
+        mavlink_port = given.port + 1 if given.mavlink else None
+        result = run(given.minutes, given.port, mavlink_port, folder, awake=given.awake, odometry=given.odometry)
     for name, value in result.items() if not given.json else ():
         print(f"{name:24} {value}")
     if given.json:

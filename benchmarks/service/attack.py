@@ -25,7 +25,7 @@ import zenoh
 from benchmarks.service import images
 from benchmarks.service.__main__ import configuration, listening, python
 from benchmarks.service.vehicle import connected, image, imu, pose_fix
-from benchmarks.service.watch import child
+from benchmarks.service.watch import children
 from estimator.service.zenoh import keys as zenoh_keys
 from logs.store.reader import LogReader
 from logs.wire import schemas
@@ -107,7 +107,7 @@ def attacks(session: zenoh.Session, daemon: int) -> dict[str, Callable[[], objec
         return "2 s"
 
     def vision_killed() -> str:
-        os.kill(child(daemon, "spawn_main"), signal.SIGKILL)
+        os.kill(children(daemon, "spawn_main", 1)[0], signal.SIGKILL)
         return "SIGKILL"
 
     now_ns = time.time_ns()

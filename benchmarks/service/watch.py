@@ -28,17 +28,17 @@ def watch(processes: dict[str, int], over: Callable[[], bool]) -> dict[str, dict
     return {name: _summary(taken) for name, taken in readings.items()}
 
 
-def child(pid: int, words: str) -> int:
-    """The child of a process whose command line contains these words; waits for it."""
+def children(pid: int, words: str, count: int) -> list[int]:
+    """The oldest children of a process whose command lines contain these words; waits until there are so many."""
     while True:
-        for other in Path(f"/proc/{pid}/task/{pid}/children").read_text().split() + _of_threads(pid):
-            if words in Path(f"/proc/{other}/cmdline").read_text():
-                return int(other)
+        found = {int(other) for other in _of_threads(pid) if words in Path(f"/proc/{other}/cmdline").read_text()}
+        if len(found) >= count:
+            return sorted(found)[:count]
         time.sleep(0.1)
 
 
 def _of_threads(pid: int) -> list[str]:
-    """Children that another thread than the first has started."""
+    """Children that any of its threads has started."""
     return [other for task in Path(f"/proc/{pid}/task").iterdir() for other in (task / "children").read_text().split()]
 
 

@@ -21,8 +21,9 @@ def command(
     """Fly a simulation through the real pipeline.
 
     A multirotor flies over a mapped village. GPS is cut off, and landmarks in the stereo images replace it. Then the lens is dark
-    for twenty seconds. Writes input.mcap (sensors, images, truth), demo.toml with rig.yaml and map.geojson (configuration),
-    estimate.mcap, the pictures demo.png (flight) and overlay.png (the map drawn into what the camera saw), and report.html.
+    for twenty seconds. Later it flies over meadows without a landmark, and odometry carries the estimate. Writes input.mcap
+    (sensors, images, truth), demo.toml with rig.yaml and map.geojson (configuration), estimate.mcap, without_odometry.mcap, the
+    pictures demo.png (flight) and overlay.png (the map drawn into an image), and report.html.
 
     \b
     Examples:
@@ -53,7 +54,10 @@ def _print_verdict(evaluation: "Evaluation") -> None:
     for outage in evaluation.outages:
         if outage.source == "all" and outage.drift:
             reported = f", reported 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
-            rows.append((f"after {outage.duration_s:.0f} s of blackout", f"{outage.drift.end_m:.2f} m{reported}"))
+            why = "with odometry" if outage.increments else "of blackout"
+            without = outage.without_odometry_m if outage.increments else None
+            beside = f"; without odometry {without:.2f} m" if without is not None else ""
+            rows.append((f"after {outage.duration_s:.0f} s {why}", f"{outage.drift.end_m:.2f} m{reported}{beside}"))
     if evaluation.consistency:
         rows.append(("inside the 95 % radius", f"{evaluation.consistency.radius95_covered:.0%} of the time"))
     print_table("Against the truth", rows)

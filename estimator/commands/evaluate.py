@@ -22,6 +22,10 @@ def command(
     outage_s: Annotated[
         float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")
     ] = None,
+    without_odometry: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="The same flight replayed with --without-odometry: its errors at the ends of outages."),
+    ] = None,
     json: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="A row for each log, as Markdown.")] = False,
     comma_separated: Annotated[bool, typer.Option("--csv", help="A row for each log, as CSV with all digits.")] = False,
@@ -37,12 +41,15 @@ def command(
       landfix evaluate estimate.mcap
       landfix evaluate estimate.mcap --truth /rtk/fix --json
       landfix evaluate before.mcap after.mcap
+      landfix evaluate estimate.mcap --without-odometry without.mcap
       landfix evaluate fleet/*.mcap --csv > fleet.csv
     """
     if json + markdown + comma_separated > 1:
         raise typer.BadParameter("of --json, --markdown and --csv only one can be printed")
+    if without_odometry and len(logs) > 1:
+        raise typer.BadParameter("--without-odometry goes with one log")
     if len(logs) == 1 and not (markdown or comma_separated):
-        evaluation = _evaluate(logs[0], truth, burn_in_s, outage_s)
+        evaluation = _evaluate(logs[0], truth, burn_in_s, outage_s, without_odometry)
         if json:
             print_json(evaluation)
         else:
@@ -67,11 +74,13 @@ def command(
         raise typer.Exit(1)
 
 
-def _evaluate(log: Path, truth: str, burn_in_s: float, outage_s: float | None) -> "Evaluation":
+def _evaluate(
+    log: Path, truth: str, burn_in_s: float, outage_s: float | None, without_odometry: Path | None = None
+) -> "Evaluation":
     from logs.evaluation.evaluate import evaluate
 
     with progress(f"read {log.name}") as report:
-        return evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, progress=report)
+        return evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, without_odometry=without_odometry, progress=report)
 
 
 def _readable(logs: list[Path], truth: str, burn_in_s: float, outage_s: float | None) -> "list[Evaluation]":

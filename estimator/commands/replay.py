@@ -24,6 +24,9 @@ def command(
     from_images: Annotated[
         bool, typer.Option("--from-images/--from-fixes", help="Process the recorded images again, or use the fixes in the log.")
     ] = False,
+    without_odometry: Annotated[
+        bool, typer.Option("--without-odometry", help="Leave increments and poses of odometry out, to see what they are worth.")
+    ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Add /landfix/smoothed: the estimate of each moment from the whole flight.")
     ] = False,
@@ -53,7 +56,7 @@ def command(
     parts = [file for given in source for file in files_of(given)]
     sight = _sees_again(loaded, folder, parts) if from_images else None
     with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
-        summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder))
+        summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder), odometry=not without_odometry)
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
     for again in sight.parts if sight else ():

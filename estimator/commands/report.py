@@ -19,6 +19,10 @@ def command(
     outage_s: Annotated[
         float | None, typer.Option("--outage", metavar="SECONDS", min=0, help="A longer silence of a source is an outage.")
     ] = None,
+    without_odometry: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="The same flight replayed with --without-odometry: its errors at the ends of outages."),
+    ] = None,
     config: ConfigFile = None,
     rig: Annotated[Path | None, typer.Option(metavar="RIG", help="Calibration of the cameras [default: the log's].")] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map [default: the log's].")] = None,
@@ -42,7 +46,15 @@ def command(
 
     illustrate = illustrations(log, config, rig, map_file) if images else no_illustrations
     with progress(f"read {log.name}") as report:
-        written = write(log, out, truth_topic=truth, outage_s=outage_s, illustrate=illustrate, progress=report)
+        written = write(
+            log,
+            out,
+            truth_topic=truth,
+            outage_s=outage_s,
+            without_odometry=without_odometry,
+            illustrate=illustrate,
+            progress=report,
+        )
     if json:
         print_json(written)
         return

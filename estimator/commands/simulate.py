@@ -50,7 +50,7 @@ def command(
             map_file, rig_file = (out.with_name(f"{out.stem}_{name}") for name in ("map.geojson", "rig.yaml"))
             flight = flight_images.plan(plan.cameras, simulation, seed)
             flight.write_map_and_rig(map_file, rig_file)
-            text = flight_images.configuration(simulation, map_file.name, rig_file.name)
+            text = flight_images.configuration(plan.cameras, simulation, map_file.name, rig_file.name)
             messages = write(simulation, out, report, flight)
         else:
             messages = write(simulation, out, report)

@@ -233,7 +233,7 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
-        if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
+        if aid.t_ns - state.last_ns < aid.hypothetical.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)

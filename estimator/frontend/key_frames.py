@@ -38,6 +38,11 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         float, Meta(ge=0.01, le=3600, description="s: odometry that does not answer for so long is started anew")
     ] = 2.0
 
+    @property
+    def level(self) -> tuple[float, float] | None:
+        """Height of level ground above the map's origin, and its 1-sigma, m; None: not known."""
+        return None if self.ground_m is None else (self.ground_m, self.ground_sigma_m)
+
 
 class KeyFrames:
     """Chooses pairs and asks. One at a time, in the order of their exposure."""

@@ -117,10 +117,11 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
     return Flight(cameras, scene, simulation.truth, seed, exposures[taken])
 
 
-def configuration(simulation: Simulation, map_name: str, rig_name: str) -> str:
+def configuration(cameras: Cameras, simulation: Simulation, map_name: str, rig_name: str) -> str:
     """The flight's configuration, with images, map and rig; the files are relative to it."""
     text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = "{RIGHT}"\n')
-    return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n'
+    odometry = "\n[visual_odometry]\nenabled = true\nground_m = 0.0\n" if cameras.odometry else ""
+    return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n{odometry}'
 
 
 def _sensed(image: Image, cameras: Cameras) -> Pixels:

@@ -20,7 +20,7 @@ from logs.store.reader import Attachment, LogError, Record
 from logs.store.recorder import CONFIG_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import Decoder, is_own_transform
-from models.messages import Output
+from models.messages import OdometryDelta, OdometryPose, Output
 
 TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
@@ -71,11 +71,13 @@ def replay(
     progress: Callable[[float], None] | None = None,
     sight: SeesAgain | None = None,
     attachments: Sequence[Attachment] = (),
+    *,
+    odometry: bool = True,
 ) -> ReplaySummary:
     """Replay the log `source` (or its parts, or their folder) into `out`; progress: gets the fraction done. Raises LogError.
 
     sight: processes the images of the log again; None: the fixes in it are taken. attachments: files that the configuration
-    names (publish.file_attachment), instead of the log's own of that kind.
+    names (publish.file_attachment), instead of the log's own of that kind; odometry: whether the estimator is given any.
     """
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
@@ -95,7 +97,7 @@ def replay(
             recorder.write(topic, schema, data, log_time_ns)
             builder.record(log_time_ns)
             message = decoder.decode(topic, schema, data, log_time_ns)
-            if message is not None:
+            if message is not None and (odometry or not isinstance(message, OdometryDelta | OdometryPose)):
                 outputs = fusion.handle(message)
                 builder.step(message, outputs)
                 if sight:

@@ -327,7 +327,8 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, co
 
     handover = Handover(config.autopilot)
     rate_hz = config.autopilot.odometry_hz
-    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, rate_hz, config.geoid_m, console.say)
+    level = config.visual_odometry.level
+    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, rate_hz, config.geoid_m, console.say, level)
     stack.callback(link.close)
     return link
 

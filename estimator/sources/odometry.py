@@ -10,6 +10,7 @@ taken does not depend on their arrival. The covariance of such a pose is that of
 
 import math
 from collections.abc import Callable
+from dataclasses import replace as widen
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,10 +21,10 @@ from numpy.typing import NDArray
 from estimator.sources.gating import cusum, gate
 from estimator.sources.source import (
     Aid,
+    GateRules,
     Phase,
     Refusal,
     SlowError,
-    SourceRules,
     SourceState,
     covariance_refusal,
     log_false,
@@ -40,7 +41,9 @@ _FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
-_SCALE_HOLDS_S, _DISPUTE_S = 600.0, 60.0
+_SCALE_HOLDS_S, _DISPUTE_S, _FADES_S = 600.0, 60.0, 10.0
+_USUAL = 3.0  # ratio of the sigmas of two increments of one scene
+_NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
@@ -51,7 +54,7 @@ _NAMES: tuple[Row, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
 _Rows: TypeAlias = NDArray[np.intp]
 
 
-class OdometryConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class OdometryConfig(GateRules, frozen=True, forbid_unknown_fields=True):
     """[odometry]: its noise, and how it is judged; poses are used where [inputs] odometry names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of increments expected to be false")] = 0.01
@@ -103,10 +106,11 @@ class Begins(NamedTuple):
 
 
 class Increment(NamedTuple):
-    """An increment ends here."""
+    """An increment ends here; reported: its own covariance (6, 6), where it is one of cameras (see `widened`)."""
 
     name: bytes
     z: RelativePose
+    reported: Array | None = None
 
 
 class Posed(NamedTuple):
@@ -168,7 +172,9 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
     t0_ns, t_ns, epoch = delta.t0_ns - delay_ns, delta.t_ns - delay_ns, str(delta.epoch)
     place = order(t_ns, "odometry", delta.topic, f"{t0_ns} {epoch}".encode(), dp.tobytes(), q.tobytes(), covariance.tobytes())
     name = place[-1]
-    end = Increment(name, RelativePose(dp, q, noise, rows))
+    of_cameras = delta.systematic is not None and len(rows) == _SIX
+    reported = covariance * config.noise_scale**2 if of_cameras and np.trace(covariance[:_XYZ, :_XYZ]) > 0.0 else None
+    end = Increment(name, RelativePose(dp, q, noise, rows), reported)
     begin = _aid(t0_ns, delta, (t0_ns, "odometry_begin", delta.topic, name), config, Begins(t_ns, name, epoch), "odometry_begin")
     return _aid(t_ns, delta, place, config, end, "odometry", (*_lasting(delta.topic, dp, config), *errors), begin, rows)
 
@@ -279,6 +285,39 @@ def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError
     return (SlowError(f"{delta.topic}.scale", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
+def widened(
+    aid: OdometryAid, z: RelativePose, reported: Array, spread_m: tuple[float, float]
+) -> tuple[OdometryAid, RelativePose, tuple[float, float]]:
+    """An increment of cameras is no more certain than those before, but for what has faded.
+
+    With sigma^2 = tr C_p, and a and b the smallest and the largest sigma of late (spread_m; with this one's, which is returned):
+
+        C <- f C,   f = (b / sigma)^2,   J_l J_l^T <- J_l J_l^T + f C  where b > 3 a
+
+    A scene of which a part moves slowly spoils all steps alike, in the same direction, and not every step shows it.
+    """
+    sigma_m = math.sqrt(float(np.trace(reported[:_XYZ, :_XYZ])))
+    least_m, most_m = min(spread_m[0], sigma_m), max(spread_m[1], sigma_m)
+    factor = (most_m / sigma_m) ** 2
+    shared = (factor if most_m > _USUAL * least_m else 0.0) * reported + np.eye(_SIX) * _NOTHING
+
+    def lasting(error: SlowError) -> SlowError:
+        if error.block != f"{aid.topic}.lasting":
+            return error
+        moved = np.asarray(error.jacobian)
+        return replace(error, jacobian=np.linalg.cholesky(moved @ moved.T + shared))
+
+    errors = tuple(lasting(error) for error in aid.slow_errors)
+    return replace(aid, slow_errors=errors), widen(z, noise=factor * z.noise), (least_m, most_m)
+
+
+def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
+    """What is left of spread_m at t_ns: both fade, apart from each other."""
+    faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / _FADES_S)
+    least_m, most_m = state.spread_m
+    return least_m / faded if faded > 0.0 else math.inf, most_m * faded
+
+
 def disputed(topic: str, drift_m_s: float, seconds: float) -> SlowError:
     """By so much its increments may be wrong, for as long as an outage lasts: considered."""
     return SlowError(_dispute(topic), np.eye(_XYZ), _DISPUTE_S, np.eye(_SIX, _XYZ) * drift_m_s * seconds)
@@ -304,17 +343,17 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
     return off if off > _JUMP_M + _JUMP_M_S2 * dt * dt else 0.0, moved / dt
 
 
-def arrived(state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool) -> SourceState:
+def arrived(state: SourceState, rules: GateRules, t_ns: int, *, alone: bool) -> SourceState:
     """An increment of t_ns comes in. An odometry that positions have found out comes back only together with a position."""
-    was, drift = state.phase, state.drift_m_s
-    state = state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0))
+    was, drift, spread_m = state.phase, state.drift_m_s, spread_at(state, t_ns)
+    state = replace(state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0)), spread_m=spread_m)
     if state.phase is not Phase.ACTIVE:
         return replace(state, drift_m_s=drift)
     is_cleared = not alone and was is not Phase.ACTIVE
     return replace(state, held_until_ns=_NEVER, drift_m_s=0.0 if is_cleared else drift)
 
 
-def widest(state: SourceState, rules: SourceRules) -> float:
+def widest(state: SourceState, rules: GateRules) -> float:
     """How far off a component may be, in sigma: less while increments contradict the estimate alike.
 
     Without increments the covariance grows until it lets the next wrong one in, and from then on all.
@@ -324,7 +363,7 @@ def widest(state: SourceState, rules: SourceRules) -> float:
 
 
 def judged(
-    state: SourceState, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float
+    state: SourceState, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float
 ) -> SourceState:
     """The increment passed its gate or not; off (k,): its innovations in sigma; off_m_s: that of the translation, per second.
 

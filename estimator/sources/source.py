@@ -28,22 +28,14 @@ _NEVER = -(2**62)
 _FLOAT = struct.Struct("=d")
 
 
-class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class GateRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How a source is judged."""
 
     gate_probability: Annotated[
         float, Meta(gt=0.5, lt=1, description="share of good measurements that pass the chi-square gate")
     ] = 0.9999
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.0
     timeout_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: silent for longer, the source has stopped")] = 5.0
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 1.5
-    reset_after_s: Annotated[
-        float,
-        Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
-    ] = 20.0
     probation: Annotated[
         int,
         Meta(
@@ -57,6 +49,19 @@ class SourceRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is rejected")] = (
         10.0
     )
+
+
+class SourceRules(GateRules, frozen=True, forbid_unknown_fields=True):
+    """How a source is judged whose readings may be false for a while, and so compete as hypotheses."""
+
+    spacing_s: Annotated[
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 0.0
+    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 1.5
+    reset_after_s: Annotated[
+        float,
+        Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
+    ] = 20.0
 
 
 class Aid(msgspec.Struct, frozen=True, eq=False):
@@ -76,7 +81,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     topic: str
     kind: str
     order: tuple[int, str, str, bytes]
-    rules: SourceRules
+    rules: GateRules
     absolute: bool
     log_false: float
     measurement: Callable[[Origin | None], Measurement | None]
@@ -91,6 +96,12 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     uses_rate: bool = False
     check: "Callable[[Origin | None], Refusal | None] | None" = None
     begin: "Aid | None" = None
+
+    @property
+    def hypothetical(self) -> SourceRules:
+        """The rules of a source whose readings compete as hypotheses, which all are but odometry."""
+        assert isinstance(self.rules, SourceRules)
+        return self.rules
 
     @property
     def is_reported(self) -> bool:
@@ -148,7 +159,7 @@ class Refusal(NamedTuple):
 FALSE_POSITION_M, FALSE_ATTITUDE_RAD, FALSE_VELOCITY_M_S = 50.0, 1.0, 30.0
 
 
-def log_false(rules: SourceRules, half_widths: Sequence[float]) -> float:
+def log_false(rules: GateRules, half_widths: Sequence[float]) -> float:
     """ln(share x density) of a false reading, uniform in a box of these half widths."""
     return _log_uniform(rules.false_share, tuple(half_widths))
 
@@ -243,8 +254,9 @@ class SourceState(msgspec.Struct, frozen=True):
     held_until_ns: int = _NEVER
     sums: tuple[float, ...] = ()
     drift_m_s: float = 0.0  # of odometry that has contradicted the IMU with nobody to decide: by so much it may be wrong
+    spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
-    def arrive(self, rules: SourceRules, t_ns: int, *, alone: bool) -> "SourceState":
+    def arrive(self, rules: GateRules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source."""
         phase, passed, sums = self.phase, self.passed, self.sums
         if t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
@@ -258,12 +270,12 @@ class SourceState(msgspec.Struct, frozen=True):
         """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
-    def held(self, rules: SourceRules, t_ns: int) -> "SourceState":
+    def held(self, rules: GateRules, t_ns: int) -> "SourceState":
         """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + round(rules.hold_s * 1e9))
 
     def judge(
-        self, rules: SourceRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
+        self, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
     ) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.
 

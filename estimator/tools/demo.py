@@ -1,6 +1,7 @@
 """The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
 
-GPS is cut off at one third. From then on what the stereo camera sees carries the estimate, and for a while not even that.
+GPS is cut off at one third. From then on what the stereo camera sees carries the estimate: landmarks, for a while nothing, and
+its motion over the meadows where no landmark is in view. The same flight is replayed without odometry, too.
 """
 
 from collections.abc import Callable
@@ -14,8 +15,10 @@ from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
 from estimator.replay.summary import ReplaySummary
 from logs.evaluation.evaluate import find_outages
+from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.report.write import Written, compose, gather
+from models.messages import Reason
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
@@ -35,6 +38,7 @@ class DemoResult(msgspec.Struct, frozen=True):
     log: str
     config: str
     estimate: str
+    without_odometry: str  # "": no odometry was used
     picture: str
     overlay: str  # "": there was no fix to draw
     report: str
@@ -53,13 +57,18 @@ def demo(folder: Path, seed: int = 0, progress: Stages = lambda _, __: None, sce
     folder.mkdir(parents=True, exist_ok=True)
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
     _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5, "simulate and render"))
-    summary, overlay = _fly(folder, load(config), _part(progress, 0.5, 0.85, "replay"))
-    written = _report(folder, _part(progress, 0.85, 1.0, "evaluate and report"))
+    loaded = load(config)
+    summary, overlay = _fly(folder, loaded, _part(progress, 0.5, 0.8, "replay"))
+    without = folder / "without_odometry.mcap" if loaded.visual_odometry.enabled else None
+    if without is not None:
+        replay(estimate, without, loaded, _part(progress, 0.8, 0.87, "replay without odometry"), odometry=False)
+    written = _report(folder, without, _part(progress, 0.87, 1.0, "evaluate and report"))
     return DemoResult(
         folder=str(folder),
         log=str(log),
         config=str(config),
         estimate=str(estimate),
+        without_odometry=str(without or ""),
         picture=str(folder / "demo.png"),
         overlay=overlay,
         report=written.report,
@@ -78,7 +87,7 @@ def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> Non
     if plan.cameras:
         images = flight_images.plan(plan.cameras, simulation, seed)
         images.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
-        text = flight_images.configuration(simulation, "map.geojson", "rig.yaml")
+        text = flight_images.configuration(plan.cameras, simulation, "map.geojson", "rig.yaml")
     (folder / "demo.toml").write_text(text, encoding="utf-8")
     simulated.write(simulation, folder / "input.mcap", progress, *([images] if images else []))
 
@@ -90,19 +99,25 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     if rig_file is None or map_file is None:
         return replay(log, estimate, config, progress), ""
     from calib.files.formats import load_rig  # noqa: PLC0415
+    from estimator.frontend.odometry import OdometrySight  # noqa: PLC0415
     from estimator.frontend.processor import Sight  # noqa: PLC0415
+    from estimator.frontend.repeat import Repeat, Together  # noqa: PLC0415
     from estimator.frontend.replay_images import SightReplay  # noqa: PLC0415
+    from estimator.frontend.replay_odometry import OdometryReplay  # noqa: PLC0415
     from estimator.map_files import store as map_store  # noqa: PLC0415
     from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
 
     rig, landmarks = load_rig(folder / rig_file), map_store.load(folder / map_file)
-    sight = SightReplay(Sight(rig, landmarks), config.vision, config.inputs.left_image, config.inputs.right_image, log)
-    summary = replay(log, estimate, config, progress, sight)
+    sides = config.inputs.left_image, config.inputs.right_image
+    parts: list[Repeat] = [SightReplay(Sight(rig, landmarks), config.vision, *sides, log)]
+    if config.visual_odometry.enabled:
+        parts.append(OdometryReplay(OdometrySight(rig), config.visual_odometry, config.vision, sides, log))
+    summary = replay(log, estimate, config, progress, Together(parts))
     drawn = write_sheet(estimate, sheet, rig, landmarks)
     return summary, str(sheet) if drawn else ""
 
 
-def _report(folder: Path, progress: Progress) -> Written:
+def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> Written:
     """What it was worth: demo.png and report.html."""
     from estimator.tools.overlay.gallery import illustrations  # noqa: PLC0415
     from logs.evaluation import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
@@ -114,9 +129,27 @@ def _report(folder: Path, progress: Progress) -> Written:
     gps_off_s = (outages["/gnss"].spans[0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
     figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
+    for span in outages["all"].spans:
+        begin_s = (span[0] - int(evidence.estimate.t_ns[0])) * 1e-9
+        figure.axes[1].text(begin_s, 0.90, carried_by(evidence, span), va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")
     report, illustrate = folder / "report.html", illustrations(estimate)
-    return compose(evidence, gathered, str(estimate), report, outage_s=_OUTAGE_S, illustrate=illustrate)
+    return compose(
+        evidence,
+        gathered,
+        str(estimate),
+        report,
+        outage_s=_OUTAGE_S,
+        without_odometry=without_odometry,
+        illustrate=illustrate,
+    )
+
+
+def carried_by(evidence: Evidence, span: tuple[int, int]) -> str:
+    """What the estimate rests on in an outage, for an image."""
+    begin, end = span
+    steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in evidence.aids)
+    return " no landmark\n in view:\n odometry" if steps else " lens dark:\n IMU alone"
 
 
 def _part(progress: Stages, begin: float, end: float, stage: str) -> Progress:

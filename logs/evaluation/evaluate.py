@@ -38,6 +38,7 @@ from models.radius import horizontal_radius
 ABSOLUTE_KINDS: Final = frozenset({"gnss_position", "pose"})  # measurements that say where, not only how fast or how high
 LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a longer hole
 ALL_SOURCES: Final = "all"
+_ODOMETRY: Final = "odometry"
 _SHORTEST_OUTAGE_S: Final = 2.0
 _SAME_FIX_NS: Final = 10_000_000
 _NOT_GIVEN_M2: Final = 9e4
@@ -178,18 +179,28 @@ def evaluate(
     *,
     burn_in_s: float = 0.0,
     outage_s: float | None = None,
+    without_odometry: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Evaluation:
     """Evaluate /landfix/odometry of a log against a truth in it; without a truth, all that needs none.
 
     truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix (a receiver the estimator did not hear);
-    burn_in_s: this long after the first estimate nothing is compared; outage_s: see find_outages.
+    burn_in_s: this long after the first estimate nothing is compared; outage_s: see find_outages; without_odometry: the same
+    flight, replayed without odometry.
     Raises LogError for a file that is no log, holds no estimate, or no truth on a topic that was asked for.
     """
-    return assess(read(path, truth_topic, progress), str(path), burn_in_s, outage_s)
+    evidence = read(path, truth_topic, progress)
+    without = read(without_odometry, truth_topic).estimate if without_odometry else None
+    return assess(evidence, str(path), burn_in_s, outage_s, without)
 
 
-def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: float | None = None) -> Evaluation:
+def assess(
+    evidence: Evidence,
+    name: str,
+    burn_in_s: float = 0.0,
+    outage_s: float | None = None,
+    without_odometry: Trajectory | None = None,
+) -> Evaluation:
     """The Evaluation of what was read."""
     estimate, truth = evidence.estimate, evidence.truth
     outages = find_outages(evidence.aids, evidence.health, estimate, outage_s)
@@ -198,6 +209,9 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
     comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
     aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[ALL_SOURCES].spans, estimate))
     compared = len(comparison) > 0
+    without_odometry = without_odometry if without_odometry is not None and len(without_odometry) else None
+    beside = compare(without_odometry, truth) if without_odometry is not None else None
+    steps = np.array([a.t_ns for a in evidence.aids if a.kind == _ODOMETRY and a.reason is Reason.FUSED], np.int64)
     path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
     without = sum(b - a for a, b in outages[ALL_SOURCES].spans) * 1e-9
     return Evaluation(
@@ -214,7 +228,9 @@ def assess(evidence: Evidence, name: str, burn_in_s: float = 0.0, outage_s: floa
         without_absolute_s=without,
         accuracy=_accuracy(comparison, aided) if compared else None,
         consistency=_consistency(comparison, aided) if compared else None,
-        outages=tuple(_outage(source, span, comparison, start) for source, of in outages.items() for span in of.spans),
+        outages=tuple(
+            _outage(source, span, comparison, start, steps, beside) for source, of in outages.items() for span in of.spans
+        ),
         outage_thresholds_s={source: of.longer_than_s for source, of in outages.items()},
         aids=_aid_summaries(evidence.aids),
         latency_s=_latency(evidence),
@@ -312,7 +328,11 @@ def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
     )
 
 
-def _outage(source: str, span: tuple[int, int], comparison: Comparison, start: int) -> Outage:
+def _outage(
+    source: str, span: tuple[int, int], comparison: Comparison, start: int, steps: Times, beside: Comparison | None
+) -> Outage:
+    """steps: when increments of odometry were fused; beside: the flight without them."""
+    without = beside.p_error[metrics.within(beside.t_ns, [span])] if beside is not None else np.empty((0, 3))
     c = comparison[metrics.within(comparison.t_ns, [span])]
     attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.has_attitude], axis=1))
     nees_p = metrics.nees(c.p_error, c.p_covariance)
@@ -326,6 +346,8 @@ def _outage(source: str, span: tuple[int, int], comparison: Comparison, start: i
         attitude_end_deg=float(attitude[-1]) if len(attitude) else None,
         nees_position=float(nees_p.mean() / 3) if len(c) else None,
         radius95_end_m=float(radius[0]) if len(c) else None,
+        increments=int(np.count_nonzero((steps > span[0]) & (steps <= span[1]))),
+        without_odometry_m=_norm(without[-1]) if len(without) else None,
     )
 
 

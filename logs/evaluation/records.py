@@ -54,7 +54,8 @@ class ConsistencySummary(msgspec.Struct, frozen=True):
 class Outage(msgspec.Struct, frozen=True):
     """A span without absolute information of a source (a topic, or "all"); start_s from the first estimate.
 
-    drift and what follows are None without a truth; nees_position: mean of NEES / 3; radius95_end_m: reported at the end.
+    drift and what follows are None without a truth; nees_position: mean of NEES / 3; radius95_end_m: reported at the end;
+    increments: of odometry, fused in it; without_odometry_m: the error at its end of the same flight replayed without odometry.
     """
 
     source: str
@@ -65,6 +66,8 @@ class Outage(msgspec.Struct, frozen=True):
     attitude_end_deg: float | None
     nees_position: float | None
     radius95_end_m: float | None
+    increments: int = 0
+    without_odometry_m: float | None = None
 
 
 class Percentiles(msgspec.Struct, frozen=True):

@@ -24,7 +24,7 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
         console.print(_table(*consistency(evaluation.consistency)))
     if evaluation.integrity:
         console.print(_table(*integrity(evaluation.integrity)))
-    for title, header, rows in (outages(evaluation), aids(evaluation), resets(evaluation)):
+    for title, header, rows in (outages(evaluation), odometry(evaluation), aids(evaluation), resets(evaluation)):
         if rows:
             console.print(_table(title, header, rows))
     for note in evaluation.notes:
@@ -134,6 +134,18 @@ def outages(e: Evaluation) -> Rows:
         rows.append((o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", *(number(x) for x in values)))
     header = ("source", "at s", "for s", "RMSE m", "max m", "end m", "end %", "95 % m", "NEES/3", "att deg")
     return f"Outages: waits for absolute information longer than {_thresholds(e)}", header, rows
+
+
+def odometry(e: Evaluation) -> Rows:
+    """Drift in the outages in which there was odometry, and without it."""
+    rows = [
+        (o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", str(o.increments), number(o.drift.distance_m),
+         number(o.drift.end_m), number(o.radius95_end_m), number(o.without_odometry_m))
+        for o in e.outages
+        if o.increments and o.drift
+    ]  # fmt: skip
+    header = ("source", "at s", "for s", "increments", "way m", "end m", "95 % m", "without m")
+    return "Odometry in outages: error at the end, with it and without", header, rows
 
 
 def _thresholds(e: Evaluation) -> str:

@@ -100,7 +100,9 @@ def page(m: Material) -> str:
         "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
         "Error and 95 % radius": _errors(m, sheet, c),
         "Integrity": _integrity(m, sheet, c),
-        "Outages and resets": _beside(evaluation_table.outages(m.evaluation), evaluation_table.resets(m.evaluation))
+        "Outages and resets": _beside(
+            evaluation_table.outages(m.evaluation), evaluation_table.odometry(m.evaluation), evaluation_table.resets(m.evaluation)
+        )
         or _faint("None."),
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),

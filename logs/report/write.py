@@ -53,6 +53,7 @@ def write(
     *,
     truth_topic: str = TRUTH_TOPIC,
     outage_s: float | None = None,
+    without_odometry: Path | None = None,
     illustrate: Illustrate = no_illustrations,
     progress: Callable[[float], None] | None = None,
 ) -> Page:
@@ -67,7 +68,7 @@ def write(
     except NoEstimateError as missing:
         size = _save(out, no_estimate.page(log.name, missing, gathered))
         return Page(str(out), size, "no estimate", [str(missing)])
-    return compose(evidence, gathered, log.name, out, outage_s=outage_s, illustrate=illustrate)
+    return compose(evidence, gathered, log.name, out, outage_s=outage_s, without_odometry=without_odometry, illustrate=illustrate)
 
 
 def gather(
@@ -91,10 +92,15 @@ def compose(
     out: Path,
     *,
     outage_s: float | None = None,
+    without_odometry: Path | None = None,
     illustrate: Illustrate = no_illustrations,
 ) -> Written:
-    """Write the report of what was gathered to `out`. Raises LogError where it cannot be written."""
-    evaluation = assess(evidence, name, outage_s=outage_s)
+    """Write the report of what was gathered to `out`. Raises LogError where it cannot be written.
+
+    without_odometry: a log of the same flight, replayed without odometry.
+    """
+    without = read(without_odometry).estimate if without_odometry else None
+    evaluation = assess(evidence, name, outage_s=outage_s, without_odometry=without)
     outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"].spans
     found = findings(evaluation, evidence, gathered)
     material = Material(evidence, gathered, evaluation, outages, found, illustrate(evidence, gathered))

@@ -56,6 +56,8 @@ class Topics(SensorTopics, frozen=True):
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
     odometry: tuple[str, ...] = ()  # off until configured
+    odometry_delta: tuple[str, ...] = ()
+    optical_flow: tuple[str, ...] = ()
     attitude: tuple[str, ...] = (ATTITUDE_TOPIC,)
     pose_fix: tuple[str, ...] = ("/pose_fix",)
     left_image: tuple[str, ...] = ("/left/image",)
@@ -100,7 +102,8 @@ class Decoder:
         for kind, sensor in SENSORS.items():
             self._route(getattr(topics, kind), sensor.schema, partial(_reading, kind, sensor))
         self._route(topics.odometry, schemas.ODOMETRY, _odometry_pose)
-        self._route((ODOMETRY_DELTA_TOPIC,), schemas.ODOMETRY_DELTA, _odometry_delta)
+        increments = ODOMETRY_DELTA_TOPIC, *topics.odometry_delta, *topics.optical_flow
+        self._route(increments, schemas.ODOMETRY_DELTA, _odometry_delta)
         self._route(topics.attitude, schemas.POSE_FIX, _attitude)
         self._route(topics.pose_fix, schemas.POSE_FIX, _pose_fix)
         self._route((LANDMARK_FIX_TOPIC,), schemas.LANDMARK_FIX, _landmark_fix)

@@ -39,7 +39,7 @@ class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     sees: colour, grey (8 bit), or thermal: by night, 16 bit, which no JPEG holds;
     exposure_s: blurs moving images; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
     jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no images; dark_s: images
-    of a covered lens.
+    of a covered lens; odometry: whether the configuration switches visual odometry on, over the level ground of this world.
     """
 
     rate_hz: Rate = 2.0
@@ -56,6 +56,7 @@ class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     delay_s: NotNegative = 0.06
     outages_s: tuple[Interval, ...] = ()
     dark_s: tuple[Interval, ...] = ()
+    odometry: bool = False
     world: Village = msgspec.field(default_factory=Village)
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ from scipy.interpolate import BSpline
 from models import so3
 from models.frames import GRAVITY
 from models.messages import Array
-from models.sim.ranges import Positive, Share, ascending
+from models.sim.ranges import NotNegative, Positive, Share, ascending
 
 _DEGREE = 7
 _KNOT_S = 0.8  # s between knots: a reversal of leg at 8 m/s becomes a tilt of about 45 degrees
@@ -37,7 +37,8 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     speed_m_s: fastest leg; climb_m_s: fastest climb; area_m: side of the square flown in; height_m: mean height above the
     origin; hover_share: share of legs that are hovers; lands: the flight ends on the origin, at rest; seed: fixes the course, so
-    that runs differ by their noise only.
+    that runs differ by their noise only; visits: (t s, north m, east m), where the first leg that begins after t leads, at
+    speed_m_s.
     """
 
     speed_m_s: Positive = 8.0
@@ -46,6 +47,7 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     height_m: Positive = 40.0
     hover_share: Share = 0.2
     lands: bool = False
+    visits: tuple[tuple[NotNegative, float, float], ...] = ()
     seed: int | None = None
 
 
@@ -115,12 +117,14 @@ def _multirotor(vehicle: Multirotor, duration_s: float, rng: np.random.Generator
     rows.append((4.0, *rows[0][1:]))
     place = np.array([0.0, 0.0, -vehicle.height_m])
     homeward_s = vehicle.area_m / vehicle.speed_m_s + 1.3 * vehicle.height_m / vehicle.climb_m_s + _REST_S
-    until = duration_s - homeward_s if vehicle.lands else math.inf
+    until, visits = duration_s - homeward_s if vehicle.lands else math.inf, list(vehicle.visits)
     while rows[-1][0] < times[-1]:
         t, n, e, d, yaw = rows[-1]
+        speed = vehicle.speed_m_s * rng.uniform(0.5, 1.0)
+        if visits and t >= visits[0][0]:
+            speed, place = vehicle.speed_m_s, np.array([*visits.pop(0)[1:], place[2]])
         leg = place - (n, e, d)
         level, climb = math.hypot(leg[0], leg[1]), abs(leg[2])
-        speed = vehicle.speed_m_s * rng.uniform(0.5, 1.0)
         takes = max(level / speed, climb / vehicle.climb_m_s, rng.uniform(4.0, 8.0))
         if t + takes > until:
             break

@@ -150,7 +150,7 @@ def test_every_failure_is_one_line(flight: Path, tmp_path: Path) -> None:
 def test_a_defect_of_ours_is_one_line_too_and_debug_shows_it(
     monkeypatch: pytest.MonkeyPatch, flight: Path, tmp_path: Path
 ) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise KeyError("oops")
 
     monkeypatch.delenv("LANDFIX_DEBUG", raising=False)

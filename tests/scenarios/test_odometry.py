@@ -126,6 +126,18 @@ def test_a_scale_that_goes_wrong_in_an_outage_is_held_and_reported(simulation: S
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
+def test_a_scene_that_moves_slowly_is_never_sure_and_wrong(simulation: Simulation) -> None:
+    """Half of the ground drifts: every increment is wrong by 0.2 m/s downwards, and every third one says that it may be."""
+    moved = []
+    for k, d in enumerate(increments(simulation, 15.0, END_S, sigma=(0.05, 0.0, 1e-3))):
+        e = 0.1 if (d.t_ns - EPOCH_NS) * 1e-9 > LOST_S + 2.0 else 0.0
+        covariance = d.covariance * (30.0 if e and k % 3 == 0 else 1.0)
+        moved.append(replace(d, dp_b=(d.dp_b[0], d.dp_b[1], d.dp_b[2] + e), covariance=covariance, systematic=np.zeros((6, 1))))
+    run = _with(simulation, moved)
+    assert position_errors(run.estimates[-1:], simulation.truth)[0] > 1.0  # the fault is one
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
 def test_lost_steps_and_darkness_are_bridged_by_the_imu(simulation: Simulation) -> None:
     rng = np.random.default_rng(3)
     kept = [

@@ -233,7 +233,7 @@ class Hypotheses:
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
-        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.fault_s if doubt else 0.0 for doubt in doubts]
+        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.hypothetical.fault_s if doubt else 0.0 for doubt in doubts]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
         predicted = self._predicted(believe, seen)
         again = [
@@ -281,7 +281,7 @@ class Hypotheses:
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement
-            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.rules.fault_s, 0.0)
+            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.hypothetical.fault_s, 0.0)
             doubt.last_ns = aid.t_ns
             return False
         if passed:
@@ -335,9 +335,9 @@ class Hypotheses:
             math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
             + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
-        patience_s = self.members[0].patience_s(aid.t_ns, aid.rules.reset_after_s)
-        broken = aid.log_false + _MARGIN - patience_s / aid.rules.fault_s
-        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.rules.fault_s
+        patience_s = self.members[0].patience_s(aid.t_ns, aid.hypothetical.reset_after_s)
+        broken = aid.log_false + _MARGIN - patience_s / aid.hypothetical.fault_s
+        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.hypothetical.fault_s
         believer.weight += min(max(overconfident, broken), most)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)

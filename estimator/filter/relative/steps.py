@@ -22,7 +22,6 @@ from estimator.sources.gating import gate
 from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
 from estimator.sources.source import Phase, SourceState
 from models.messages import Reason
-from models.relative_pose import RelativePose
 
 _MOST_SAID = 0.5  # ln: c
 _XYZ = 3
@@ -54,7 +53,7 @@ def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceSta
     if isinstance(motion, Increment):
         if kept is None or kept.name != motion.name:
             return Step(Reason.THINNED, _OVERLAPS, kept, state)
-        return _judge(bank, aid, motion.z, kept, state, alone=alone)
+        return _judge(bank, aid, motion, kept, state, alone=alone)
     return _pose(bank, aid, motion, kept, state, alone=alone)
 
 
@@ -73,7 +72,7 @@ def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, stat
     if seconds < at.config.interval_s:
         return Step(Reason.THINNED, "", kept if velocity is None else kept._replace(newest=begun.newest), state)
     z, errors = at.since(kept.pose)
-    step = _judge(bank, replace(aid, slow_errors=errors), z, kept, state, alone=alone)
+    step = _judge(bank, replace(aid, slow_errors=errors), Increment(b"", z), kept, state, alone=alone)
     return step._replace(kept=_keep(bank, aid, kept, begun))
 
 
@@ -88,14 +87,18 @@ def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) ->
     return now
 
 
-def _judge(bank: Hypotheses, aid: OdometryAid, z: RelativePose, kept: Kept, state: SourceState, *, alone: bool) -> Step:
+def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state: SourceState, *, alone: bool) -> Step:
     """Compare, gate and fuse; afterwards no pose is kept for the topic."""
+    z = end.z
     block = clone_of(aid.topic)
     limit = gate(aid.rules.gate_probability, len(z.rows))
     if block not in bank.lead.clones:
         return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
     seconds = (aid.t_ns - kept.t_ns) * 1e-9
+    if end.reported is not None:
+        aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
+        state = replace(state, spread_m=spread_m)
     if state.drift_m_s:
         dispute = odometry.disputed(aid.topic, state.drift_m_s, seconds)
         aid = replace(aid, slow_errors=(*aid.slow_errors, dispute))

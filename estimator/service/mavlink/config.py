@@ -40,6 +40,16 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     magnetometer: Annotated[bool, Meta(description="whether its magnetometer is the first topic of [inputs] magnetometer")] = True
     range: Annotated[bool, Meta(description="whether its range finder is the first topic of [inputs] range")] = True
     heading: Annotated[bool, Meta(description="whether the yaw of its receivers is the first topic of [inputs] heading")] = True
+    optical_flow: Annotated[
+        bool, Meta(description="whether its OPTICAL_FLOW_RAD is the first topic of [inputs] optical_flow")
+    ] = True
+    odometry_from: Annotated[
+        tuple[_Id, ...],
+        Meta(
+            description="component ids, not the autopilot's, whose ODOMETRY is the first topic of [inputs] odometry and"
+            " VISION_POSITION_DELTA that of odometry_delta"
+        ),
+    ] = ()
     attitude_sigma_deg: Annotated[
         tuple[Annotated[float, Meta(ge=0.01, le=90)], Annotated[float, Meta(ge=0.01, le=180)]],
         Meta(description="deg,deg: of its tilt and heading; its ATTITUDE is the first topic of [inputs] attitude, if any"),

@@ -12,6 +12,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from estimator.service.base.clock import SECOND_NS
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.mavlink.flow_range import FlowRange
+from estimator.service.mavlink.odometry import Increments, pose
+from estimator.service.mavlink.wire import VISION_POSITION_DELTA
 from logs.wire.codec import Topics
 from models.messages import Input, Reading
 
@@ -28,6 +31,9 @@ _SCALED: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _IMUS: Final = {"HIGHRES_IMU": _IMU, "RAW_IMU": _RAW, "SCALED_IMU": _SCALED}
 _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
 _DISTANCE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
+_FLOW: Final[int] = mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD
+_FLOW_HZ: Final = 20.0
+_ODOMETRY: Final[int] = mavlink.MAVLINK_MSG_ID_ODOMETRY
 _NUMBERS: Final = (
     _IMUS | {"DISTANCE_SENSOR": _DISTANCE} | dict(zip(("GPS_RAW_INT", "GPS2_RAW"), _RECEIVERS, strict=True))
 )  # of those that carry sensors
@@ -37,7 +43,8 @@ _NEVER: Final = -(2**62)
 class Inputs:
     """Of one link."""
 
-    def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float) -> None:
+    def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float, level: tuple[float, float] | None = None) -> None:
+        """level: see FlowRange."""
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
@@ -54,7 +61,17 @@ class Inputs:
         self._carriers = frozenset(
             _NUMBERS[name] for name, sensors in codec.SENSORS.items() if sensors.keys() & self._sensor_topics.keys()
         )
-        self.wanted = imus | attitudes | self._carriers | self._positions.keys() | self._velocities.keys()
+        self.flow_range = FlowRange(level)
+        flows = topics.optical_flow if config.optical_flow else ()
+        self._flow = Increments("OPTICAL_FLOW_RAD", flows[0]) if flows else None
+        self._range_finders = frozenset({_FLOW, _DISTANCE} if self._flow else ())
+        self.companions = frozenset(config.odometry_from)
+        named = topics.odometry_delta if self.companions else ()
+        self._steps = Increments("VISION_POSITION_DELTA", named[0]) if named else None
+        self._pose_topic = topics.odometry[0] if topics.odometry and self.companions else None
+        odometries = frozenset({VISION_POSITION_DELTA} if self._steps else ()) | ({_ODOMETRY} if self._pose_topic else set())
+        self.wanted = imus | attitudes | self._carriers | self._range_finders | odometries
+        self.wanted |= self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -97,6 +114,19 @@ class Inputs:
             if velocity is not None:
                 yield velocity
 
+        if number == _DISTANCE and (values := codec.SENSORS[kind]["range"](message)) is not None:
+            self.flow_range.note_finder(t_ns, values[0])
+        if number == _FLOW and self._flow is not None:
+            yield from self._flow.flow(message, t_ns, self.flow_range.at(message, t_ns))
+
+    def odometry(self, message: Any, t_ns: int) -> Iterator[Input]:
+        """The measurements in a message of one of the companions."""
+        number = message.get_msgId()
+        if number == VISION_POSITION_DELTA and self._steps is not None:
+            yield from self._steps.vision(message, t_ns)
+        elif number == _ODOMETRY and self._pose_topic and (measured := pose(message, t_ns, self._pose_topic)) is not None:
+            yield measured
+
     def _sensors(self, message: Any, name: str, t_ns: int) -> Iterator[Input]:
         """A reading that is repeated with every IMU sample is one reading."""
         for kind, read in codec.SENSORS[name].items():
@@ -119,6 +149,7 @@ class Inputs:
         if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
         wanted |= dict.fromkeys(self._carriers - {_RAW, _SCALED}, self._gnss_us)
+        wanted |= dict.fromkeys(self._range_finders, round(_MICRO / _FLOW_HZ))
         coarse = _coarse_of(autopilot)
         if self._imu_topic:
             wanted[_IMU] = self._imu_us

@@ -21,6 +21,7 @@ from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
 from estimator.service.mavlink.wire import Wire
+from estimator.strict_toml import ConfigError
 from logs.wire.codec import Encoded, Topics
 from models import so3
 from models.frames import Origin
@@ -31,6 +32,8 @@ from models.state import X
 _HEARTBEAT_NS: Final = SECOND_NS
 _TIMESYNC_NS: Final = SECOND_NS // 4
 _GONE_NS: Final = 3 * SECOND_NS  # without a HEARTBEAT
+_WILD_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is of no known clock
+_ODOMETRIES: Final = frozenset({"ODOMETRY", "VISION_POSITION_DELTA"})
 _TURN_S: Final = 0.02  # the thread looks at the time this often
 _US_NS: Final = 1_000
 _AUTOPILOTS: Final = {"px4": codec.PX4, "ardupilot": codec.ARDUPILOT}
@@ -60,12 +63,18 @@ class MavlinkLink:
         odometry_hz: float,
         geoid_m: float,
         say: Callable[[str], None] = lambda _: None,
+        level: tuple[float, float] | None = None,
     ) -> None:
-        """say: prints a line for the person at the terminal; never waits."""
+        """say: prints a line for the person at the terminal; never waits. level: of the ground, see FlowRange.
+
+        Raises ConfigError where odometry is to come from the autopilot or from landfix itself.
+        """
+        if clash := set(config.odometry_from) & {config.component, *config.listen_to}:
+            raise ConfigError(f"mavlink.odometry_from = {min(clash)}: is the autopilot or landfix itself: name another component")
         self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
         self._say, self._said, self._said_ns = say, "", -SECOND_NS
-        self._inputs = Inputs(config, topics, geoid_m)
-        key, heard = signing_key(config, folder), frozenset(config.listen_to)
+        self._inputs = Inputs(config, topics, geoid_m, level)
+        key, heard = signing_key(config, folder), frozenset(config.listen_to) | self._inputs.companions
         wanted = _OF_THE_LINK | self._inputs.wanted
         self._in, self._out = (
             Wire(config.system, config.component, heard, wanted, key, clock.now_ns()) for _ in ("what it parses", "what it packs")
@@ -82,7 +91,7 @@ class MavlinkLink:
         self._next_heartbeat_ns = self._next_timesync_ns = 0
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
-        self.refused = self.out_of_range = self.impossible_dates = 0
+        self.refused = self.out_of_range = self.impossible_dates = self.wild_companions = 0
         self._defect = self._refusal = ""  # the last one
         self._endpoint = opened(address_of(config))
         self._thread: threading.Thread | None = None
@@ -105,6 +114,7 @@ class MavlinkLink:
         if not is_sound(estimate):
             self.out_of_range += 1
             return
+        self._inputs.flow_range.note_estimate(estimate)
         time_usec = estimate.t_ns // _US_NS
         if self._config.odometry and self._pace.due(estimate.t_ns):
             self.sent_odometry += self._tell(self._odometry(estimate, time_usec, autopilot))
@@ -132,7 +142,7 @@ class MavlinkLink:
             "clock_bound_ms": f"{offset.bound_ns * 1e-6:.3f}",
             "timesync_answers": self._boot.answers,
             "reboots": self._boot.reboots,
-            "wild_stamps": self._boot.wild,
+            "wild_stamps": self._boot.wild + self.wild_companions,
             **self._inputs.report(),
             **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
             "odometry": self.sent_odometry,
@@ -246,6 +256,9 @@ class MavlinkLink:
         return True
 
     def _take(self, message: Any, now_ns: int, inbox: Inbox) -> None:
+        if message.get_srcComponent() in self._inputs.companions:
+            self._take_odometry(message, now_ns, inbox)
+            return
         kind = message.get_type()
         self._inputs.hear(message, now_ns)
         if kind == "HEARTBEAT":
@@ -267,6 +280,16 @@ class MavlinkLink:
             if t_ns is not None:
                 for measurement in self._inputs.measured(message, t_ns, now_ns, self._autopilot):
                     inbox.put(measurement)
+
+    def _take_odometry(self, message: Any, now_ns: int, inbox: Inbox) -> None:
+        """Of another component, whose stamps are on our clock, or else on the autopilot's."""
+        stamp_ns = codec.stamp_ns(message)
+        for t_ns in (stamp_ns, self._boot.offset.ours(stamp_ns)):
+            if t_ns is not None and abs(t_ns - now_ns) <= _WILD_NS:
+                for measurement in self._inputs.odometry(message, t_ns):
+                    inbox.put(measurement)
+                return
+        self.wild_companions += message.get_type() in _ODOMETRIES
 
     def _ask_again(self) -> None:
         """The autopilot may be another one, or have begun again."""

@@ -81,6 +81,60 @@ def test_it_carries_a_lasting_error_that_is_considered_and_a_scale_that_is_estim
     assert math.sqrt(scale.covariance[0, 0]) == pytest.approx(0.02)
 
 
+CAMERAS = msgspec.structs.replace(DELTA, systematic=np.zeros((6, 2)))
+
+
+def _widened(spread_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """White and lasting covariance of an increment of cameras."""
+    aid = _aid(CAMERAS)
+    end = aid.motion
+    assert isinstance(end, Increment)
+    assert end.reported is not None
+    aid, z, spread_m = odometry.widened(aid, end.z, end.reported, spread_m)
+    J = np.asarray(aid.slow_errors[0].jacobian)
+    return z.noise, J @ J.T, spread_m
+
+
+def test_an_increment_is_no_more_certain_than_those_before_and_far_apart_ones_err_for_longer() -> None:
+    """Of a scene that moves slowly some steps show that they are uncertain, and all are wrong."""
+    own_m, share = 0.02 * math.sqrt(3.0), [0.02**2] * 3 + [0.0] * 3
+    noise, lasting, spread_m = _widened((math.inf, 0.0))
+    np.testing.assert_allclose(noise, _noise(CAMERAS))
+    np.testing.assert_allclose(np.diag(lasting), share, atol=1e-12)
+    assert spread_m == pytest.approx((own_m, own_m))
+    noise, lasting, spread_m = _widened((own_m, 2.0 * own_m))
+    np.testing.assert_allclose(noise, 4.0 * _noise(CAMERAS))
+    np.testing.assert_allclose(np.diag(lasting), share, atol=1e-12)
+    noise, lasting, spread_m = _widened((own_m, 4.0 * own_m))
+    np.testing.assert_allclose(noise, 16.0 * _noise(CAMERAS))
+    np.testing.assert_allclose(np.diag(lasting), share + 16.0 * CAMERAS.covariance.diagonal(), atol=1e-12)
+    assert spread_m == pytest.approx((own_m, 4.0 * own_m))
+
+
+def test_what_was_uncertain_is_forgotten() -> None:
+    state = SourceState(last_ns=T0, spread_m=(0.1, 0.4))
+    assert odometry.spread_at(state, T0 + 10 * SECOND) == pytest.approx((0.1 * math.e, 0.4 / math.e))
+    assert odometry.spread_at(state, T0 + 10**5 * SECOND) == (math.inf, 0.0)
+    assert odometry.spread_at(SourceState(), T0) == (math.inf, 0.0)
+
+
+def test_flow_wheels_and_increments_without_a_covariance_do_not_remember() -> None:
+    flat = np.diag([0.01, 0.01, -1.0, -1.0, -1.0, -1.0])
+    for delta in (
+        DELTA,
+        msgspec.structs.replace(CAMERAS, covariance=flat),
+        msgspec.structs.replace(CAMERAS, covariance=np.zeros((6, 6))),
+    ):
+        end = _aid(delta).motion
+        assert isinstance(end, Increment)
+        assert end.reported is None
+
+
+def test_keys_of_competing_sources_are_none_of_odometry() -> None:
+    for key in ("spacing_s", "fault_s", "reset_after_s"):
+        assert key not in OdometryConfig.__struct_fields__
+
+
 def test_a_rig_that_says_how_it_errs_takes_the_place_of_the_scale() -> None:
     moved = np.arange(12.0).reshape(6, 2)
     _, rig = _aid(msgspec.structs.replace(DELTA, systematic=moved)).slow_errors

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from estimator.cli import app
 from estimator.config import load
 from estimator.tools import demo as demonstration
+from logs.evaluation.evaluate import evaluate
 from models.sim.scenario_file import loads
 
 SHORT = """
@@ -49,6 +50,7 @@ outages_s = [[30.0, 54.0]]
 rate_hz = 1.0
 outages_s = [[0.0, 26.0]]
 dark_s = [[40.0, 46.0]]
+odometry = true
 [cameras.world]
 painted = 0.7
 unmapped = 0.15
@@ -109,7 +111,8 @@ def test_the_blackout_is_found_and_survived(result: demonstration.DemoResult) ->
 
 
 def test_of_a_flight_with_cameras_map_rig_and_overlay_are_written_too(seen: demonstration.DemoResult) -> None:
-    assert sorted(p.name for p in Path(seen.folder).iterdir()) == sorted([*FLOWN, "map.geojson", "overlay.png", "rig.yaml"])
+    beside = ["map.geojson", "overlay.png", "rig.yaml", "without_odometry.mcap"]
+    assert sorted(p.name for p in Path(seen.folder).iterdir()) == sorted([*FLOWN, *beside])
     assert Path(seen.overlay).read_bytes().startswith(b"\x89PNG")
     config = load(Path(seen.config))
     assert (config.map.landmarks, config.rig.file) == ("map.geojson", "rig.yaml")
@@ -136,6 +139,19 @@ def test_what_the_cameras_see_carries_on_without_gps_but_not_in_the_dark(seen: d
         assert outage.radius95_end_m is not None
         assert 0.01 < outage.drift.end_m < 2.0 * outage.radius95_end_m < 6.0
     assert without_gps.duration_s > 20.0
+
+
+def test_odometry_is_used_but_not_in_the_dark_and_the_flight_without_it_stands_beside(seen: demonstration.DemoResult) -> None:
+    (blackout,) = (o for o in seen.evaluation.outages if o.source == "all")
+    (without_gps,) = (o for o in seen.evaluation.outages if o.source == "/gnss")
+    assert blackout.increments == 0
+    assert without_gps.increments >= 5
+    assert blackout.drift is not None
+    assert blackout.without_odometry_m is not None
+    assert 0.01 < blackout.without_odometry_m < 6.0
+    without = evaluate(Path(seen.without_odometry), outage_s=5.0)
+    assert not any(a.kind == "odometry" for a in without.aids)
+    assert "Odometry in outages" in Path(seen.report).read_text()
 
 
 def test_the_command_prints_where_everything_is(tmp_path: Path) -> None:

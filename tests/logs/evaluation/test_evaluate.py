@@ -11,7 +11,7 @@ from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
 from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
 from logs.evaluation.records import ConsistencySummary, Evaluation
-from logs.evaluation.table import print_table
+from logs.evaluation.table import odometry, print_table
 from logs.evaluation.trajectory import decode
 from logs.store.reader import LogError, LogReader
 from logs.wire import schemas
@@ -109,6 +109,26 @@ def test_outages_and_their_drift(log: Path, consistent: Evaluation) -> None:
     c = c[(c.t_ns > EPOCH_NS + 58 * S) & (c.t_ns < EPOCH_NS + 90 * S)]
     assert second.nees_position == pytest.approx(nees(c.p_error, c.p_covariance).mean() / 3)
     assert second.attitude_end_deg == pytest.approx(np.rad2deg(np.linalg.norm(c.theta_error[-1])))
+
+
+def test_an_outage_with_odometry_stands_beside_the_flight_without_it(log: Path, consistent: Evaluation) -> None:
+    """Increments are counted in the outage alone; the other estimate is 3 m off all the time."""
+    evidence = read(log)
+    _, outage = consistent.outages
+    start_s = (int(evidence.estimate.t_ns[0]) - EPOCH_NS) * 1e-9 + outage.start_s
+    steps = [aid(start_s + s, "/odometry", "odometry") for s in (-1.0, 0.5, 1.0, outage.duration_s + 1.0)]
+    gated = aid(start_s + 1.5, "/odometry", "odometry", Reason.GATED)
+    beside = replace(evidence.estimate, p=evidence.estimate.p + np.array([3.0, 0.0, 0.0]))
+    assessed = assess(replace(evidence, aids=(*evidence.aids, *steps, gated)), "flight", without_odometry=beside)
+    first, found = assessed.outages
+    assert (first.increments, found.increments) == (0, 2)
+    assert outage.drift is not None
+    assert found.without_odometry_m is not None
+    assert abs(found.without_odometry_m - 3.0) <= outage.drift.end_m + 1e-6
+    title, header, rows = odometry(assessed)
+    assert (title.split(":")[0], header[-1]) == ("Odometry in outages", "without m")
+    assert rows[0][3] == "2"
+    assert not odometry(consistent)[2]
 
 
 def test_modes_aids_latency_and_resets(consistent: Evaluation) -> None:

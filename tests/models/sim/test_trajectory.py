@@ -92,6 +92,18 @@ def test_multirotor_starts_at_rest_on_the_origin_climbs_hovers_and_keeps_its_lim
     assert 25.0 < tilt_deg.max() < 60.0
 
 
+def test_visits_are_flown_to_and_change_nothing_before() -> None:
+    plain, visiting = fly(Multirotor()), fly(Multirotor(visits=((60.0, 10.0, 250.0), (61.0, 0.0, 30.0))))
+    t = np.arange(0.0, 120.0, 0.1)
+    p = visiting.at(t).p_n
+    np.testing.assert_allclose(p[t < 50.0], plain.at(t[t < 50.0]).p_n, atol=0.5)  # its wander is another one
+    nearest = np.linalg.norm(p[:, :2] - (10.0, 250.0), axis=1)
+    assert nearest.min() < 8.0  # a corner is rounded
+    turned = int(np.argmin(nearest))
+    assert t[turned] > 60.0
+    assert p[turned : turned + 100, 1].min() < 200.0  # and it comes back
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_multirotor_that_lands_ends_at_rest_on_the_origin(seed: int) -> None:
     trajectory = fly(Multirotor(lands=True, speed_m_s=8.0, climb_m_s=3.0), 150.0, seed)

@@ -19,9 +19,22 @@ from estimator.service.base.clock import Clock
 from estimator.service.daemon import Daemon
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.link import MavlinkLink
+from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
 from models import so3
-from models.messages import AidStatus, Alert, Estimate, GnssFix, GnssVelocity, ImuSample, Input, Integrity, Mode, Reason
+from models.messages import (
+    AidStatus,
+    Alert,
+    Estimate,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Input,
+    Integrity,
+    Mode,
+    OdometryPose,
+    Reason,
+)  # fmt: skip
 from models.state import X
 from tests.estimator.service.autopilots import ARDUPILOT, PASSPHRASE, PX4, Flight, SerialAutopilot, UdpAutopilot
 from tests.estimator.service.flying import (
@@ -393,6 +406,39 @@ def test_others_are_not_listened_to() -> None:
         assert stranger.listen(0.1) == []
         for end in (autopilot, camera, stranger):
             end.close()
+
+
+def _camera_pose(t_us: int) -> Any:
+    zeros = [0.0] * 21
+    return mavlink.MAVLink_odometry_message(t_us, 20, 12, 1, 2, 3, [1, 0, 0, 0], *[0] * 6, zeros, zeros, estimator_type=3)
+
+
+def test_odometry_of_a_companion_comes_in_on_its_clock_or_the_autopilots_and_the_autopilots_own_does_not() -> None:
+    topics = Topics(odometry=("/odometry",))
+    with (
+        closing(UdpAutopilot()) as autopilot,
+        _linked(MavlinkConfig(f"udpout:127.0.0.1:{autopilot.port}", odometry_from=(198,)), topics=topics) as (link, inbox, clock),
+    ):
+        autopilot.until(lambda: link.report()["timesync_answers"] >= 3, "clocks are in step")
+        camera = mavlink.MAVLink(None, srcSystem=1, srcComponent=198)
+        now_ns = clock.now_ns()
+        for t_us in (now_ns // 1000, autopilot.boot_us(), now_ns // 1000 - 60_000_000):
+            autopilot.write(bytes(_camera_pose(t_us).pack(camera)))
+        autopilot.say(_camera_pose(autopilot.boot_us()))
+        autopilot.imu()
+        autopilot.until(lambda: inbox.of(ImuSample), "the sample after them")
+        poses = inbox.of(OdometryPose)
+        assert [abs(p.t_ns - now_ns) < SECOND // 50 for p in poses] == [True, True]
+        assert (link.report()["wild_stamps"], link.report()["defects"]) == (1, 0)
+
+
+@pytest.mark.parametrize("component", [1, 197])
+def test_odometry_of_the_autopilot_or_of_ourselves_is_refused(component: int) -> None:
+    with (
+        pytest.raises(ConfigError, match="is the autopilot or landfix itself"),
+        _linked(MavlinkConfig("udpin:127.0.0.1:0", odometry_from=(component,))),
+    ):
+        pass
 
 
 def test_signed_or_not_at_all(tmp_path: Path) -> None:
