@@ -17,10 +17,12 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.sources import rest
+from estimator.sources.air import drag
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
+from models.air import AirVelocity, DragForce
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
@@ -35,6 +37,7 @@ _NOT_YET = "used once the attitude is known: false axes would mislead the alignm
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
+_ON_THE_GROUND = RestConfig()
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
@@ -199,7 +202,10 @@ class Tracker(Alignment):
             return self._odometry(aid)
         if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
             return Decision(refusal.reason, detail=refusal.detail)
-        z = self._rest(aid, samples) if aid.kind == rest.TOPIC else aid.measurement(self.origin)
+        if aid.kind in (rest.TOPIC, drag.TOPIC):
+            aid, z = self._felt(aid, samples)
+        else:
+            z = aid.measurement(self.origin)
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
@@ -235,6 +241,8 @@ class Tracker(Alignment):
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
+            if isinstance(z, AirVelocity | DragForce) and decision.reason is Reason.GATED:
+                self._forget_wind(aid)
             if self.hypotheses is not hypotheses or hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past, or none
             elif self.stretch is not None and decision.reason is Reason.FUSED:
@@ -261,6 +269,19 @@ class Tracker(Alignment):
             self.last_odometry_ns = aid.t_ns
         nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
         return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
+
+    def _felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
+        """What the IMU itself shows: rest, or the drag of a multirotor."""
+        if aid.kind == rest.TOPIC:
+            return aid, self._rest(aid, samples)
+        assert isinstance(aid.rules, drag.DragConfig)
+        second, begin = self._stretch(samples), samples.first_after(self.t_ns - round(aid.rules.every_s * 1e9))
+        u = samples.u[begin : samples.first_after(self.t_ns)]
+        if second is None or not len(u) or not self.is_aligned:
+            return aid, Refusal(Reason.THINNED, NO_POSITION)
+        if rest.is_quiet(second, _ON_THE_GROUND):
+            return aid, Refusal(Reason.THINNED, "at rest")
+        return drag.felt(aid, u, aid.rules)
 
     def _rest(self, aid: Aid, samples: ImuBuffer) -> Rest | Refusal:
         """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
@@ -314,6 +335,13 @@ class Tracker(Alignment):
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
+
+    def _forget_wind(self, aid: Aid) -> None:
+        """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""
+        if self.hypotheses is not None and self.t_ns - self.last_absolute_ns <= self._aided_ns:
+            for slow in aid.slow_errors:
+                if slow.walk is not None:
+                    self.hypotheses.forget(slow.block)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.
