@@ -26,8 +26,8 @@ class Settings(msgspec.Struct, frozen=True):
     """One log's share of the configuration.
 
     noise_reason: where the noise is from; gnss_delay_s: how much older a fix is than its stamp; antenna_b_m: from the IMU to
-    the GNSS antenna; receiver, airspeed: other keys of [gnss] and [airspeed], where these are known better than by their defaults; hard_iron_ut: what
-    the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
+    the GNSS antenna; receiver, airspeed: other keys of [gnss] and [airspeed], where these are known better than by their
+    defaults; hard_iron_ut: what the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
     lat_deg, lon_deg, alt_m of the frame of the log's truth, None: the estimator chooses.
     """
 

@@ -30,7 +30,9 @@ _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_
 _PRESSURES: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE
 _DISTANCE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 _NUMBERS: Final = (
-    _IMUS | {"DISTANCE_SENSOR": _DISTANCE, "SCALED_PRESSURE": _PRESSURES} | dict(zip(("GPS_RAW_INT", "GPS2_RAW"), _RECEIVERS, strict=True))
+    _IMUS
+    | {"DISTANCE_SENSOR": _DISTANCE, "SCALED_PRESSURE": _PRESSURES}
+    | dict(zip(("GPS_RAW_INT", "GPS2_RAW"), _RECEIVERS, strict=True))
 )  # of those that carry sensors
 _NEVER: Final = -(2**62)
 

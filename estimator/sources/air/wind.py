@@ -27,8 +27,8 @@ class WindConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     sigma_m_s: Annotated[float, Meta(ge=0.1, le=100, description="m/s: north and east, before anything is known of it")] = 5.0
     walk_m_s_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s/sqrt(s): by which it changes")] = 0.05
-    gust_m_s: Annotated[float, Meta(ge=0, le=50, description="m/s: of gusts, north and east; 0: none")] = 0.5
-    gust_s: Annotated[float, Meta(ge=0.1, le=1e3, description="s: duration of a gust")] = 5.0
+    gust_m_s: Annotated[float, Meta(ge=0, le=50, description="m/s: of gusts, north and east; 0: none")] = 1.2
+    gust_s: Annotated[float, Meta(ge=0.1, le=1e3, description="s: duration of a gust")] = 4.0
 
 
 def wind_errors(config: WindConfig, rows: int) -> tuple[SlowError, ...]:
