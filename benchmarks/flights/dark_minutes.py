@@ -21,6 +21,7 @@ from benchmarks.flights import gnss
 from benchmarks.tables import Table, number
 from estimator.config import Config, parse
 from estimator.fusion import Fusion
+from logs.evaluation.metrics import Times
 from logs.importers.recording import Truth
 from models.messages import Array, Estimate, GnssFix, GnssVelocity, Input, Reading
 from models.sim.aids import Gnss
@@ -47,7 +48,7 @@ class Flight(NamedTuple):
     """messages in order of arrival; true t_ns (n,) and p_n (n, 3); begins of the dark, ns; how it is configured."""
 
     messages: Sequence[Input]
-    t_ns: Array
+    t_ns: Times
     p_n: Array
     begins_ns: Sequence[int]
     config: Config
@@ -76,7 +77,8 @@ def run(flight: Flight, config: Config) -> list[Seconds]:
 
 def _dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
     """From a message on, without GNSS."""
-    errors, ratios = [], []
+    errors: list[float] = []
+    ratios: list[float] = []
     for message in flight.messages[first:]:
         if message.t_ns > begin_ns + (LENGTHS_S[-1] + 1) * _SECOND_NS or len(errors) > LENGTHS_S[-1]:
             break
@@ -97,7 +99,7 @@ def thor(out: Path) -> Flight:
     truth = [m for m in recording if isinstance(m, Truth)]
     messages = gnss.inputs(recording)
     begins = [messages[0].t_ns + s * _SECOND_NS for s in _THOR_BEGINS_S]
-    return Flight(messages, np.array([m.t_ns for m in truth]), np.array([m.p_n for m in truth]), begins, config)
+    return Flight(messages, np.array([m.t_ns for m in truth], np.int64), np.array([m.p_n for m in truth]), begins, config)
 
 
 def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float) -> Flight:

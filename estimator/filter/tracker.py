@@ -38,6 +38,7 @@ _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mount
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
 _ON_THE_GROUND = RestConfig()
+_FELT = frozenset({rest.TOPIC, drag.TOPIC})
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
@@ -202,10 +203,7 @@ class Tracker(Alignment):
             return self._odometry(aid)
         if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
             return Decision(refusal.reason, detail=refusal.detail)
-        if aid.kind in (rest.TOPIC, drag.TOPIC):
-            aid, z = self._felt(aid, samples)
-        else:
-            z = aid.measurement(self.origin)
+        aid, z = self._felt(aid, samples) if aid.kind in _FELT else (aid, aid.measurement(self.origin))
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)

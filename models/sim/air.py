@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from models.messages import Array, Reading
 from models.sim.ranges import NotNegative, Positive, Rate
@@ -64,7 +65,7 @@ def blow(wind: Wind, rng: np.random.Generator) -> Air:
 
 
 def read_airspeed(
-    tube: Airspeed, air: Air | None, t_ns: Array, epoch_ns: int, v_n: Array, R_nb: Array, rng: np.random.Generator
+    tube: Airspeed, air: Air | None, t_ns: NDArray[np.int64], epoch_ns: int, v_n: Array, R_nb: Array, rng: np.random.Generator
 ) -> list[Reading]:
     """What the tube reads at the instants t_ns (n,) of the motion v_n (n, 3), R_nb (n, 3, 3)."""
     wind = air.at(np.asarray((t_ns - epoch_ns) * 1e-9, np.float64))[0] if air is not None else 0.0
