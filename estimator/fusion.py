@@ -15,6 +15,7 @@ from estimator.filter.history import Entry, History
 from estimator.filter.tracker import Tracker
 from estimator.sources.aids import aid_of
 from estimator.sources.air.drag import drag_aid
+from estimator.sources.air.wind import WIND
 from estimator.sources.imu import sample_refusal
 from estimator.sources.rest import rest_aid
 from estimator.sources.source import Aid, Refusal
@@ -371,7 +372,7 @@ class Fusion:
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
-            biases = _biases(hypotheses.lead.x, cov)
+            biases = _biases(hypotheses.lead.x, cov) | _wind(hypotheses.lead)
         never = tracker.last_absolute_ns < 0
         return Health(
             t_ns,
@@ -406,3 +407,11 @@ def _biases(x: Array, cov: Array) -> dict[str, float]:
         for axis, bias, spread in zip("xyz", x[value].tolist(), sigma.tolist(), strict=True):
             values |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
     return values
+
+
+def _wind(lead: Eskf) -> dict[str, float]:
+    """The wind for Health, where it is estimated: whereto it blows."""
+    if (at := lead.slow.columns.get(WIND)) is None:
+        return {}
+    known = zip(("north", "east"), lead.slow.of(WIND).tolist(), np.sqrt(lead.cov.diagonal()[at]).tolist(), strict=True)
+    return {f"wind_{axis}{end}": number for axis, *pair in known for end, number in zip(("", "_sigma"), pair, strict=True)}

@@ -34,6 +34,7 @@ from models.state import E, X
 LENGTHS_S: Final = (30, 60, 120)
 WINDS_M_S: Final = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
 _INSIDE95: Final = 5.991465  # chi-square, 2 degrees of freedom
+_VIBRATION: Final = 20.0  # times the data sheet's noise
 _LIT_S: Final = 120.0
 _SECOND_NS: Final = 1_000_000_000
 _THOR_BEGINS_S: Final = tuple(range(300, 431, 10))  # of the log; airborne from 190 to 558 s
@@ -103,18 +104,20 @@ def thor(out: Path) -> Flight:
 
 
 def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float) -> Flight:
-    """Two minutes with GNSS and two without, by an IMU of the hobby grade; gusts of a sixth of the wind."""
+    """Two minutes with GNSS and two without; gusts of a sixth of the wind. The IMU vibrates as [imu] says by default."""
     scenario = Scenario(
         duration_s=_LIT_S + LENGTHS_S[-1] + 2.0,
         vehicle=vehicle,
-        imu=Imu(grade="hobby", rate_hz=100.0),
+        imu=Imu(grade="hobby", rate_hz=100.0, noise_multiplier=_VIBRATION),
         gnss=Gnss(rate_hz=5.0),
         wind=Wind(speed_m_s=wind_m_s, gust_m_s=wind_m_s / 6.0, gust_s=5.0),
         airspeed=Airspeed() if isinstance(vehicle, FixedWing) else None,
     )
     simulation = simulate(scenario, round(10 * wind_m_s))
     begin = [EPOCH_NS + round(_LIT_S * _SECOND_NS)]
-    return Flight(simulation.messages, simulation.truth.t_ns, simulation.truth.p_n, begin, parse(simulation.config_toml))
+    config = parse(simulation.config_toml)
+    config = msgspec.structs.replace(config, imu=Config().imu)
+    return Flight(simulation.messages, simulation.truth.t_ns, simulation.truth.p_n, begin, config)
 
 
 def _without_airspeed(config: Config) -> Config:

@@ -20,7 +20,7 @@ from estimator.sources import rest
 from estimator.sources.air import drag
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
-from estimator.sources.source import Aid, Phase, Refusal, SourceState
+from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
 from models import imu, so3
 from models.air import AirVelocity, DragForce
 from models.frames import Origin
@@ -66,6 +66,7 @@ class Tracker(Alignment):
         self.place = config.origin.lla if config.origin else None
         self.rest_since: tuple[int, float] | None = None  # and the heading then
         self.sources: dict[str, SourceState] = {}
+        self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
@@ -78,7 +79,7 @@ class Tracker(Alignment):
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.resting = self.resting.copy() if self.resting else None
         other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
-        other.sources, other.kept = self.sources.copy(), self.kept.copy()
+        other.sources, other.kept, other.same = self.sources.copy(), self.kept.copy(), self.same.copy()
         return other
 
     def restarted(self) -> "Tracker":
@@ -220,6 +221,10 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
+        if self._is_stuck(aid, samples):
+            self.sources[aid.topic] = state.held(aid.rules, aid.t_ns)
+            self._forget_estimated(aid, z)
+            return Decision(Reason.STOPPED, detail="it reads the same all the time: stuck")
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
@@ -239,8 +244,8 @@ class Tracker(Alignment):
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
-            if isinstance(z, AirVelocity | DragForce) and decision.reason is Reason.GATED:
-                self._forget_wind(aid)
+            if decision.reason is Reason.GATED:
+                self._forget_estimated(aid, z)
             if self.hypotheses is not hypotheses or hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past, or none
             elif self.stretch is not None and decision.reason is Reason.FUSED:
@@ -334,8 +339,24 @@ class Tracker(Alignment):
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
 
-    def _forget_wind(self, aid: Aid) -> None:
+    def _is_stuck(self, aid: Aid, samples: ImuBuffer) -> bool:
+        """The sensor has read the same for too long for a vehicle in motion."""
+        rules, content = aid.rules, aid.order[-1]
+        if not isinstance(rules, SensorRules) or not rules.stuck_s:
+            return False
+        known, since_ns = self.same.get(aid.topic, (b"", 0))
+        if known != content:
+            self.same[aid.topic] = content, aid.t_ns
+            return False
+        if aid.t_ns - since_ns < rules.stuck_s * 1e9:
+            return False
+        second = self._stretch(samples)
+        return second is not None and not rest.is_quiet(second, _ON_THE_GROUND)
+
+    def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
         """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""
+        if not isinstance(z, AirVelocity | DragForce):
+            return
         if self.hypotheses is not None and self.t_ns - self.last_absolute_ns <= self._aided_ns:
             for slow in aid.slow_errors:
                 if slow.walk is not None:
