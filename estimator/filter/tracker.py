@@ -249,7 +249,9 @@ class Tracker(Alignment):
             if self.hypotheses is not hypotheses or hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past, or none
             elif self.stretch is not None and decision.reason is Reason.FUSED:
-                self._settle(self.stretch.also(aid, z, gyro_b), samples)
+                longer = self.stretch.also(aid, z, gyro_b)
+                if longer is not self.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
+                    self._settle(longer, samples)
         self.sources[aid.topic] = state
         return decision
 

@@ -1,4 +1,4 @@
-"""Every optional sensor, stuck, biased, of the wrong sign, with wrong axes or late: it is said, and the estimate stays consistent.
+"""Every optional sensor, stuck, biased, of the wrong sign, with wrong axes or late: it is said, and the estimate is consistent.
 
 Airspeed has its own in test_air.py.
 """
