@@ -18,11 +18,11 @@ from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.sources import rest
 from estimator.sources.air import drag
+from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
 from models import imu, so3
-from models.air import AirVelocity, DragForce
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
 from models.messages import Array, Checkpoint, LastGnss, Mode, Reason

@@ -1,9 +1,9 @@
 """A measurement seen from one filter, with the systematic errors that it carries."""
 
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.air.wind import WIND
 from estimator.sources.source import Aid
-from models.air import AirVelocity, DragForce
 from models.measurements import Measurement
 from models.messages import Array
 from models.relative_pose import RelativePose

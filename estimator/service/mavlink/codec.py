@@ -16,9 +16,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
-from models.air import SEA_LEVEL_KG_M3
 from models.frames import GRAVITY
 from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Vec3, vec3
 from models.state import E, X

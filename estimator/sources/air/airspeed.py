@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
+from estimator.sources.air.through_air import AirVelocity, density_ratio
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
 from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
-from models.air import AirVelocity, density_ratio
 from models.frames import Origin
 from models.messages import Reading, Reason
 

@@ -1,4 +1,4 @@
-"""Drag of a multirotor: what the accelerometer feels across the thrust is air that flows past (models/air.py).
+"""Drag of a multirotor: what the accelerometer feels across the thrust is air that flows past (through_air.py).
 
     u(f - b_a - d) = (1 + s) (R_nb^T (v - w))_xy + n
 
@@ -13,9 +13,9 @@ import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
 from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, log_false, order
-from models.air import SEA_LEVEL_KG_M3, DragForce
 from models.frames import GRAVITY
 from models.measurements import Measurement
 from models.messages import Array

@@ -6,9 +6,9 @@ import pytest
 from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.air.airspeed import AirspeedConfig
 from estimator.sources.air.drag import DragConfig, drag_aid, felt
+from estimator.sources.air.through_air import AirVelocity
 from estimator.sources.air.wind import GUST, WIND, WindConfig
 from estimator.sources.source import Aid, Refusal
-from models.air import AirVelocity
 from models.frames import Origin
 from models.messages import Array, Reading, Reason
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, AirVelocity, DragForce, density_ratio
 from models import so3
-from models.air import SEA_LEVEL_KG_M3, AirVelocity, DragForce, density_ratio
 from models.messages import Array
 from models.state import E, X, retract
 
