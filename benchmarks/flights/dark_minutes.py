@@ -40,7 +40,7 @@ _SECOND_NS: Final = 1_000_000_000
 _THOR_BEGINS_S: Final = tuple(range(300, 431, 10))  # of the log; airborne from 190 to 558 s
 _LEVEL: Final = slice(0, 2)
 _COLUMNS: Final = ("flight", "with", "windows", *(f"{s} s: median, worst m" for s in LENGTHS_S), "NEES/2", "in 95 %")
-FLIGHTS: Final = ("umn_thor75", "multirotor", "fixed wing")
+FLIGHTS: Final = ("umn_thor75", "multirotor", "multirotor, quiet IMU", "fixed wing")
 
 Change = Callable[[Config], Config]
 
@@ -103,12 +103,12 @@ def thor(out: Path) -> Flight:
     return Flight(messages, np.array([m.t_ns for m in truth], np.int64), np.array([m.p_n for m in truth]), begins, config)
 
 
-def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float) -> Flight:
-    """Two minutes with GNSS and two without; gusts of a sixth of the wind. The IMU vibrates as [imu] says by default."""
+def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float, *, vibrates: bool) -> Flight:
+    """Two minutes with GNSS and two without; gusts of a sixth of the wind. vibrates: the IMU, as [imu] says by default."""
     scenario = Scenario(
         duration_s=_LIT_S + LENGTHS_S[-1] + 2.0,
         vehicle=vehicle,
-        imu=Imu(grade="hobby", rate_hz=100.0, noise_multiplier=_VIBRATION),
+        imu=Imu(grade="hobby", rate_hz=100.0, noise_multiplier=_VIBRATION if vibrates else 1.0),
         gnss=Gnss(rate_hz=5.0),
         wind=Wind(speed_m_s=wind_m_s, gust_m_s=wind_m_s / 6.0, gust_s=5.0),
         airspeed=Airspeed() if isinstance(vehicle, FixedWing) else None,
@@ -116,7 +116,8 @@ def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float) -> Flight:
     simulation = simulate(scenario, round(10 * wind_m_s))
     begin = [EPOCH_NS + round(_LIT_S * _SECOND_NS)]
     config = parse(simulation.config_toml)
-    config = msgspec.structs.replace(config, imu=Config().imu)
+    if vibrates:
+        config = msgspec.structs.replace(config, imu=Config().imu)
     return Flight(simulation.messages, simulation.truth.t_ns, simulation.truth.p_n, begin, config)
 
 
@@ -147,11 +148,12 @@ _FIXED_WING: Final[dict[str, Change]] = {
     "airspeed, wind, sideslip of 4 deg": _slips(4.0),
     "airspeed, taken for calm air": _calm,
 }
-ARMS: Final[dict[str, dict[str, Change]]] = {
-    "umn_thor75": _FIXED_WING,
-    "fixed wing": _FIXED_WING,
-    "multirotor": {"IMU alone": _drag(enabled=False), "drag, wind": _same, "drag, taken for calm air": _calm},
+_MULTIROTOR: Final[dict[str, Change]] = {
+    "IMU alone": _drag(enabled=False),
+    "drag, wind": _same,
+    "drag, taken for calm air": _calm,
 }
+ARMS: Final = {name: _MULTIROTOR if name.startswith("multirotor") else _FIXED_WING for name in FLIGHTS}
 
 
 def arm(name: str, change: str, out: Path) -> tuple[str, ...]:
@@ -159,8 +161,8 @@ def arm(name: str, change: str, out: Path) -> tuple[str, ...]:
     if name == "umn_thor75":
         flights = [thor(out)]
     else:
-        vehicle = Multirotor(drag_1_s=0.15) if name == "multirotor" else FixedWing()
-        flights = [simulated(vehicle, wind) for wind in WINDS_M_S]
+        vehicle = FixedWing() if name == "fixed wing" else Multirotor(drag_1_s=0.15)
+        flights = [simulated(vehicle, wind, vibrates="quiet" not in name) for wind in WINDS_M_S]
     windows = []
     for flight in flights:
         config = ARMS[name][change](flight.config)
