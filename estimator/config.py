@@ -63,7 +63,8 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
         _Topics, Meta(description="topics of nav_msgs/msg/Odometry, in a frame of its own; none: no odometry is used")
     ] = _TOPICS.odometry
     odometry_delta: Annotated[
-        _Topics, Meta(description="topics of landfix_msgs/msg/OdometryDelta in addition to that of the cameras; none: no other is used")
+        _Topics,
+        Meta(description="topics of landfix_msgs/msg/OdometryDelta, in addition to that of the cameras; none: no other"),
     ] = _TOPICS.odometry_delta
     optical_flow: Annotated[
         _Topics, Meta(description="topics of landfix_msgs/msg/OdometryDelta that MAVLink's flow becomes; none: it is not used")

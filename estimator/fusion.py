@@ -1,6 +1,7 @@
 """The sans-I/O heart: messages in, estimates and reports out. Daemon, replay, simulation and tests drive this same object."""
 
 import math
+from collections.abc import Callable
 from typing import Annotated
 
 import msgspec
@@ -15,6 +16,8 @@ from estimator.filter.tracker import Tracker
 from estimator.integrity.config import IntegrityConfig
 from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
+from estimator.sources.air.drag import drag_aid
+from estimator.sources.air.wind import WIND
 from estimator.sources.imu import sample_refusal
 from estimator.sources.rest import rest_aid
 from estimator.sources.source import Aid, Refusal
@@ -154,17 +157,20 @@ class Fusion:
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
-        if self._config.rest.enabled:
-            self._ask_for_rest(sample.t_ns)
+        config = self._config
+        if config.rest.enabled:
+            self._ask(sample.t_ns, config.rest.every_s, lambda t_ns: rest_aid(t_ns, config.rest))
+        if config.drag.enabled:
+            self._ask(sample.t_ns, config.drag.every_s, lambda t_ns: drag_aid(t_ns, config.drag, config.wind))
         tracker = self._history.advance(sample.t_ns)
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
 
-    def _ask_for_rest(self, t_ns: int) -> None:
-        """Once a period, at stamps that do not depend on the samples: is the vehicle at rest?"""
-        period_ns = round(self._config.rest.every_s * 1e9)
+    def _ask(self, t_ns: int, every_s: float, question: Callable[[int], Aid]) -> None:
+        """Once a period, at stamps that do not depend on the samples, what the IMU itself shows: rest, drag."""
+        period_ns = round(every_s * 1e9)
         asked_ns = t_ns // period_ns * period_ns
         if asked_ns > self._history.samples.previous_ns:
-            self._history.insert_aid(rest_aid(asked_ns, self._config.rest))
+            self._history.insert_aid(question(asked_ns))
 
     def _other(self, message: Input) -> list[Output]:
         match message:
@@ -375,7 +381,7 @@ class Fusion:
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
-            biases = _biases(hypotheses.lead.x, cov)
+            biases = _biases(hypotheses.lead.x, cov) | _wind(hypotheses.lead)
         never = tracker.last_absolute_ns < 0
         return Health(
             t_ns,
@@ -411,3 +417,11 @@ def _biases(x: Array, cov: Array) -> dict[str, float]:
         for axis, bias, spread in zip("xyz", x[value].tolist(), sigma.tolist(), strict=True):
             values |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
     return values
+
+
+def _wind(lead: Eskf) -> dict[str, float]:
+    """The wind for Health, where it is estimated: whereto it blows."""
+    if (at := lead.slow.columns.get(WIND)) is None:
+        return {}
+    known = zip(("north", "east"), lead.slow.of(WIND).tolist(), np.sqrt(lead.cov.diagonal()[at]).tolist(), strict=True)
+    return {f"wind_{axis}{end}": number for axis, *pair in known for end, number in zip(("", "_sigma"), pair, strict=True)}

@@ -388,7 +388,8 @@ class LastGnss(msgspec.Struct, frozen=True, eq=False):
 class Health(msgspec.Struct, frozen=True, eq=False):
     """The estimator about itself, 1-10 Hz.
 
-    biases: of the IMU in body axes (FRD), gyro_x ... accel_z in rad/s and m/s^2, each with its standard deviation (gyro_x_sigma).
+    biases: of the IMU in body axes (FRD), gyro_x ... accel_z in rad/s and m/s^2, each with its standard deviation (gyro_x_sigma);
+    where wind is estimated also its wind_north and wind_east, m/s, whereto it blows.
     """
 
     t_ns: int

@@ -68,6 +68,11 @@ class SlowErrors:
         same = [name for name in self.columns if name.rpartition("/")[0] == kind] if kind else []
         return same[0] if len(same) >= most else None
 
+    def of(self, block: str) -> Array:
+        """The mean of a block."""
+        at = self.columns[block]
+        return self.mean[at.start - E.SIZE : at.stop - E.SIZE]
+
     def moved(self, by: Array) -> "SlowErrors":
         """With the means of what is estimated moved; by: (k,)."""
         return SlowErrors(self.columns, self.tau_s, self.psd, self.mean + self.estimated * by, self.estimated)

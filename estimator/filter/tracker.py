@@ -19,9 +19,11 @@ from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
 from estimator.sources import rest
+from estimator.sources.air import drag
+from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
-from estimator.sources.source import Aid, Phase, Refusal, SourceState
+from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
 from models import imu, so3
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
@@ -38,6 +40,8 @@ _NOT_YET = "used once the attitude is known: false axes would mislead the alignm
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
+_ON_THE_GROUND = RestConfig()
+_FELT = frozenset({rest.TOPIC, drag.TOPIC})
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
@@ -65,6 +69,7 @@ class Tracker(Alignment):
         self.place = config.origin.lla if config.origin else None
         self.rest_since: tuple[int, float] | None = None  # and the heading then
         self.sources: dict[str, SourceState] = {}
+        self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
@@ -80,7 +85,7 @@ class Tracker(Alignment):
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         other.resting = self.resting.copy() if self.resting else None
         other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
-        other.sources, other.kept = self.sources.copy(), self.kept.copy()
+        other.sources, other.kept, other.same = self.sources.copy(), self.kept.copy(), self.same.copy()
         return other
 
     def restarted(self) -> "Tracker":
@@ -211,7 +216,7 @@ class Tracker(Alignment):
             return self._odometry(aid)
         if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
             return Decision(refusal.reason, detail=refusal.detail)
-        z = self._rest(aid, samples) if aid.kind == rest.TOPIC else aid.measurement(self.origin)
+        aid, z = self._felt(aid, samples) if aid.kind in _FELT else (aid, aid.measurement(self.origin))
         if z is None:
             waits = self.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
@@ -233,6 +238,10 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
+        if self._is_stuck(aid, samples):
+            self.sources[aid.topic] = state.held(aid.rules, aid.t_ns)
+            self._forget_estimated(aid, z)
+            return Decision(Reason.STOPPED, detail="it reads the same all the time: stuck")
         if aid.t_ns - state.last_ns < aid.hypothetical.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
@@ -253,10 +262,14 @@ class Tracker(Alignment):
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
             aid = delay.carried(aid, z, self._imu(samples), self.delays, hypotheses.members, alone=alone)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
+            if decision.reason is Reason.GATED:
+                self._forget_estimated(aid, z)
             if self.hypotheses is not hypotheses or hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past, or none
             elif self.stretch is not None and decision.reason is Reason.FUSED:
-                self._settle(self.stretch.also(aid, z, gyro_b), samples)
+                longer = self.stretch.also(aid, z, gyro_b)
+                if longer is not self.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
+                    self._settle(longer, samples)
         self.sources[aid.topic] = state
         return decision
 
@@ -279,6 +292,19 @@ class Tracker(Alignment):
             self.last_odometry_ns = aid.t_ns
         nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
         return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
+
+    def _felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
+        """What the IMU itself shows: rest, or the drag of a multirotor."""
+        if aid.kind == rest.TOPIC:
+            return aid, self._rest(aid, samples)
+        assert isinstance(aid.rules, drag.DragConfig)
+        second, begin = self._stretch(samples), samples.first_after(self.t_ns - round(aid.rules.every_s * 1e9))
+        u = samples.u[begin : samples.first_after(self.t_ns)]
+        if second is None or not len(u) or not self.is_aligned:
+            return aid, Refusal(Reason.THINNED, NO_POSITION)
+        if rest.is_quiet(second, _ON_THE_GROUND):
+            return aid, Refusal(Reason.THINNED, "at rest")
+        return drag.felt(aid, u, aid.rules)
 
     def _rest(self, aid: Aid, samples: ImuBuffer) -> Rest | Refusal:
         """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
@@ -338,6 +364,29 @@ class Tracker(Alignment):
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
+
+    def _is_stuck(self, aid: Aid, samples: ImuBuffer) -> bool:
+        """The sensor has read the same for too long for a vehicle in motion."""
+        rules, content = aid.rules, aid.order[-1]
+        if not isinstance(rules, SensorRules) or not rules.stuck_s:
+            return False
+        known, since_ns = self.same.get(aid.topic, (b"", 0))
+        if known != content:
+            self.same[aid.topic] = content, aid.t_ns
+            return False
+        if aid.t_ns - since_ns < rules.stuck_s * 1e9:
+            return False
+        second = self._stretch(samples)
+        return second is not None and not rest.is_quiet(second, _ON_THE_GROUND)
+
+    def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
+        """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""
+        if not isinstance(z, AirVelocity | DragForce):
+            return
+        if self.hypotheses is not None and self.t_ns - self.last_absolute_ns <= self._aided_ns:
+            for slow in aid.slow_errors:
+                if slow.walk is not None:
+                    self.hypotheses.forget(slow.block)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.

@@ -9,6 +9,9 @@ from typing import Any
 
 import msgspec
 
+from estimator.sources.air.airspeed import AirspeedConfig
+from estimator.sources.air.drag import DragConfig
+from estimator.sources.air.wind import WindConfig
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
@@ -44,6 +47,9 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     baro: BaroConfig = BaroConfig()
     velocity_body: VelocityBodyConfig = VelocityBodyConfig()
     range: RangeConfig = RangeConfig()
+    airspeed: AirspeedConfig = AirspeedConfig()
+    drag: DragConfig = DragConfig()
+    wind: WindConfig = WindConfig()
     rest: RestConfig = RestConfig()
     heading: HeadingConfig = HeadingConfig()
     magnetometer: MagnetometerConfig = MagnetometerConfig()
@@ -83,4 +89,4 @@ def _sensor_aid(reading: Reading, config: SourcesConfig) -> Aid | Refusal | None
         return None
     if not all(map(math.isfinite, reading.values)):
         return Refusal(Reason.NOT_FINITE, f"{reading.kind}: its reading")
-    return rules.aid(reading)
+    return rules.aid(reading, config.wind) if isinstance(rules, AirspeedConfig) else rules.aid(reading)

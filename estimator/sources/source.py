@@ -122,6 +122,10 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 class SensorRules(SourceRules, frozen=True, forbid_unknown_fields=True):
     """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
 
+    stuck_s: Annotated[
+        float, Meta(ge=0, le=3600, description="s: the same reading for so long, though the IMU is in motion, is stuck; 0: never")
+    ] = 5.0
+
     def aid(self, reading: Reading) -> "Aid | Refusal":
         """The reading, whose values are finite, as a measurement, or why it is none."""
         raise NotImplementedError

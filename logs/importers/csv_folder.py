@@ -5,6 +5,7 @@ Headers say what a column is (csv_table.py has all the names):
     imu.csv     t_s, gx_rad_s gy_rad_s gz_rad_s, ax_m_s2 ay_m_s2 az_m_s2          (gyro_x_deg_s, ax_g and the like are converted)
     gps.csv     t_s, lat_deg lon_deg alt_m, vn_m_s ve_m_s vd_m_s, status or fix_type, std_n_m std_e_m std_u_m std_v_m_s or hdop
     baro.csv    t_s, pressure_pa or baro_alt_m
+    airspeed.csv t_s, tas_m_s or ias_m_s (true, indicated; a column of baro.csv's other name, airdata.csv, does as well)
     mag.csv     t_s, mx_ut my_ut mz_ut, in the axes of imu.csv      (T, nT, gauss and mgauss are converted)
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
@@ -32,6 +33,8 @@ _NED = "ned"
 _NO_IMU_S = 1.0  # between samples: no IMU is as slow
 _LAT = ("lat_deg", "latitude_deg", "lat", "latitude")
 _LON = ("lon_deg", "longitude_deg", "lon", "lng", "longitude", "lng_deg")
+_TRUE_AIRSPEED = ("tas_m_s", "true_airspeed_m_s", "airspeed_m_s")
+_INDICATED_AIRSPEED = ("ias_m_s", "indicated_airspeed_m_s", "eas_m_s", "cas_m_s")
 _ELLIPSOID = ("alt_ellipsoid_m", "height_ellipsoid_m", "alt_hae_m", "ellipsoid_height_m")
 _ALT = (*_ELLIPSOID, "alt_m", "altitude_m", "height_m", "alt", "altitude", "height", "alt_msl_m", "alt_amsl_m")
 
@@ -49,6 +52,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if progress:
         progress(0.5)
     aids = [*_gnss(reader), *_baro(reader), *_field(reader, B)]
+    airspeed, is_indicated = _airspeed(reader)
+    aids += airspeed
     if options.pose_fix_hz > 0.0:
         aids.append(_pose_fixes(reader, options, B))
     if options.odometry:
@@ -57,7 +62,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if not any(s.topic in ("/gnss", "/pose_fix") for s in aids):
         hint = "; --pose-fix-hz takes some from vision.csv" if reader.has("vision") else ""
         notes.append(f"{source.name}: neither GNSS nor pose fixes, so the estimator has nothing to start from{hint}")
-    settings = _settings(known, checks, aids, truth)
+    settings = _settings(known, checks, aids, truth, {"indicated": True} if is_indicated else {})
     return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes)
 
 
@@ -207,6 +212,16 @@ def _field(reader: _Reader, B: Array) -> list[Stream]:
     return [recording.sensor("magnetometer", table.t_ns, arrived(table), field_b)]
 
 
+def _airspeed(reader: _Reader) -> tuple[list[Stream], bool]:
+    """Along the nose, and whether it is what the pitot tube indicates."""
+    table = reader.table("airspeed", "airdata")
+    true = None if table is None else table.find(_TRUE_AIRSPEED)
+    speed = table.find(_INDICATED_AIRSPEED) if table is not None and true is None else true
+    if table is None or speed is None:
+        return [], False
+    return [recording.sensor("airspeed", table.t_ns, arrived(table), speed[:, np.newaxis])], true is None
+
+
 def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:
     """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses; nan: not given.
 
@@ -261,7 +276,9 @@ def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
     return recording.pose_fix(table.t_ns[rows], arrived(table)[rows], p_n[rows], q_nb[rows], variance)
 
 
-def _settings(known: DataSet, checks: dict[str, object], aids: list[Stream], truth: Stream | None) -> Settings:
+def _settings(
+    known: DataSet, checks: dict[str, object], aids: list[Stream], truth: Stream | None, airspeed: dict[str, float | bool]
+) -> Settings:
     lla = checks.get("origin_lla")
     origin: Vec3 | None = (float(lla[0]), float(lla[1]), float(lla[2])) if isinstance(lla, list) and len(lla) == 3 else None
     gnss = next((s for s in aids if s.topic == "/gnss"), None)
@@ -276,4 +293,5 @@ def _settings(known: DataSet, checks: dict[str, object], aids: list[Stream], tru
         origin if gnss else None,
         known.altitude,
         known.hard_iron_ut,
+        {**airspeed, **known.airspeed},
     )

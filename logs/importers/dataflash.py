@@ -1,6 +1,7 @@
 """ArduPilot's on-board logs (.bin), by pymavlink.
 
     IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro        MAG  ->  /mag
+    ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
     XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
@@ -33,17 +34,24 @@ _FIELDS = {
     "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS", "Yaw"),
     "GPA": ("HAcc", "VAcc", "SAcc"),
     "BARO": ("Press",),
+    "ARSP": ("Airspeed",),
+    "RFND": ("Dist", "Stat", "Orient"),
     "MAG": ("MagX", "MagY", "MagZ"),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
     "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Rst"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
-_SENSORS = (("BARO", "baro", 1.0), ("MAG", "magnetometer", 1e-3 * sensors.GAUSS_T))  # message, kind, its unit in SI
+_SENSORS = (  # message, kind, its unit in SI
+    ("BARO", "baro", 1.0),
+    ("ARSP", "airspeed", 1.0),
+    ("MAG", "magnetometer", 1e-3 * sensors.GAUSS_T),
+)
 _STAMPS = {"TimeUS": 1.0, "T": 1e3, "TimeMS": 1e3}  # us; TimeMS of a GPS row is the receiver's, its T is the log's
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 _ALIASES = {"IMU2": "IMU", "IMU3": "IMU", "GPS2": "GPS", "NKF1": "XKF1", "EKF1": "XKF1"}  # same fields under another name
 _DELAYS = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EK2_GPS_DELAY", "EKF_POS_DELAY")  # parameters, newest first; 0: not given
 _USUAL_DELAY_MS = 200.0
+_DOWNWARDS, _GOOD = 25, 4  # ROTATION_PITCH_270; RangeFinder::Status::Good
 _WEEK_MS = 7 * 86_400_000
 _DRIFT_WINDOW = 601  # fixes (2 min at 5 Hz) over which the autopilot's clock keeps step with GPS time
 _FAR_US = 4e15  # beyond any date; a damaged stamp may be
@@ -72,7 +80,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         delay_s = _delay_s(parameters, gnss[0])
         origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
-    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level")
+    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level", airspeed={"indicated": True})
     own = [_attitude(truth), truth] if truth else []
     aids = (*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes))
     return Recording.of((*aids, imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
@@ -220,7 +228,18 @@ def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
             continue
         t_ns = _t_ns(table[_TIME], timebase_us)
         streams.append(recording.sensor(kind, t_ns, recording.arrival(t_ns), unit * _vector(table, *_FIELDS[name])))
-    return streams
+    return [*streams, *_range(tables, timebase_us)]
+
+
+def _range(tables: Tables, timebase_us: int) -> list[Stream]:
+    """Of a range finder that looks down; with another status than good there is no echo."""
+    table = tables.get("RFND")
+    if table is None:
+        return []
+    rows = np.flatnonzero((table["Orient"] == _DOWNWARDS) & np.isfinite(table["Dist"]))
+    t_ns, z_m, status = _t_ns(table[_TIME], timebase_us)[rows], table["Dist"][rows], table["Stat"][rows]
+    z_m = np.where((status == _GOOD) & (z_m > 0.0), z_m, np.inf)
+    return [recording.sensor("range", t_ns, recording.arrival(t_ns), z_m[:, np.newaxis])] if len(rows) else []
 
 
 def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream]:

@@ -26,8 +26,8 @@ class Settings(msgspec.Struct, frozen=True):
     """One log's share of the configuration.
 
     noise_reason: where the noise is from; gnss_delay_s: how much older a fix is than its stamp; antenna_b_m: from the IMU to
-    the GNSS antenna; receiver: other keys of [gnss], where its errors are known better than by their defaults; hard_iron_ut: what
-    the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
+    the GNSS antenna; receiver, airspeed: other keys of [gnss] and [airspeed], where these are known better than by their
+    defaults; hard_iron_ut: what the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
     lat_deg, lon_deg, alt_m of the frame of the log's truth, None: the estimator chooses.
     """
 
@@ -39,6 +39,7 @@ class Settings(msgspec.Struct, frozen=True):
     origin: Vec3 | None = None
     altitude: str = ""  # what the heights of GNSS refer to
     hard_iron_ut: Vec3 | None = None
+    airspeed: Mapping[str, float | bool] = {}
 
     def toml(self, kind: str, source: Path, topics: tuple[str, ...]) -> str:
         """The text; topics: those of the log that are inputs."""
@@ -80,6 +81,8 @@ class Settings(msgspec.Struct, frozen=True):
             lines += [f"{name} = {value!r}" for name, value in self.receiver.items()]
         if inputs.get("magnetometer") and self.hard_iron_ut is not None:
             lines += ["", "[magnetometer]", f"offset_ut = {list(self.hard_iron_ut)}"]
+        if inputs["airspeed"] and self.airspeed:
+            lines += ["", "[airspeed]", *(f"{name} = {str(value).lower()}" for name, value in self.airspeed.items())]
         if self.origin is not None:
             lat, lon, alt = self.origin
             lines += ["", "[map]", f"origin = [{lat:.10f}, {lon:.10f}, {alt:.4f}]"]
@@ -106,6 +109,7 @@ class DataSet(msgspec.Struct, frozen=True):
     receiver: Mapping[str, float] = {}
     altitude: str = ""
     hard_iron_ut: Vec3 | None = None
+    airspeed: Mapping[str, float | bool] = {}
 
 
 _RAISED = "effective for this data set: the data sheet's, raised for vibration and what the model leaves out"

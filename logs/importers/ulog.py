@@ -4,6 +4,7 @@
     vehicle_magnetometer, else sensor_mag                ->  /mag
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity, with two antennas /heading
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
+    airspeed_validated, else airspeed: true airspeed     ->  /airspeed         distance_sensor, downwards  ->  /range
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
 
@@ -31,11 +32,14 @@ _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
     "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
     "vehicle_gps_position", "sensor_gps",
+    "airspeed_validated", "airspeed", "distance_sensor",
     "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
 _FIX_3D = 3  # fix_type
+_SYNTHETIC = 4  # AirspeedValidated.airspeed_source: no sensor; below 1: ground speed less wind, none
+_DOWNWARDS = 25  # ROTATION_DOWNWARD_FACING
 _FAR_US = np.uint64(4 * 10**15)  # beyond any date; a damaged stamp may be
 _UNIX_US = 10**14  # stamps above it count from 1970
 
@@ -52,6 +56,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
+    aids += [*_airspeed(topics, clock), *_range(log.data_list, clock)]
     aids += [*_attitude(topics, clock), *_odometry(topics, clock, notes)]
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
@@ -244,6 +249,28 @@ def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
     if topic is None or names[0] not in topic:
         return []
     return [recording.sensor("magnetometer", *_times(topic, clock_us), sensors.GAUSS_T * _vector(topic, *names))]
+
+
+def _airspeed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    """True airspeed; what the autopilot has checked, where it does. One that it makes up without a sensor is nan or none."""
+    topic = topics.get("airspeed_validated", topics.get("airspeed"))
+    if topic is None or "true_airspeed_m_s" not in topic:
+        return []
+    source = topic.get("airspeed_source", topic.get("airspeed_sensor_measurement_valid", np.ones(1)))
+    rows = np.flatnonzero(np.isfinite(topic["true_airspeed_m_s"]) & (source >= 1) & (source < _SYNTHETIC))
+    t_ns, arrived_ns = _times(topic, clock_us)
+    values = _vector(topic, "true_airspeed_m_s")[rows]
+    return [recording.sensor("airspeed", t_ns[rows], arrived_ns[rows], values)] if len(rows) else []
+
+
+def _range(data: Sequence[Any], clock_us: int) -> list[Stream]:
+    """Of the first range finder that looks down; outside its limits there is no echo."""
+    topic = next((d.data for d in data if d.name == "distance_sensor" and (d.data["orientation"] == _DOWNWARDS).all()), None)
+    if topic is None:
+        return []
+    z_m = topic["current_distance"].astype(np.float64)
+    is_within = (z_m >= topic["min_distance"]) & (z_m <= topic["max_distance"]) & (topic.get("signal_quality", -1) != 0)
+    return [recording.sensor("range", *_times(topic, clock_us), np.where(is_within, z_m, np.inf)[:, np.newaxis])]
 
 
 def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:

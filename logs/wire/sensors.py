@@ -26,6 +26,9 @@ class SensorTopics(msgspec.Struct, frozen=True):
     velocity_body: Annotated[
         _Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, FLU; none: none is used")
     ] = ()
+    airspeed: Annotated[
+        _Topics, Meta(description="topics of TwistWithCovarianceStamped, through the air, FLU, linear.x; none: none is used")
+    ] = ()
     range: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Range, downwards; none: none is used")] = ()
     heading: Annotated[
         _Topics, Meta(description="topics of sensor_msgs/msg/Imu whose orientation is that of two antennas; none: none is used")
@@ -97,12 +100,24 @@ def _velocity(message: Any) -> _Values:
 
 def _velocity_message(reading: Reading) -> dict[str, Any]:
     x, y, z = reading.values
+    return _twist((x, y, z), np.zeros((3, 3)) if reading.covariance is None else reading.covariance)
+
+
+def _twist(v_b: tuple[float, float, float], covariance_b: Array) -> dict[str, Any]:
     covariance = np.zeros((6, 6))
-    if reading.covariance is not None:
-        covariance[:3, :3] = axes.body_covariance(reading.covariance)
+    covariance[:3, :3] = axes.body_covariance(covariance_b)
     make: Any = schemas.STORE.types
-    twist = make["geometry_msgs/msg/Twist"](linear=vector(axes.body((x, y, z))), angular=vector((0.0, 0.0, 0.0)))
+    twist = make["geometry_msgs/msg/Twist"](linear=vector(axes.body(v_b)), angular=vector((0.0, 0.0, 0.0)))
     return {"twist": make["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=covariance.ravel())}
+
+
+def _airspeed(message: Any) -> _Values:
+    return (message.twist.twist.linear.x,), _known(message.twist.covariance, 1)
+
+
+def _airspeed_message(reading: Reading) -> dict[str, Any]:
+    known = np.zeros((3, 3)) if reading.covariance is None else np.diag([float(reading.covariance[0, 0]), _NOT_GIVEN, _NOT_GIVEN])
+    return _twist((reading.values[0], 0.0, 0.0), known)
 
 
 def _range(message: Any) -> _Values:
@@ -123,6 +138,7 @@ def _pressure(reading: Reading) -> dict[str, Any]:
 SENSORS: Final = {  # kind -> its message
     "baro": Sensor("/baro", schemas.PRESSURE, lambda m: ((m.fluid_pressure,), np.array([[m.variance]])), _pressure),
     "velocity_body": Sensor("/velocity_body", schemas.TWIST, _velocity, _velocity_message),  # m/s
+    "airspeed": Sensor("/airspeed", schemas.TWIST, _airspeed, _airspeed_message),  # m/s along the nose
     "range": Sensor("/range", schemas.RANGE, _range, _range_message),  # m; infinite without an echo
     "heading": Sensor("/heading", schemas.IMU, _azimuth, _azimuth_message),  # rad, clockwise from north
     "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla

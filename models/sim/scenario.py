@@ -17,6 +17,7 @@ from models.frames import Origin
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
 from models.sim.aids import Gnss, PoseFixes, make_pose_fixes, receive_gnss
+from models.sim.air import Airspeed, Wind, blow, read_airspeed
 from models.sim.cameras import Cameras
 from models.sim.faults import AnyFault, in_order
 from models.sim.ranges import Rate
@@ -44,6 +45,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     gnss: Gnss | None = None
     pose_fix: PoseFixes | None = None
     cameras: Cameras | None = None
+    wind: Wind | None = None
+    airspeed: Airspeed | None = None
     faults: tuple[AnyFault, ...] = ()
 
     def __post_init__(self) -> None:
@@ -95,9 +98,10 @@ class Simulation:
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:
     """One run of the scenario. Raises ValueError for a fault that asks for what the scenario does not have."""
-    for_course, for_imu, for_gnss, for_fixes = np.random.default_rng(seed).spawn(4)
+    for_course, for_imu, for_gnss, for_fixes, for_air = np.random.default_rng(seed).spawn(5)
     origin = Origin(*scenario.origin) if scenario.geographic else None
-    trajectory = build(scenario.vehicle, scenario.duration_s, for_course)
+    air = blow(scenario.wind, for_air) if scenario.wind else None
+    trajectory = build(scenario.vehicle, scenario.duration_s, for_course, air)
     t_ns = _stamps(scenario.imu.rate_hz, scenario.duration_s)
     motion = trajectory.at(np.asarray((t_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
     record = measure(scenario.imu, motion, origin, (t_ns[1] - t_ns[0]) * 1e-9, for_imu)
@@ -108,6 +112,8 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
     if scenario.pose_fix:
         fixes, false = make_pose_fixes(scenario.pose_fix, trajectory, EPOCH_NS, for_fixes)
         aids += fixes
+    if scenario.airspeed:
+        aids += read_airspeed(scenario.airspeed, air, t_ns, EPOCH_NS, motion.v_n, motion.R_nb, for_air)
     ticks = [Tick(t, t) for t in _stamps(scenario.ticks_hz, scenario.duration_s).tolist()] if scenario.ticks_hz else []
     # The sort is stable: of messages arriving together the aids come first, the tick last.
     messages = in_order([*aids, *_imu_messages(scenario.imu, t_ns, record), *ticks])
@@ -153,6 +159,10 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
         lines += [f'gnss = "{_topic(GnssFix)}"', f'gnss_velocity = "{_topic(GnssVelocity)}"']
     if scenario.pose_fix:
         lines += [f'pose_fix = "{_topic(PoseFix)}"']
+    if scenario.airspeed:
+        lines += ['airspeed = "/airspeed"']
+    if isinstance(scenario.vehicle, Multirotor) and scenario.vehicle.drag_1_s:
+        lines += ["", "[drag]", "enabled = true", f"momentum_1_s = {scenario.vehicle.drag_1_s!r}"]
     if scenario.gnss:
         lines += ["", "[gnss]", f"delay_s = {scenario.gnss.stamp_lag_s!r}", f"antenna_b_m = {list(scenario.gnss.antenna_b_m)}"]
     if scenario.geographic:

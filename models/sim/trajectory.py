@@ -1,8 +1,9 @@
 """True motion of a multirotor and of a fixed wing: smooth, of any length, every derivative in closed form.
 
     p_n(t) = sum_i c_i B_i(t)        degree 7 B-spline, so v, a, jerk, angular rate and angular acceleration are all continuous
-    multirotor:  z_b = -f/|f|,  f = a_n - g_n (thrust is all there is);  y_b ~ z_b x heading;  x_b = y_b x z_b
-    fixed wing:  x_b = v/|v|  (no sideslip);                             y_b ~ x_b x f (coordinated);  z_b = x_b x y_b
+    multirotor:  z_b = -f/|f|,  f = a_n - g_n + k u (thrust, less the drag);  y_b ~ z_b x heading;  x_b = y_b x z_b
+    fixed wing:  x_b = u/|u|  (no sideslip);                             y_b ~ x_b x f (coordinated);  z_b = x_b x y_b
+    u = v - w                                                            velocity through the air, of which w is the wind
     omega_b = (z.y', x.z', y.x')                                                     of the axes' own derivatives
 
 The control points c_i are samples of a path of straight legs (or arcs); the spline stays in their convex hull, so speeds
@@ -10,7 +11,7 @@ are never exceeded and corners become manoeuvres. Source: Mellinger & Kumar 2011
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, TypeAlias
 
 import msgspec
@@ -21,6 +22,7 @@ from scipy.interpolate import BSpline
 from models import so3
 from models.frames import GRAVITY
 from models.messages import Array
+from models.sim.air import Air
 from models.sim.ranges import NotNegative, Positive, Share, ascending
 
 _DEGREE = 7
@@ -38,7 +40,7 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     speed_m_s: fastest leg; climb_m_s: fastest climb; area_m: side of the square flown in; height_m: mean height above the
     origin; hover_share: share of legs that are hovers; lands: the flight ends on the origin, at rest; seed: fixes the course, so
     that runs differ by their noise only; visits: (t s, north m, east m), where the first leg that begins after t leads, at
-    speed_m_s.
+    speed_m_s; drag_1_s: drag of its rotors, force per mass and velocity through the air.
     """
 
     speed_m_s: Positive = 8.0
@@ -49,6 +51,7 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     lands: bool = False
     visits: tuple[tuple[NotNegative, float, float], ...] = ()
     seed: int | None = None
+    drag_1_s: NotNegative = 0.0
 
 
 class FixedWing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="fixed_wing"):
@@ -83,31 +86,38 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A path, and either a yaw of its own (multirotor) or none (fixed wing: the nose follows the path)."""
+    """A path, and either a yaw of its own (multirotor) or none (fixed wing: the nose follows the path).
+
+    air: in which it flies; drag_1_s: of a multirotor, force per mass and velocity through the air.
+    """
 
     path: BSpline
     yaw: BSpline | None
     duration_s: float
+    air: Air | None = None
+    drag_1_s: float = 0.0
 
     def at(self, t_s: Array) -> Motion:
         """Motion at t_s (n,), seconds from the start, 0 <= t_s <= duration_s (but for rounding). Raises ValueError outside."""
         if t_s.size and not (t_s.min() >= 0.0 and t_s.max() <= self.duration_s + 1e-6):
             raise ValueError(f"the trajectory lasts from 0 to {self.duration_s} s")
         v, a, jerk = (self.path(t_s, nu=order) for order in (1, 2, 3))
+        wind, change = self.air.at(t_s) if self.air is not None else (0.0, 0.0)
         if self.yaw is None:
-            R_nb, omega_b = _coordinated(v, a, jerk)
+            R_nb, omega_b = _coordinated(v - wind, a - change, a, jerk)
         else:
-            R_nb, omega_b = _thrust_vectored(a, jerk, self.yaw(t_s), self.yaw(t_s, nu=1))
+            k = self.drag_1_s
+            R_nb, omega_b = _thrust_vectored(a + k * (v - wind), jerk + k * (a - change), self.yaw(t_s), self.yaw(t_s, nu=1))
         return Motion(self.path(t_s), v, a, R_nb, _quaternions(R_nb), omega_b)
 
 
-def build(vehicle: Multirotor | FixedWing, duration_s: float, rng: np.random.Generator) -> Trajectory:
-    """A random trajectory of the vehicle; vehicle.seed, where given, takes the place of rng."""
+def build(vehicle: Multirotor | FixedWing, duration_s: float, rng: np.random.Generator, air: Air | None = None) -> Trajectory:
+    """A random trajectory of the vehicle in the air; vehicle.seed, where given, takes the place of rng."""
     if vehicle.seed is not None:
         rng = np.random.default_rng(vehicle.seed)
     if isinstance(vehicle, Multirotor):
-        return _multirotor(vehicle, duration_s, rng)
-    return _fixed_wing(vehicle, duration_s, rng)
+        return replace(_multirotor(vehicle, duration_s, rng), air=air, drag_1_s=vehicle.drag_1_s)
+    return replace(_fixed_wing(vehicle, duration_s, rng), air=air)
 
 
 def _multirotor(vehicle: Multirotor, duration_s: float, rng: np.random.Generator) -> Trajectory:
@@ -202,8 +212,8 @@ def _thrust_vectored(a: Array, jerk: Array, yaw: Array, yaw_rate: Array) -> tupl
     return _frame(x, dx, y, dy, z, dz)
 
 
-def _coordinated(v: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
-    x, dx = _unit(v, a)
+def _coordinated(through_air: Array, change: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
+    x, dx = _unit(through_air, change)
     y, dy = _unit(*_cross(x, dx, a - _GRAVITY_N, jerk))
     z, dz = _cross(x, dx, y, dy)
     return _frame(x, dx, y, dy, z, dz)

@@ -195,6 +195,7 @@ class Alignment:
         self._note_contradiction(aid, z, foreseen=foreseen)
         if self.hypotheses is None:
             return
+        before_it = self.stretch
         if self.stretch is not None:
             self.stretch = self.stretch.also(aid, z, gyro_b)
         known = self._is_proven() and self._is_known()
@@ -203,7 +204,7 @@ class Alignment:
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
             self.stretch = Stretch.of(self.hypotheses.lead) if known else None
             self.is_aligned = known
-        elif len(self.hypotheses.members) == 1 and self.stretch.has_grown:
+        elif len(self.hypotheses.members) == 1 and self.stretch is not before_it and self.stretch.has_grown:  # a run ends now
             confirmed = self._relinearise(self.stretch, samples).is_confirmed
             self.is_aligned = known and confirmed and self._is_known()
 

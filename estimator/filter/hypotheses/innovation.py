@@ -1,6 +1,8 @@
 """A measurement seen from one filter, with the systematic errors that it carries."""
 
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.sources.air.through_air import AirVelocity, DragForce
+from estimator.sources.air.wind import WIND
 from estimator.sources.source import Aid
 from models.measurements import Measurement
 from models.messages import Array
@@ -32,4 +34,6 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
             eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
             if slow.walk is not None and not slow.starts_at_zero:
                 eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
+    if isinstance(z, AirVelocity | DragForce):
+        z = z.in_wind(eskf.slow.of(WIND))
     return eskf.innovation(z, gyro_b, carried)

@@ -16,6 +16,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3
 from logs.importers.sensors import navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
@@ -30,6 +31,7 @@ _US_NS, _MS_NS = 1_000, 1_000_000
 _MILLI_G: Final = GRAVITY * 1e-3
 _ACCEL_AND_GYRO: Final = 0b111111  # of HIGHRES_IMU.fields_updated
 _PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE
+_DIFF_PRESSURE: Final[int] = mavlink.HIGHRES_IMU_UPDATED_DIFF_PRESSURE
 _HPA_PA: Final = 100.0
 _FIELD: Final[int] = mavlink.HIGHRES_IMU_UPDATED_XMAG | mavlink.HIGHRES_IMU_UPDATED_YMAG | mavlink.HIGHRES_IMU_UPDATED_ZMAG
 _GAUSS_T: Final = 1e-4
@@ -258,11 +260,27 @@ def _range(message: Any) -> tuple[float, ...] | None:
     return (1e-2 * message.current_distance if is_within else math.inf,)
 
 
+def _indicated(hectopascal: float) -> tuple[float, ...]:
+    """Indicated airspeed [m/s] of a dynamic pressure: sqrt(2 q / rho_0)."""
+    return (math.copysign(math.sqrt(2.0 * _HPA_PA * abs(hectopascal) / SEA_LEVEL_KG_M3), hectopascal),)
+
+
+def _airspeed(message: Any) -> tuple[float, ...] | None:
+    """Of a HIGHRES_IMU."""
+    return _indicated(message.diff_pressure) if message.id == 0 and message.fields_updated & _DIFF_PRESSURE else None
+
+
+def _scaled_airspeed(message: Any) -> tuple[float, ...] | None:
+    """Of a SCALED_PRESSURE; 0: there is no pitot tube."""
+    return _indicated(message.press_diff) if message.press_diff else None
+
+
 # Message -> the sensors whose readings it carries: kind, and values as logs/wire/sensors.py has them, None where there are none.
 SENSORS: Final[dict[str, dict[str, Callable[[Any], tuple[float, ...] | None]]]] = {
-    "HIGHRES_IMU": {"baro": _pressure, "magnetometer": _field},
+    "HIGHRES_IMU": {"baro": _pressure, "magnetometer": _field, "airspeed": _airspeed},
     "RAW_IMU": {"magnetometer": _coarse_field},
     "SCALED_IMU": {"magnetometer": _coarse_field},
+    "SCALED_PRESSURE": {"airspeed": _scaled_airspeed},
     "DISTANCE_SENSOR": {"range": _range},
     "GPS_RAW_INT": {"heading": _azimuth},
     "GPS2_RAW": {"heading": _azimuth},

@@ -39,6 +39,10 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     baro: Annotated[bool, Meta(description="whether its barometer is the first topic of [inputs] baro")] = True
     magnetometer: Annotated[bool, Meta(description="whether its magnetometer is the first topic of [inputs] magnetometer")] = True
     range: Annotated[bool, Meta(description="whether its range finder is the first topic of [inputs] range")] = True
+    airspeed: Annotated[
+        bool,
+        Meta(description="whether its pitot tube is the first topic of [inputs] airspeed; [airspeed] indicated = true"),
+    ] = True
     heading: Annotated[bool, Meta(description="whether the yaw of its receivers is the first topic of [inputs] heading")] = True
     optical_flow: Annotated[
         bool, Meta(description="whether its OPTICAL_FLOW_RAD is the first topic of [inputs] optical_flow")

@@ -30,12 +30,15 @@ _RAW: Final[int] = mavlink.MAVLINK_MSG_ID_RAW_IMU
 _SCALED: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _IMUS: Final = {"HIGHRES_IMU": _IMU, "RAW_IMU": _RAW, "SCALED_IMU": _SCALED}
 _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
+_PRESSURES: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE
 _DISTANCE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 _FLOW: Final[int] = mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD
 _FLOW_HZ: Final = 20.0
 _ODOMETRY: Final[int] = mavlink.MAVLINK_MSG_ID_ODOMETRY
 _NUMBERS: Final = (
-    _IMUS | {"DISTANCE_SENSOR": _DISTANCE} | dict(zip(("GPS_RAW_INT", "GPS2_RAW"), _RECEIVERS, strict=True))
+    _IMUS
+    | {"DISTANCE_SENSOR": _DISTANCE, "SCALED_PRESSURE": _PRESSURES}
+    | dict(zip(("GPS_RAW_INT", "GPS2_RAW"), _RECEIVERS, strict=True))
 )  # of those that carry sensors
 _NEVER: Final = -(2**62)
 

@@ -35,6 +35,8 @@ _NOISE: Final = (
     Key("imu.accel_walk", 1e-6, 1e-1),
     Key("pose_fix.noise_scale", 0.2, 5.0, "pose_fix"),
     Key("landmark_fix.noise_scale", 0.2, 5.0, "landmark_fix"),
+    Key("drag.momentum_1_s", 0.02, 2.0, "drag"),
+    Key("wind.gust_m_s", 0.1, 5.0, "wind"),
 )
 _TRUTH: Final = (Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),)  # not identifiable from the receiver itself
 _GATES: Final = tuple(

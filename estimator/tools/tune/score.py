@@ -29,7 +29,7 @@ from logs.store.reader import LogError, LogReader
 from logs.wire import axes
 from models import so3
 from models.frames import Origin
-from models.messages import Array, Estimate, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, vec3
+from models.messages import Array, Estimate, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, vec3
 
 _SETTLE_S: Final = 15.0  # after the first absolute fix nothing is held back
 _NEAR_NS: Final = 200_000_000  # an estimate further away says nothing of that time
@@ -123,9 +123,12 @@ def _wanted(messages: Sequence[Input], truth: Trajectory | None, stretch: _Stret
 
 
 def sources(log: str, config: str) -> frozenset[str]:
-    """Sections of the configuration that judge what absolute fixes are in a log."""
+    """Sections of the configuration that judge what absolute fixes are in a log, and those of the air where they are in use."""
     named: dict[type[Input], str] = {PoseFix: "pose_fix", LandmarkFix: "landmark_fix", GnssFix: "gnss"}
-    return frozenset(named[type(m)] for m in _read(log, config, "").messages if type(m) in named)
+    drag, messages = parse(config).drag.enabled, _read(log, config, "").messages
+    in_air = drag or any(isinstance(m, Reading) and m.kind == "airspeed" for m in messages)
+    found = {named[type(m)] for m in messages if type(m) in named}
+    return frozenset(found | ({"drag"} if drag else set()) | ({"wind"} if in_air else set()))
 
 
 def _at_validity(z: Absolute, late_ns: int) -> Absolute:

@@ -69,6 +69,7 @@ ALL = Topics(
     heading=("/heading",),
     velocity_body=("/velocity_body",),
     range=("/range",),
+    airspeed=("/airspeed",),
     attitude=("/attitude",),
     odometry=("/odometry",),
 )  # every input, the optional ones too
@@ -143,6 +144,8 @@ def inputs() -> list[Input]:
         Reading(T_NS, ARRIVED_NS, "/heading", "heading", (3.0,)),
         Reading(T_NS, ARRIVED_NS, "/velocity_body", "velocity_body", (5.0, -0.1, 0.2), covariance(3)),
         Reading(T_NS, ARRIVED_NS, "/range", "range", (12.5,)),
+        Reading(T_NS, ARRIVED_NS, "/airspeed", "airspeed", (17.25,)),
+        Reading(T_NS, ARRIVED_NS, "/airspeed", "airspeed", (17.25,), np.eye(1) * 0.25),
         AttitudePrior(T_NS, ARRIVED_NS, q, covariance(3)),
         Tick(T_NS, ARRIVED_NS),
     ]

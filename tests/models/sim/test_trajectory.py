@@ -6,14 +6,17 @@ import pytest
 from models import so3
 from models.frames import GRAVITY
 from models.messages import Array
+from models.sim.air import Wind, blow
 from models.sim.trajectory import FixedWing, Multirotor, Trajectory, build
 
-VEHICLES = [Multirotor(), FixedWing()]
+VEHICLES = [Multirotor(), FixedWing(), Multirotor(drag_1_s=0.3)]
+AIR = blow(Wind(speed_m_s=6.0, gust_m_s=1.0), np.random.default_rng(0))
 G_N = np.array([0.0, 0.0, GRAVITY])
 
 
 def fly(vehicle: Multirotor | FixedWing, duration_s: float = 120.0, seed: int = 3) -> Trajectory:
-    return build(vehicle, duration_s, np.random.default_rng(seed))
+    in_wind = isinstance(vehicle, Multirotor) and vehicle.drag_1_s > 0.0
+    return build(vehicle, duration_s, np.random.default_rng(seed), AIR if in_wind else None)
 
 
 def difference(f: dict[int, Array], h: float) -> Array:
@@ -166,3 +169,28 @@ def test_seeds_make_courses_and_the_vehicles_own_seed_fixes_its() -> None:
         np.testing.assert_array_equal(place(kind(), 1), place(kind(), 1))
         assert np.linalg.norm(place(kind(), 1) - place(kind(), 2)) > 1.0
         np.testing.assert_array_equal(place(kind(seed=9), 1), place(kind(seed=9), 2))
+
+
+def test_across_its_thrust_a_multirotor_feels_nothing_but_drag() -> None:
+    t = np.linspace(0.0, 120.0, 500)
+    motion, wind = fly(Multirotor(drag_1_s=0.3)).at(t), AIR.at(t)[0]
+    felt, through_air = (np.einsum("kij,ki->kj", motion.R_nb, v) for v in (motion.a_n - G_N, motion.v_n - wind))
+    np.testing.assert_allclose(felt[:, :2], -0.3 * through_air[:, :2], atol=1e-9)
+
+
+def test_a_fixed_wing_flies_along_its_nose_through_air_that_moves() -> None:
+    t = np.linspace(0.0, 120.0, 500)
+    motion = build(FixedWing(), 120.0, np.random.default_rng(3), AIR).at(t)
+    along = np.einsum("kij,ki->kj", motion.R_nb, motion.v_n - AIR.at(t)[0])
+    np.testing.assert_allclose(along[:, 1:], 0.0, atol=1e-9)
+
+
+def test_a_wind_has_the_gusts_that_it_is_asked_for() -> None:
+    t = np.arange(0.0, 5000.0, 0.1)
+    wind, change = blow(Wind(speed_m_s=6.0, gust_m_s=1.0, gust_s=4.0), np.random.default_rng(1)).at(t)
+    gust = wind[:, :2] - wind[:, :2].mean(axis=0)
+    np.testing.assert_allclose(gust.std(axis=0), 1.0, rtol=0.1)
+    np.testing.assert_allclose(np.hypot(*wind[:, :2].mean(axis=0)), 6.0, rtol=0.02)
+    lag = round(4.0 / 0.1)
+    assert np.mean(gust[:-lag] * gust[lag:]) == pytest.approx(np.exp(-1.0), abs=0.2)
+    np.testing.assert_allclose(np.diff(wind[:, 0]) / 0.1, 0.5 * (change[1:, 0] + change[:-1, 0]), atol=0.01)

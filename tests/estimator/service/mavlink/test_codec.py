@@ -153,6 +153,21 @@ def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
     assert [type(m) for m in inputs.measured(none, late, late, codec.ARDUPILOT)] == [ImuSample]
 
 
+def test_a_dynamic_pressure_is_an_indicated_airspeed() -> None:
+    highres = _over_the_wire(
+        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 0, 2.45, 0, 20.0, 63 | 1024, id=0)
+    )
+    scaled = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(5, 950.0, 2.45, 2000))
+    none = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(6, 950.0, 0.0, 2000))
+    for message in (highres, scaled):
+        inputs = Inputs(MavlinkConfig(imu=False), Topics(airspeed=("/airspeed",)), 0.0)
+        assert mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE in dict(inputs.requests(T0, codec.ARDUPILOT))
+        (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+        assert isinstance(read, Reading)
+        np.testing.assert_allclose(read.values, [20.0], rtol=1e-6)  # 245 Pa = 1.225 / 2 * 20^2
+        assert list(inputs.measured(none, T0, T0, codec.ARDUPILOT)) == []
+
+
 @pytest.mark.parametrize(("yaw", "degrees"), [(0, None), (65535, None), (36000, 360.0), (4500, 45.0)])
 def test_the_heading_of_two_antennas_is_given_or_not(yaw: int, degrees: float | None) -> None:
     message = _over_the_wire(

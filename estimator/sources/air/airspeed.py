@@ -1,0 +1,94 @@
+"""Airspeed of a pitot tube along the nose, and that a fixed wing hardly slips.
+
+    z_x = (1 + k) e_x^T R_nb^T (v - w) + n,   0 = e_y^T R_nb^T (v - w) + n_beta
+
+k, the scale of tube and sensor, is estimated. The second row is there where sideslip_deg says how coordinated the flight is.
+"""
+
+import math
+from functools import cache
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from estimator.sources.air.through_air import AirVelocity, density_ratio
+from estimator.sources.air.wind import WindConfig, estimated, wind_errors
+from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
+from models.frames import Origin
+from models.messages import Reading, Reason
+
+_FASTEST_M_S = 350.0
+_NOSE, _AND_SIDE = np.arange(1), np.arange(2)
+_USUAL = WindConfig()
+
+
+class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+    """[airspeed]: the pitot tube and its errors; it is used where [inputs] airspeed names a topic."""
+
+    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
+    fault_s: Annotated[
+        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (water or ice in the tube)")
+    ] = 30.0
+    spacing_s: Annotated[
+        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
+    ] = 0.2
+    hold_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
+    ] = 30.0
+    delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
+    indicated: Annotated[
+        bool, Meta(description="whether readings are indicated airspeed, as of the density at sea level, or true airspeed")
+    ] = False
+    sigma_m_s: Annotated[float, Meta(ge=1e-3, le=100, description="m/s: of a reading, where the message gives no accuracy")] = 0.5
+    scale_sigma: Annotated[float, Meta(ge=0, le=1, description="ratio: of its scale, which is estimated; 0: none")] = 0.05
+    sideslip_deg: Annotated[
+        float, Meta(ge=0, le=45, description="deg: sideslip of a fixed wing; 0: it is not taken to fly along its nose")
+    ] = 0.0
+    sideslip_s: Annotated[float, Meta(ge=0.1, le=1e4, description="s: duration of a sideslip")] = 3.0
+    least_m_s: Annotated[float, Meta(ge=0, le=100, description="m/s: below, the tube says nothing, or it does not fly")] = 6.0
+
+    def aid(self, reading: Reading, wind: WindConfig = _USUAL) -> Aid | Refusal:
+        """An airspeed [m/s] as a velocity through the air."""
+        speed = reading.values[0]
+        if abs(speed) > _FASTEST_M_S:
+            return Refusal(Reason.IMPLAUSIBLE, f"{speed:.4g} m/s: metres per second are expected")
+        if speed < self.least_m_s:
+            return Refusal(
+                Reason.IMPLAUSIBLE, f"{speed:.1f} m/s is below [airspeed] least_m_s: on the ground, or the tube is closed"
+            )
+        given = 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
+        sigma = math.sqrt(given) if math.isfinite(given) and given > 0.0 else self.sigma_m_s
+
+        @cache  # a measurement that comes late has others done again
+        def measurement(origin: Origin | None) -> AirVelocity:
+            return self._velocity(speed, sigma, origin)
+
+        z, t_ns = self._velocity(speed, sigma, None), reading.t_ns - round(self.delay_s * 1e9)
+        scale = estimated(f"{reading.topic}.scale", np.array([self.scale_sigma]), np.eye(len(z.rows))[:, :1] * speed)
+        slip = speed * math.radians(self.sideslip_deg)
+        sideslip = SlowError(f"{reading.topic}.sideslip", np.array([[slip**2]]), self.sideslip_s, np.array([[0.0], [1.0]]))
+        return Aid(
+            t_ns=t_ns,
+            arrived_ns=reading.arrived_ns,
+            topic=reading.topic,
+            kind=reading.kind,
+            order=order(t_ns, reading.kind, reading.topic, speed, given),
+            rules=self,
+            absolute=False,
+            log_false=log_false(self, [FALSE_VELOCITY_M_S] * len(z.rows)),
+            measurement=measurement,
+            slow_errors=(
+                *(scale,) * (self.scale_sigma > 0),
+                *(sideslip,) * (self.sideslip_deg > 0),
+                *wind_errors(wind, len(z.rows)),
+            ),
+            weighs=False,
+        )
+
+    def _velocity(self, speed: float, sigma: float, origin: Origin | None) -> AirVelocity:
+        if self.indicated and origin is not None:
+            speed /= math.sqrt(density_ratio(origin.alt_m))
+        if not self.sideslip_deg:
+            return AirVelocity(np.array([speed]), np.array([[sigma**2]]), _NOSE)
+        return AirVelocity(np.array([speed, 0.0]), np.diag([sigma**2, sigma**2]), _AND_SIDE)

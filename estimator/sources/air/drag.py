@@ -1,0 +1,76 @@
+"""Drag of a multirotor: what the accelerometer feels across the thrust is air that flows past (through_air.py).
+
+    u(f - b_a - d) = (1 + s) (R_nb^T (v - w))_xy + n
+
+f: mean specific force of the last moment; d: the thrust is not quite along the IMU's z; s: the coefficient is not quite known.
+Both stay, and are estimated. The IMU itself asks, every_s; on the ground nothing of this holds.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+from msgspec.structs import replace
+
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce
+from estimator.sources.air.wind import WindConfig, estimated, wind_errors
+from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, log_false, order
+from models.frames import GRAVITY
+from models.measurements import Measurement
+from models.messages import Array
+
+TOPIC = "drag"
+_ACROSS = slice(3, 5)  # specific force along x and y, of gyro and accelerometer
+
+
+class DragConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+    """[drag]: of a multirotor in flight; PX4's EKF2_MCOEF and EKF2_BCOEF."""
+
+    enabled: Annotated[bool, Meta(description="whether drag shows a multirotor's velocity through the air")] = False
+    hold_s: Annotated[
+        float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
+    ] = 30.0
+    every_s: Annotated[float, Meta(ge=0.02, le=10, description="s: between two readings, each the mean over that time")] = 0.1
+    momentum_1_s: Annotated[
+        float, Meta(ge=0.01, le=10, description="1/s: drag of the rotors, force per mass and m/s (PX4 EKF2_MCOEF)")
+    ] = 0.15
+    ballistic_kg_m2: Annotated[
+        float, Meta(ge=0, le=1e4, description="kg/m^2: mass over drag area of the hull (PX4 EKF2_BCOEF_X); 0: no such drag")
+    ] = 0.0
+    sigma_m_s2: Annotated[float, Meta(ge=1e-3, le=100, description="m/s^2: of a reading: vibration, manoeuvres")] = 0.5
+    coefficient_sigma: Annotated[float, Meta(ge=1e-3, le=1, description="ratio: of the coefficients, which is estimated")] = 0.2
+    tilt_deg: Annotated[float, Meta(ge=1e-3, le=45, description="deg: of the thrust against the IMU's z, which is estimated")] = (
+        1.0
+    )
+
+
+def _unmeasured(_: object) -> Measurement | None:
+    return None
+
+
+def drag_aid(t_ns: int, config: DragConfig, wind: WindConfig) -> Aid:
+    """The question what the drag is at t_ns, which the IMU samples before it answer."""
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=t_ns,
+        topic=TOPIC,
+        kind=TOPIC,
+        order=order(t_ns, TOPIC, TOPIC),
+        rules=config,
+        absolute=False,
+        log_false=log_false(config, [FALSE_VELOCITY_M_S] * 2),
+        measurement=_unmeasured,
+        slow_errors=wind_errors(wind, 2),
+        weighs=False,
+    )
+
+
+def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:
+    """The measurement in samples u (k, 6), with the errors that are its own."""
+    square = 0.5 * SEA_LEVEL_KG_M3 / config.ballistic_kg_m2 if config.ballistic_kg_m2 else 0.0
+    z = DragForce(u[:, _ACROSS].mean(axis=0), config.sigma_m_s2, config.momentum_1_s, square)
+    through_air, by_force = z.velocity(z.f_b)
+    tilt = estimated(f"{TOPIC}.tilt", np.full(2, GRAVITY * math.radians(config.tilt_deg)), by_force)
+    scale = estimated(f"{TOPIC}.scale", np.array([config.coefficient_sigma]), through_air[:, np.newaxis])
+    return replace(aid, slow_errors=(tilt, scale, *aid.slow_errors)), z

@@ -1,0 +1,101 @@
+"""Motion through the air: what a pitot tube and a multirotor's drag measure, and the density of the standard atmosphere.
+
+    z_b = R_nb^T (v - w) + n,   w = (w_n, w_e, 0)
+
+Of z_b some components are given. A pitot tube gives the first; of a multirotor the specific force f across its thrust is drag:
+
+    f = -(k + (rho / 2 B) |u|) u,   u = (z_x, z_y)                           (PX4 EKF2: MCOEF k [1/s], BCOEF B [kg/m^2])
+    u = -m(|f|) f / |f|,            m(f) = (sqrt(k^2 + 4 c f) - k) / 2 c,   c = rho / 2 B
+
+The wind is estimated beside the state: `in_wind` puts the present estimate in, about which the innovation is linearised.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models import so3
+from models.messages import Array
+from models.state import E, X
+
+SEA_LEVEL_KG_M3 = 1.225
+_CALM = (0.0, 0.0)
+_ACROSS = np.arange(2)
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirVelocity:
+    """z_b: (m,) m/s, of the components `rows` of R^T (v - w); noise (m, m); wind_n: m/s, north and east."""
+
+    z_b: Array
+    noise: Array
+    rows: NDArray[np.intp]
+    wind_n: tuple[float, float] = _CALM
+
+    def in_wind(self, wind_n: Array) -> Self:
+        """The same where the wind is estimated to be this."""
+        return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
+
+    def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
+        """nu = z - R^T v, to which the wind is added as an error of z; H_v = R^T, H_theta = [R^T (v - w)]x. See Measurement."""
+        r_bn, h = so3.matrix(x[X.Q]).T, np.zeros((3, E.SIZE))
+        through_air = r_bn @ (x[X.V] - np.array([*self.wind_n, 0.0]))
+        h[:, E.V], h[:, E.THETA] = r_bn, so3.skew(through_air)
+        return self.z_b - (r_bn @ x[X.V])[self.rows], h[self.rows]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DragForce:
+    """f_b: (2,) mean specific force along x and y, m/s^2, of sigma; wind_n as in AirVelocity.
+
+    linear: k, 1/s; square: c, 1/m.
+    """
+
+    f_b: Array
+    sigma: float
+    linear: float
+    square: float
+    wind_n: tuple[float, float] = _CALM
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """See Measurement."""
+        return _ACROSS
+
+    @property
+    def noise(self) -> Array:
+        """See Measurement."""
+        by_force = self.velocity(self.f_b)[1]
+        return self.sigma**2 * by_force @ by_force.T
+
+    def in_wind(self, wind_n: Array) -> Self:
+        """The same where the wind is estimated to be this."""
+        return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
+
+    def velocity(self, f_b: Array) -> tuple[Array, Array]:
+        """u (2,) through the air, m/s, of a force f (2,), m/s^2, and d u / d f (2, 2), s."""
+        force, k, c = float(np.linalg.norm(f_b)), self.linear, self.square
+        root = math.sqrt(k * k + 4.0 * c * force)
+        speed = 2.0 * force / (root + k)  # = (root - k) / 2c, for any c
+        along = f_b / force if force > _TINY else np.zeros(2)
+        outer, across = np.outer(along, along), speed / force if force > _TINY else 1.0 / k
+        return -speed * along, -(outer / root + across * (np.eye(2) - outer))
+
+    def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
+        """As AirVelocity of u(f - b_a), with H_ba = d u / d f. See Measurement."""
+        nu, h = self._through_air(x).evaluate(x, gyro_b)
+        h[:, E.BA][:, _ACROSS] = self.velocity(self.f_b - x[X.BA][_ACROSS])[1]
+        return nu, h
+
+    def _through_air(self, x: Array) -> AirVelocity:
+        z_b, _ = self.velocity(self.f_b - x[X.BA][_ACROSS])
+        return AirVelocity(z_b, np.eye(2), _ACROSS, self.wind_n)
+
+
+def density_ratio(height_m: float) -> float:
+    """rho / rho_0 = (1 - 2.25577e-5 h)^4.25588 of the standard atmosphere (ICAO Doc 7488) below 11 km."""
+    return float(max(1.0 - 2.25577e-5 * height_m, 0.1) ** 4.25588)
