@@ -141,7 +141,7 @@ def _images(
     """The images at the cameras' size; shown: the camera's mount is that of the photo as a viewer shows it."""
     import msgspec
 
-    from estimator.commands.common import photo
+    from estimator.commands.photo import fitted as photo
     from estimator.commands.common.picture_source import picture as read_picture
 
     if not rig.one_camera:
