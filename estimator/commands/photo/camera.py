@@ -37,16 +37,19 @@ class FromTags(NamedTuple):
 def camera_of(tags: Tags, width: int, where: str) -> FromTags:
     """The camera of a photo, at so many pixels of width. Raises CalibrationError where the tags do not tell it."""
     taken_w, taken_h = tags.taken_px
-    if abs(tags.width * taken_h / (tags.height * taken_w) - 1.0) > _SAME and abs(
-        tags.width * taken_w / (tags.height * taken_h) - 1.0
-    ) > _SAME:
+    if (
+        abs(tags.width * taken_h / (tags.height * taken_w) - 1.0) > _SAME
+        and abs(tags.width * taken_w / (tags.height * taken_h) - 1.0) > _SAME
+    ):
         raise CalibrationError(
             f"{where}: cropped from {taken_w} x {taken_h} to {tags.width} x {tags.height} px, so that its tags are of another "
             "camera: give the photo as it was taken"
         )
     height = round(width * tags.height / tags.width)
     if tags.zoom > _ZOOMED:
-        raise CalibrationError(f"{where}: taken with a digital zoom of {tags.zoom:g}: calibrate it (landfix calibrate mono), --rig")
+        raise CalibrationError(
+            f"{where}: taken with a digital zoom of {tags.zoom:g}: calibrate it (landfix calibrate mono), --rig"
+        )
     scale = width / max(tags.taken_px) if tags.width >= tags.height else width / min(tags.taken_px)
     if tags.dewarp is not None:
         return _dewarped(tags, width, height, scale)
@@ -78,4 +81,6 @@ def _focal(tags: Tags, scale: float, width: int, height: int, where: str) -> tup
         aspect = longer / shorter
         px_per_mm = of_width if abs(aspect - 1.5) < _SAME else of_diagonal if aspect < 1.4 else 0.5 * (of_width + of_diagonal)
         return tags.focal_35_mm * px_per_mm, "FocalLengthIn35mmFilm", _FILM
-    raise CalibrationError(f"{where}: its tags do not tell the focal length: calibrate the camera (landfix calibrate mono), --rig")
+    raise CalibrationError(
+        f"{where}: its tags do not tell the focal length: calibrate the camera (landfix calibrate mono), --rig"
+    )

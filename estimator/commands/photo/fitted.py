@@ -55,6 +55,31 @@ def fitted(path: Path, image: "Image", camera: "CameraModel", turns: int) -> "tu
     return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=way), dtype=image.dtype), turned
 
 
+def turns_left(path: Path, camera: "CameraModel", turns: int) -> int:
+    """Quarters by which a viewer turns the photo beyond what `fitted` does."""
+    from PIL import Image
+
+    if turns % 2 == 0:
+        return turns
+    with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
+        width, height = photo.size
+    return 0 if not _aspect_fits(width, height, camera) and _aspect_fits(height, width, camera) else turns
+
+
+def at_width(camera: "CameraModel", width: int) -> "CameraModel":
+    """The camera of the same photos at another width: u + 1/2 is scaled, since pixel centres are at integers."""
+    import msgspec
+    import numpy as np
+
+    s = width / camera.width
+    scales = np.array([s] * 4 + [1.0] * len(camera.distortion))
+    covariance = None if camera.covariance is None else camera.covariance * np.outer(scales, scales)
+    return msgspec.structs.replace(
+        camera, width=width, height=round(s * camera.height), fx=s * camera.fx, fy=s * camera.fy,
+        cx=s * (camera.cx + 0.5) - 0.5, cy=s * (camera.cy + 0.5) - 0.5, covariance=covariance,
+    )  # fmt: skip
+
+
 def turned_mount(R_bc: "Array", turns: int) -> "Array":
     """R_bc of the sensor from that of the photo as it is shown: x_shown = R_z(90 deg turns) x_sensor."""
     import numpy as np
@@ -65,5 +90,8 @@ def turned_mount(R_bc: "Array", turns: int) -> "Array":
 
 
 def _fits(image: "Image", camera: "CameraModel") -> bool:
-    height, width = image.shape[:2]
+    return _aspect_fits(image.shape[1], image.shape[0], camera)
+
+
+def _aspect_fits(width: int, height: int, camera: "CameraModel") -> bool:
     return bool(abs(width * camera.height / (height * camera.width) - 1.0) < _SAME_ASPECT)

@@ -39,10 +39,11 @@ _EDITORS: Final = ("microsoft", "adobe", "gimp", "photos", "picasa", "lightroom"
 class Tags:
     """Of one photo; None where the camera wrote nothing usable.
 
-    taken_px: width and height when it was taken; lat_lon_deg; altitude_m above the sea, or the ellipsoid; above_takeoff_m, above_ground_m; attitude_deg: roll, pitch, yaw;
-    sigma_m: of the position, horizontal and vertical; taken_s: of a clock without a zone. Of the camera: focal length in mm, in
-    mm of a 35 mm film, in px (the maker's), px of the sensor in a mm, dewarp: fx fy cx cy k1 k2 p1 p2 k3 with (cx, cy) from the
-    middle, dewarped: whether that is taken out already, zoom: digital. edited_by: a program that wrote the file after the camera.
+    taken_px: width and height when it was taken. Of the flight: lat_lon_deg; altitude_m above the sea, or the ellipsoid;
+    above_takeoff_m, above_ground_m; attitude_deg: roll, pitch, yaw; sigma_m: of the position, horizontal and vertical; taken_s:
+    of a clock without a zone. Of the camera: focal length in mm, in mm of a 35 mm film, in px (the maker's), px of the sensor in
+    a mm, dewarp: fx fy cx cy k1 k2 p1 p2 k3 with (cx, cy) from the middle, dewarped: whether that is taken out already, zoom:
+    digital. edited_by: a program that wrote the file after the camera.
     """
 
     width: int
