@@ -15,11 +15,10 @@ import typer
 
 from calib.errors import CalibrationError
 from calib.files.formats import BodyPose, load_cameras
-from calib.files.rig_yaml import FORWARD
 from estimator.commands.common import picture_source
 from estimator.commands.photo import fitted
 from estimator.commands.photo.camera import camera_of
-from estimator.commands.photo.pose import prior_of
+from estimator.commands.photo.pose import DOWN, prior_of
 from estimator.commands.photo.tags import Tags, read
 from models import so3
 from models.camera import StereoRig
@@ -140,7 +139,7 @@ def _rig(first: Path, given: Given, tags: dict[Path, Tags], remarks: list[str]) 
     """One camera on the body; where the prior is of the camera itself, the body is the camera."""
     mount = given.mount
     if given.rig is not None:
-        rig = load_cameras(given.rig, mount if given.prior else BodyPose(FORWARD, np.zeros(3), np.zeros((6, 6))))
+        rig = load_cameras(given.rig, mount if given.prior else BodyPose(DOWN, np.zeros(3), np.zeros((6, 6))))
         if not rig.one_camera:
             raise CalibrationError(f"{given.rig}: a rig of two cameras needs --prior: tags are of one camera")
         camera = rig.left if given.width is None else fitted.at_width(rig.left, given.width)
@@ -158,7 +157,7 @@ def _rig(first: Path, given: Given, tags: dict[Path, Tags], remarks: list[str]) 
         "(landfix calibrate mono knows it better: --rig)"
     )
     if mount is None:
-        return StereoRig.of_one(camera, FORWARD, np.zeros(3), None)
+        return StereoRig.of_one(camera, DOWN, np.zeros(3), None)
     return StereoRig.of_one(camera, *mount)
 
 
