@@ -194,7 +194,7 @@ class PredictPath:
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 
     def _confirmed(self, found: _Decided, marks: list[Landmark], t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """What is weak waits for an image from elsewhere that agrees, what is not what the image before showed for the next one."""
+        """What is weak waits for an image from elsewhere that agrees; what the image before contradicts for the next one."""
         fitted, weak = found.fitted, found.grade == "weak"
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
