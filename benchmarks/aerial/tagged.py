@@ -3,7 +3,7 @@
 Brighton Beach as `landfix locate PHOTO --map MAP` sees it: pose and camera by EXIF and XMP, which the set keeps in photos.csv and
 which are written into its photos again. 12 are as the camera wrote them; 6 were turned by half a turn in a photo viewer, which
 left the tags as they were, and are decoys of a kind. Judged: where the camera is, by fix and prior together, against SIFT in the
-orthophoto, which was made from the same photos and their GPS. Each photo alone, then all in order.
+orthophoto, which was made from the same photos and their GPS. With the camera by its tags, and with a calibrated one.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from benchmarks.aerial.registration_sets import brighton_files
 from benchmarks.aerial.trials import generator, turned
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
+from calib.files.formats import save_camera
 from estimator.commands.photo.shots import Given, take
 from estimator.map_files import picture as picture_store
 from models.maps.landmarks import LandmarkMap
@@ -36,6 +37,7 @@ from vision.recognisers import MapPicture, Recognisers
 _VIEWER: Final = "Microsoft Windows Photo Viewer 10.0.10240.16384"
 _TURNED: Final = frozenset(f"DJI_00{k}.jpg" for k in range(24, 30))
 _FOCAL_35_MM, _TAKEN_PX = 20, (4000, 2250)
+_WIDTH: Final = 800  # the command's default
 _TAKEN, _SOFTWARE = 0x9003, 0x0131
 
 
@@ -84,7 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.aerial.tagged", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--width", type=int, default=None, help="px of the photos; the command's default")
+    parser.add_argument("--width", type=int, default=_WIDTH, help="of the photos [px]")
     args = parser.parse_args()
     data = data_folder()
     if not (data / brighton.FOLDER).is_dir():
@@ -96,11 +98,11 @@ def main() -> None:
 
 
 _COLUMNS = (
-    "map", "photos", "how", "accepted", "median m", "worst m", "3D median m", "prior, median m", "NEES / 2", "within 95 %",
+    "map", "photos", "camera", "accepted", "median m", "worst m", "3D median m", "prior, median m", "NEES / 2", "within 95 %",
 )  # fmt: skip
 
 
-def _rows(data: Path, folder: Path, width: int | None) -> Iterator[tuple[str, ...]]:
+def _rows(data: Path, folder: Path, width: int) -> Iterator[tuple[str, ...]]:
     marks = brighton.landmark_map()
     names = brighton.photo_names(data)
     references = {name: (w.p_nc, w.R_nc) for name, w in brighton.references(data, marks, names).items()}
@@ -110,30 +112,30 @@ def _rows(data: Path, folder: Path, width: int | None) -> Iterator[tuple[str, ..
     nothing = LandmarkMap.from_landmarks(marks.origin, [])
     as_written = [name for name in names if name not in _TURNED and name in references]
     by_viewer = [name for name in names if name in _TURNED and name in references]
+    calibrated = folder / "camera.yaml"
+    save_camera(calibrated, brighton.camera())
     photos = {name: tagged(data, name, folder) for name in (*as_written, *by_viewer)}
     maps: tuple[tuple[str, LandmarkMap, MapPicture | None], ...] = (
         ("outlines", marks, None), ("orthophoto", nothing, known), ("outlines, map turned", decoy, None)
     )  # fmt: skip
     for said, landmarks, picture in maps:
         for kind, group in (("as written", as_written), ("turned by a viewer", by_viewer)):
-            for how, batches in (("one by one", [[name] for name in group]), ("in order", [group])):
-                rows = []
-                for batch in batches:
-                    files = [photos[name] for name in batch]
-                    for name, found in zip(batch, _locate(files, width, marks, landmarks, picture), strict=True):
-                        rows.append(_judge(*found, references[name][0]))
-                yield _summary(said, kind, how, rows)
+            for how, rig in (("by its tags", None), ("calibrated", calibrated)):
+                files = [photos[name] for name in group]
+                found = _locate(files, rig, width, marks, landmarks, picture)
+                yield _summary(
+                    said, kind, how, [_judge(*one, references[name][0]) for name, one in zip(group, found, strict=True)]
+                )
 
 
 def _locate(
-    files: Sequence[Path], width: int | None, ground: LandmarkMap, landmarks: LandmarkMap, picture: MapPicture | None
+    files: Sequence[Path], rig: Path | None, width: int, ground: LandmarkMap, landmarks: LandmarkMap, picture: MapPicture | None
 ) -> Iterator[tuple[Prior, Result]]:
-    """What the command finds, one photo after the other."""
+    """What the command finds in each photo alone."""
     down = float(np.median(ground.columns.base_d))
-    shots = take(Given(files, None, None, [], "", None, width), landmarks.frame, lambda north, east: down)  # noqa: ARG005
-    recognisers = Recognisers(shots.rig, landmarks, picture)
+    shots = take(Given(files, rig, None, [], "", None, width), landmarks.frame, lambda north, east: down)  # noqa: ARG005
     for shot in shots.images:
-        yield shot.prior, recognisers.process(shot.left, None, shot.t_ns, shot.prior)
+        yield shot.prior, Recognisers(shots.rig, landmarks, picture).process(shot.left, None, shot.t_ns, shot.prior)
 
 
 def _judge(prior: Prior, result: Result, true_n: Array) -> Row:
