@@ -163,6 +163,19 @@ def test_one_camera_alone(lost: str) -> None:
     assert f"{lost} camera not used: missing" in result.report.detail
 
 
+def test_one_landmark_of_a_map_that_a_program_picked_is_no_fix_however_often_it_is_seen() -> None:
+    """Two of them are; of a map that somebody has checked one is, too."""
+    view = look_at(MARKS[:2], np.array([0.0, 0.0, -40.0]))
+    fixes = []
+    for marks, automatic in ((MARKS[:1], False), (MARKS[:1], True), (MARKS[:2], True)):
+        the_map = LandmarkMap.from_landmarks(ORIGIN, marks)
+        the_map.automatic = automatic
+        one = LandmarkPipeline(RIG, the_map, PipelineConfig(path="predict"))
+        results = [one.process(view.left, view.right, k * 10**8, drawn(view, 1)) for k in range(3)]
+        fixes.append(any(result.fix is not None for result in results))
+    assert fixes == [True, False, True]
+
+
 def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
     view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=MARKS[:2])
     result = pipeline(MARKS).process(view.left, view.right, 0, drawn(view, 1))
