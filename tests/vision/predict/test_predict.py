@@ -318,12 +318,23 @@ def doubting(path: Literal["auto", "predict"] = "predict") -> LandmarkPipeline:
     return LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), msgspec.structs.replace(config, predict=predict))
 
 
-def test_little_to_be_seen_waits_for_a_picture_that_agrees() -> None:
-    view, one, late = whole(), doubting(), doubting()
+ON = np.array([1.0, 0.5, 0.0])
+
+
+@cache
+def farther_on() -> View:
+    """The same place, seen from a metre farther on."""
+    return look_at(MARKS, np.array([0.0, 0.0, -40.0]) + ON)
+
+
+def test_little_to_be_seen_waits_for_a_picture_from_elsewhere_that_agrees() -> None:
+    """The same view says the same again, which is nothing new."""
+    view, later, one, late = whole(), farther_on(), doubting(), doubting()
     prior = drawn(view, 1, 0.3 * SIGMA)
     first, second = (one.process(view.left, view.right, k * 10**8, prior) for k in (1, 2))
-    assert (first.fix, first.report.outcome) == (None, "waiting")
-    assert_right(second, view)
+    assert [(said.fix, said.report.outcome) for said in (first, second)] == [(None, "waiting")] * 2
+    assert "from the same viewpoint" in second.report.detail
+    assert_right(one.process(later.left, later.right, 3 * 10**8, replace(prior, p_n=prior.p_n + ON)), later)
     assert [late.process(view.left, view.right, t, prior).fix for t in (10**8, 10 * 10**9)] == [None, None]
 
 
@@ -335,12 +346,12 @@ def test_a_likely_place_is_not_overruled_by_segmentation() -> None:
 
 def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
     """The prior moved by a metre and a half between the pictures, the vehicle did not: the two places say different errors."""
-    view, one = whole(), doubting()
+    view, later, one = whole(), farther_on(), doubting()
     prior = drawn(view, 1)
     other = replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0]))
     assert one.process(view.left, view.right, 10**8, prior).report.outcome == "waiting"
     assert one.process(view.left, view.right, 2 * 10**8, other).report.outcome == "waiting"
-    assert_right(one.process(view.left, view.right, 3 * 10**8, other), view)
+    assert_right(one.process(later.left, later.right, 3 * 10**8, replace(other, p_n=other.p_n + ON)), later)
 
 
 def test_a_sure_place_that_does_not_agree_with_the_weak_one_before_waits_too() -> None:
