@@ -56,7 +56,7 @@ def command(
         float | None, typer.Option(min=1, max=5000, help="Height above the ground, in place of that in the photos' tags.")
     ] = None,
     width: Annotated[
-        int | None, typer.Option(min=160, max=20_000, help="Photos are scaled to it [px]; 800 where tags tell of the camera.")
+        int | None, typer.Option(min=320, max=20_000, help="Photos are scaled to it [px]; 800 where tags tell of the camera.")
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
