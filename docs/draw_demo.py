@@ -16,16 +16,16 @@ from PIL import Image
 
 from estimator.frontend.residuals import Overlay, View
 from estimator.tools.overlay.files import scenery
-from estimator.tools.overlay.log import pictures, read, views
+from estimator.tools.overlay.log import images, read, views
 from logs.evaluation.evaluate import compare, find_outages
 from logs.evaluation.evidence import read as read_evidence
 from logs.evaluation.plots import BLACK, BLUE, ORANGE
 from models.maps.landmarks import LandmarkMap
 
 OUT: Final = Path(__file__).parent / "images" / "demo.webp"
-_EVERY, _PLAYED_MS, _HEIGHT = 4, 140, 372  # of the pictures; each is shown so long; px
+_EVERY, _PLAYED_MS, _HEIGHT = 4, 140, 372  # of the images; each is shown so long; px
 _MOST_BYTES: Final = 1_500_000
-_TAIL_MS: Final = 2500  # the last picture stays
+_TAIL_MS: Final = 2500  # the last image stays
 _MARGIN_M, _WIDE = 25.0, 2.0  # of the map: around the way; its width to its height
 
 
@@ -97,7 +97,7 @@ class Panel:
 
 
 def main(folder: Path) -> None:
-    """Write the picture."""
+    """Write the image."""
     log = folder / "estimate.mcap"
     flight = read(log)
     around = scenery(log, flight.attachments, folder / "demo.toml")
@@ -107,9 +107,9 @@ def main(folder: Path) -> None:
     panel = Panel(log, around.landmarks, [seen_from[k] for k in numbers])
     overlay = Overlay(around.rig, around.landmarks, seen_from[numbers[0]].t_ns)
     frames = []
-    for number, picture in pictures(flight, topic, numbers):
-        assert picture is not None
-        drawn = cv2.cvtColor(overlay.frame(picture, seen_from[number]).canvas, cv2.COLOR_BGR2RGB)
+    for number, image in images(flight, topic, numbers):
+        assert image is not None
+        drawn = cv2.cvtColor(overlay.frame(image, seen_from[number]).canvas, cv2.COLOR_BGR2RGB)
         size = (round(drawn.shape[1] * _HEIGHT / drawn.shape[0]), _HEIGHT)
         drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
         frames.append(Image.fromarray(np.hstack((drawn, panel.at(numbers.index(number))))))
@@ -118,9 +118,7 @@ def main(folder: Path) -> None:
         frames[0].save(OUT, save_all=True, append_images=frames[1:], duration=shown_ms, loop=0, quality=quality, method=4)
         if OUT.stat().st_size < _MOST_BYTES:
             break
-    print(
-        f"{OUT}: {len(frames)} pictures of {frames[0].width} x {frames[0].height}, quality {quality}, {OUT.stat().st_size} bytes"
-    )
+    print(f"{OUT}: {len(frames)} images of {frames[0].width} x {frames[0].height}, quality {quality}, {OUT.stat().st_size} bytes")
 
 
 if __name__ == "__main__":

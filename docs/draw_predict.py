@@ -20,7 +20,7 @@ EYE = eyes(RIG)[0]
 
 
 def main() -> None:
-    """Three panels: as predicted, the reduced picture that is searched, and as found."""
+    """Three panels: as predicted, the reduced image that is searched, and as found."""
     view = look_at(MARKS, np.array([4.5, -3.0, -34.0]))
     prior = prior_off(view, np.array([5.5, 4.0, 1.0, 0.005, -0.004, 0.05]), SIGMA)
     moves = motion(EYE, MARKS, prior)
@@ -40,8 +40,8 @@ def main() -> None:
     cv2.imwrite(str(OUT), sheet, [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
-def _strength(picture: Image) -> Image:
-    (level,) = levels(picture, RIG.left, (8,))
+def _strength(image: Image) -> Image:
+    (level,) = levels(image, RIG.left, (8,))
     strength = np.clip(level.whole()[:, :, 6] * 6.0, 0.0, 255.0).astype(np.uint8)
     large = cv2.resize(strength, (RIG.left.width, RIG.left.height), interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(np.repeat(large[:, :, None], 3, axis=2))

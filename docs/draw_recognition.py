@@ -21,25 +21,25 @@ def main() -> None:
 
 
 def shown(sample: Sample) -> Image:
-    """The left picture, the roof that is asked for outlined, its reference picture in the corner."""
+    """The left image, the roof that is asked for outlined, its reference image in the corner."""
     p_nc, R_nc = sample.scene.rig.camera_pose(sample.p_n, sample.R_nb)
     mark = next(m for m in sample.scene.world.landmarks if m.id == sample.target)
     roof = np.column_stack([mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)])
     px = sample.scene.rig.left.project((roof - p_nc) @ R_nc)
-    picture = cv2.polylines(sample.left.copy(), [px.round().astype(np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
-    picture = np.asarray(cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA))
+    image = cv2.polylines(sample.left.copy(), [px.round().astype(np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
+    image = np.asarray(cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA))
     if sample.reference is not None:
-        small = cv2.resize(sample.reference.picture, (84, 84), interpolation=cv2.INTER_AREA)
-        picture[-90:, -90:] = 255
-        picture[-87:-3, -87:-3] = small
-    return picture
+        small = cv2.resize(sample.reference.image, (84, 84), interpolation=cv2.INTER_AREA)
+        image[-90:, -90:] = 255
+        image[-87:-3, -87:-3] = small
+    return image
 
 
-def titled(picture: Image, title: str) -> Image:
+def titled(image: Image, title: str) -> Image:
     """A line of text above."""
-    strip = np.full((24, picture.shape[1], 3), 255, np.uint8)
+    strip = np.full((24, image.shape[1], 3), 255, np.uint8)
     cv2.putText(strip, title, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.48, (40, 40, 40), 1, cv2.LINE_AA)
-    return np.vstack([strip, picture])
+    return np.vstack([strip, image])
 
 
 if __name__ == "__main__":

@@ -36,25 +36,25 @@ def pose(height: float, tilt_deg: float) -> tuple[Array, Array]:
 
 
 def shot(scene: Scene, height: float, tilt_deg: float, conditions: Conditions | None = None) -> Image:
-    """The left picture."""
+    """The left image."""
     return render_pair(scene.world, scene.rig, *pose(height, tilt_deg), conditions or Conditions(), np.random.default_rng(1))[0]
 
 
-def with_truth(scene: Scene, picture: Image, height: float, tilt_deg: float) -> Image:
+def with_truth(scene: Scene, image: Image, height: float, tilt_deg: float) -> Image:
     """Visible roof edges in white, visible corners in yellow."""
     p, R = scene.rig.camera_pose(*pose(height, tilt_deg))
     for sight in sights(scene.world, scene.rig.left, p, R):
         for stretch in sight.stretches:
-            cv2.polylines(picture, [np.rint(stretch.px * 16).astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA, 4)
+            cv2.polylines(image, [np.rint(stretch.px * 16).astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA, 4)
         for corner in sight.corners_px[sight.corners_visible]:
             u, v = np.rint(corner).astype(int).tolist()
-            cv2.circle(picture, (u, v), 5, (0, 255, 255), 2, cv2.LINE_AA)
-    return picture
+            cv2.circle(image, (u, v), 5, (0, 255, 255), 2, cv2.LINE_AA)
+    return image
 
 
-def titled(picture: Image, title: str) -> Image:
+def titled(image: Image, title: str) -> Image:
     """Made small, with its title."""
-    small = np.asarray(cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    small = np.asarray(cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     for place, colour in (((11, 25), (0, 0, 0)), ((10, 24), (255, 255, 255))):
         cv2.putText(small, title, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 1, cv2.LINE_AA)
     return small

@@ -15,7 +15,7 @@ from estimator.filter.bounds import BoundsConfig
 from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files.image_file import ImageFile
 from estimator.publish import OutputConfig
 from estimator.service.autopilot.output_policy import AutopilotConfig, Px4Config
 from estimator.service.base.clock import ClockConfig
@@ -84,7 +84,7 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     landmarks: Annotated[str | None, Meta(description="GeoJSON file of the landmarks, relative to the configuration")] = None
     picture: Annotated[
         str | None,
-        Meta(description="orthophoto or satellite picture, GeoTIFF or with a world file, relative to the configuration"),
+        Meta(description="orthophoto or satellite image, GeoTIFF or with a world file, relative to the configuration"),
     ] = None
     picture_sigma_m: Annotated[float, Meta(ge=0, le=1e4, description="m: how far it may lie from its place, per axis")] = 1.0
     picture_height_m: Annotated[
@@ -94,7 +94,7 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         2.0
     )
     picture_heights: Annotated[
-        str | None, Meta(description="GeoTIFF or picture with a world file: heights [m] of its ground above the ellipsoid")
+        str | None, Meta(description="GeoTIFF or image with a world file: heights [m] of its ground above the ellipsoid")
     ] = None
     picture_epsg: Annotated[int, Meta(ge=0, le=999_999, description="EPSG code of the raster, if it holds none")] = 0
 
@@ -160,13 +160,13 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         named = {"calibration": self.rig.file, "map": self.map.landmarks}
         return {name: file for name, file in named.items() if file}
 
-    def map_picture(self, folder: Path) -> PictureFile | None:
-        """The map's picture, where given; paths count from `folder`."""
+    def map_image(self, folder: Path) -> ImageFile | None:
+        """The map's image, where given; paths count from `folder`."""
         m = self.map
         if m.picture is None:
             return None
         heights = folder / m.picture_heights if m.picture_heights else None
-        return PictureFile(
+        return ImageFile(
             folder / m.picture, m.picture_sigma_m, m.picture_height_m, m.picture_height_sigma_m, heights, m.picture_epsg
         )
 
@@ -197,7 +197,7 @@ def read(path: Path) -> Config:
 
 def with_origin(config: Config, folder: Path) -> Config:
     """The configuration, whose files count from `folder`, with the origin of its map if it has none. Raises ConfigError."""
-    landmarks, picture = config.map.landmarks, config.map_picture(folder)
+    landmarks, picture = config.map.landmarks, config.map_image(folder)
     if config.map.origin is not None or not (landmarks or picture):
         return config
     from estimator.frontend.files import map_origin  # noqa: PLC0415  (vision is loaded only where it is configured)

@@ -1,4 +1,4 @@
-"""Landmark fixes for a simulator that draws no pictures: its own truth with noise, once a second, as /pose_fix over Zenoh.
+"""Landmark fixes for a simulator that draws no images: its own truth with noise, once a second, as /pose_fix over Zenoh.
 
     python examples/sitl_fixes.py -c sitl.toml --from udpin:127.0.0.1:14030
 

@@ -43,7 +43,7 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
     def __post_init__(self) -> None:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not (all(map(math.isfinite, numbers)) and self.fx > 0 and self.fy > 0 and self.width > 0 and self.height > 0):
-            raise ValueError("camera: picture size and focal lengths must be positive, all parameters finite")
+            raise ValueError("camera: image size and focal lengths must be positive, all parameters finite")
         if len(self.distortion) not in _COUNTS:
             raise ValueError(f"camera: {len(self.distortion)} distortion coefficients, expected one of {_COUNTS}")
         if self.covariance is not None and self.covariance.shape != (len(numbers), len(numbers)):

@@ -110,8 +110,8 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
     topic: str = "/landfix/fix"
 
 
-class PictureName(msgspec.Struct, frozen=True):
-    """Which picture: its topic and the stamp of its exposure."""
+class ImageName(msgspec.Struct, frozen=True):
+    """Which image: its topic and the stamp of its exposure."""
 
     topic: str
     t_ns: int
@@ -129,8 +129,8 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
     p_n: Vec3
     q_nb_wxyz: Quat
     covariance: Array
-    left: PictureName | None
-    right: PictureName | None
+    left: ImageName | None
+    right: ImageName | None
     run: int = 0
 
 
@@ -147,8 +147,8 @@ class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
     dp_b: Vec3
     dq_wxyz: Quat
     covariance: Array
-    first: tuple[PictureName | None, PictureName | None]
-    second: tuple[PictureName | None, PictureName | None]
+    first: tuple[ImageName | None, ImageName | None]
+    second: tuple[ImageName | None, ImageName | None]
     down_b: Vec3
     height_m: float = 0.0
     height_sigma_m: float = 0.0
@@ -358,7 +358,7 @@ class Reset(msgspec.Struct, frozen=True, eq=False):
 class VisionReport(msgspec.Struct, frozen=True, eq=False):
     """Why one stereo pair gave a fix, or why not.
 
-    outcome: fixed, or the stage that ended it (no_picture, no_landmark_near, no_region, no_candidate, ambiguous, no_pose, ...);
+    outcome: fixed, or the stage that ended it (no_image, no_landmark_near, no_region, no_candidate, ambiguous, no_pose, ...);
     regions, candidates: found, and similar enough to a landmark; landmarks, similarities: best of each candidate, 0..1;
     residual_px: RMS of the outline fit, NaN without one.
     """

@@ -63,7 +63,7 @@ def verdict(word: str, colour: str) -> str:
 
 
 def image(alt: str, data: bytes, kind: str = "png") -> str:
-    """A image inside the page."""
+    """An image inside the page."""
     return f'<img alt="{text(alt)}" src="data:image/{kind};base64,{base64.b64encode(data).decode()}">'
 
 

@@ -27,7 +27,7 @@ from vision.pose.pose import PoseConfig
 from vision.predict.pattern import judged, refused
 from vision.predict.predict import PredictConfig, PredictPath
 from vision.recognise import Identified, SegmentConfig, SegmentPath
-from vision.records.pictures import Pictures, usable
+from vision.records.images import Images, usable
 from vision.records.reports import RegionReport, Result, nothing, with_regions
 
 __all__ = ["LandmarkPipeline", "PipelineConfig", "RegionReport", "Result"]
@@ -54,7 +54,7 @@ class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandmarkPipeline:
-    """Pictures of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
         c = config or PipelineConfig()
@@ -76,56 +76,56 @@ class LandmarkPipeline:
     def _process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         if flaw := _prior_flaw(prior):
             return nothing(t_ns, "no_prior", flaw)
-        pictures = usable(left, right, self._rig)
-        if isinstance(pictures, str):
-            return nothing(t_ns, "no_picture", pictures)
+        images = usable(left, right, self._rig)
+        if isinstance(images, str):
+            return nothing(t_ns, "no_image", images)
         near = self._near(prior)
         if not near:
-            return nothing(t_ns, "no_landmark_near", pictures.remark)
-        if pictures.one_channel:  # thermal or grey: what a colour looks like there is not known, not even its polarity
+            return nothing(t_ns, "no_landmark_near", images.remark)
+        if images.one_channel:  # thermal or grey: what a colour looks like there is not known, not even its polarity
             near = [msgspec.structs.replace(mark, colour_bgr=None) for mark in near]
-        predicted = None if self._config.path == "segment" else self._predicted(pictures, near, t_ns, prior)
+        predicted = None if self._config.path == "segment" else self._predicted(images, near, t_ns, prior)
         if predicted is not None:
             return predicted
-        found = self._segment.locate(pictures, near, t_ns, prior)
+        found = self._segment.locate(images, near, t_ns, prior)
         return found if isinstance(found, Result) else self._verified(found, near, t_ns, prior)
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
         """What predict and verify says of the position that identified regions tell."""
-        moves = self._predict.moves(found.pictures, near, found.place)
+        moves = self._predict.moves(found.images, near, found.place)
         if moves is None:
-            return nothing(t_ns, "no_pose", found.pictures.remark)
-        result = self._predict.locate(found.pictures, *moves, t_ns, prior)
+            return nothing(t_ns, "no_pose", found.images.remark)
+        result = self._predict.locate(found.images, *moves, t_ns, prior)
         if result.fix is not None:
             self._segment.clear()
         return with_regions(result, found.reports)
 
-    def _predicted(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Result | None:
+    def _predicted(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Result | None:
         """What predict and verify says; None where segmentation is to have its turn."""
         only = self._config.path == "predict"
-        moves = self._predict.moves(pictures, near, prior)
+        moves = self._predict.moves(images, near, prior)
         if moves is None:
-            return nothing(t_ns, "no_landmark_near", f"{pictures.remark}predicted: none comes into view") if only else None
+            return nothing(t_ns, "no_landmark_near", f"{images.remark}predicted: none comes into view") if only else None
         marks, move = moves
-        if not only and not self._predict.narrow(pictures, move):
+        if not only and not self._predict.narrow(images, move):
             return None
-        located = self._predict.locate(pictures, marks, move, t_ns, prior)
-        doubtful = self._may_be_the_next_house(located, pictures, near, prior)
+        located = self._predict.locate(images, marks, move, t_ns, prior)
+        doubtful = self._may_be_the_next_house(located, images, near, prior)
         if doubtful:
             located = refused(located, "ambiguous", "it may be made of a landmark beside, which looks alike")
-        result = judged(located, self._rig, pictures, marks, move, self._config.predict.coarse)
+        result = judged(located, self._rig, images, marks, move, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely one is not overruled, but confirmed
-        narrow = not doubtful and self._predict.narrow(pictures, move, _WIDE)
+        narrow = not doubtful and self._predict.narrow(images, move, _WIDE)
         return result if only or settled or narrow else None
 
-    def _may_be_the_next_house(self, located: Result, pictures: Pictures, near: list[Landmark], prior: Prior) -> bool:
+    def _may_be_the_next_house(self, located: Result, images: Images, near: list[Landmark], prior: Prior) -> bool:
         """Whether a position from which the map repeats itself shows the same, or nearly so."""
         steps = _to_the_next_house(located, self._config.predict.most_fitted, near, prior)
         if located.pose is None or not len(steps):
             return False
-        return not self._predict.stands_out(pictures, near, located.pose, steps, prior)
+        return not self._predict.stands_out(images, near, located.pose, steps, prior)
 
     def _near(self, prior: Prior) -> list[Landmark]:
         """Landmarks that may be in view: 4 sigma around what the left camera overlooks, nearest first."""

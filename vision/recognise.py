@@ -26,7 +26,7 @@ from vision.identify.constellation import Constellation, MemoryConfig
 from vision.identify.identify import NONE, Identification, IdentifyConfig, Prior, identify
 from vision.identify.partial import seen_corners
 from vision.image.rectify import Image, Mask, Rectification, rectify
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.records.reports import RegionReport, Result, nothing, report_of
 
 _ROWS_PX: Final = 0.8  # rows that differ by less do no harm
@@ -74,7 +74,7 @@ class Identified:
     reports: a line of each region.
     """
 
-    pictures: Pictures
+    images: Images
     place: Prior
     reports: list[RegionReport]
 
@@ -91,25 +91,25 @@ class SegmentPath:
         """A fix was made: what is remembered has another error from now on."""
         self._memory.clear()
 
-    def locate(self, pictures: Pictures, near: list[Landmark], t_ns: int, prior: Prior) -> Identified | Result:
+    def locate(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Identified | Result:
         """Place or reason; near: the landmarks that may be in view."""
         if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may look sure
-            return nothing(t_ns, "prior_too_wide", f"{pictures.remark}{len(near)} landmarks may be in view")
+            return nothing(t_ns, "prior_too_wide", f"{images.remark}{len(near)} landmarks may be in view")
         known = catalogue(near)
-        views = self._views(pictures)
+        views = self._views(images)
         regions = self._segment(views, near)
         if not regions:
-            return nothing(t_ns, "no_region", pictures.remark)
-        seen = self._measure(pictures, views, regions, prior, known)
+            return nothing(t_ns, "no_region", images.remark)
+        seen = self._measure(images, views, regions, prior, known)
         if isinstance(seen, str):
             return nothing(t_ns, "swapped", seen, len(regions))
-        return self._decide(pictures, seen, known, t_ns, prior)
+        return self._decide(images, seen, known, t_ns, prior)
 
-    def _views(self, pictures: Pictures) -> _Views:
+    def _views(self, images: Images) -> _Views:
         """Rectified."""
         r = self._rectified
-        maps = (r.right, r.left) if pictures.only_right else (r.left, r.right)
-        raw = (pictures.right, None) if pictures.only_right else (pictures.left, pictures.right)
+        maps = (r.right, r.left) if images.only_right else (r.left, r.right)
+        raw = (images.right, None) if images.only_right else (images.left, images.right)
         assert raw[0] is not None
         other = None if raw[1] is None else rectify(raw[1], maps[1])
         return _Views(rectify(raw[0], maps[0]), other, maps[0].valid if maps[0] else None)
@@ -119,12 +119,12 @@ class SegmentPath:
         limits = Limits(least_px=self._config.least_px, most=self._config.most_regions)
         return segment_regions(views.work, views.valid, Settings(colours, self._config.space, limits=limits))
 
-    def _measure(self, pictures: Pictures, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
+    def _measure(self, images: Images, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
         """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
         usable_regions = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
         refused = [_cut_off(r) for r in regions if all(r is not one for one in usable_regions)]
         if views.other is None:
-            return self._one_camera(pictures, views, usable_regions, prior, known, refused, pictures.remark)
+            return self._one_camera(images, views, usable_regions, prior, known, refused, images.remark)
         rig = self._rectified.rig
         matches = correspond(grey(views.work), grey(views.other), usable_regions, rig)
         if swapped := epipolar.pair_reason(matches, None):
@@ -132,7 +132,7 @@ class SegmentPath:
         if rows := self._rows_off(views, matches):
             problem = f"rows differ by {rows:+.1f} px: wrong calibration, or images not taken together"
             return self._one_camera(
-                pictures, views, usable_regions, prior, known, refused, f"{pictures.remark}right camera not used: {problem}; "
+                images, views, usable_regions, prior, known, refused, f"{images.remark}right camera not used: {problem}; "
             )
         level = sight.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
@@ -148,7 +148,7 @@ class SegmentPath:
                 kept.append(m.region)
                 seen.append(one)
                 measured.append(m)
-        return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), pictures.remark)
+        return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), images.remark)
 
     def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
         """By how much the rows of the pair differ beyond what its calibration allows [px], 0 where they fit."""
@@ -165,7 +165,7 @@ class SegmentPath:
 
     def _one_camera(
         self,
-        pictures: Pictures,
+        images: Images,
         views: _Views,
         usable_regions: list[Region],
         prior: Prior,
@@ -173,7 +173,7 @@ class SegmentPath:
         refused: list[RegionReport],
         remark: str,
     ) -> _Seen:
-        rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
+        rig = sight.one_eyed(self._rectified.rig, right=images.only_right)
         roof_d = float(np.mean(known.place_n[:, 2]))
         kept, seen = list[Region](), list[Sighting]()
         for region in usable_regions:
@@ -202,9 +202,9 @@ class SegmentPath:
         height, width = views.work.shape[:2]
         return seen_corners(region.corners, width, height, views.valid)
 
-    def _decide(self, pictures: Pictures, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
+    def _decide(self, images: Images, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
         """Identify; regions that stay open are kept for the next image."""
-        rig = sight.one_eyed(self._rectified.rig, right=pictures.only_right)
+        rig = sight.one_eyed(self._rectified.rig, right=images.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
         found = identify(every, known, prior, rig, seen.scale_sigma, self._config.identify, metric=seen.metric)
@@ -216,8 +216,8 @@ class SegmentPath:
                 self._memory.hold(seen.sightings, remembered, t_ns, prior)
             return Result(None, report_of(t_ns, _unsettled(found, now), remark, reports), tuple(reports))
         place = Prior(*prior.moved(found.x), _WIDER * found.covariance[:6, :6])
-        right = pictures.right if seen.metric or pictures.only_right else None
-        return Identified(replace(pictures, right=right, remark=remark), place, reports)
+        right = images.right if seen.metric or images.only_right else None
+        return Identified(replace(images, right=right, remark=remark), place, reports)
 
 
 def _rows_sigma(rig: StereoRig) -> float:

@@ -20,12 +20,12 @@ from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground.image import GroundImage
 from vision.ground.peak import PeakConfig, fit_peak
-from vision.ground.picture import GroundPicture
 from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
 from vision.identify.identify import Prior
 from vision.identify.sightings import one_eyed
-from vision.image.check import picture_flaw
+from vision.image.check import image_flaw
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose.pose import PoseEstimate
@@ -48,16 +48,16 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True)
-class MapPicture:
+class MapImage:
     """A georeferenced image and its keypoints, found once."""
 
-    picture: GroundPicture
+    image: GroundImage
     features: FeatureMap
 
     @classmethod
-    def of(cls, picture: GroundPicture, config: FeatureConfig | None = None) -> "MapPicture":
+    def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "MapImage":
         """Takes about a second for each million pixels."""
-        return cls(picture, FeatureMap.of(picture, config))
+        return cls(image, FeatureMap.of(image, config))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,10 @@ class _Likely:
 
 
 class Recognisers:
-    """Pictures of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
 
     def __init__(
-        self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
+        self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
     ) -> None:
         self._rig, self._known, self._config = rig, known, config or RecogniserConfig()
         self._pipeline = LandmarkPipeline(rig, landmarks, self._config.pipeline)
@@ -94,7 +94,7 @@ class Recognisers:
         """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""
         right = None if self._rig.one_camera else right
         described = self._pipeline.process(left, right, t_ns, prior)
-        if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_picture", "internal"}:
+        if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_image", "internal"}:
             return described
         try:
             with np.errstate(all="ignore"):
@@ -103,12 +103,12 @@ class Recognisers:
             seen = _refused(t_ns, "internal", f"{type(error).__name__}: {error}")
         return _both(described, seen) if self._has_landmarks else seen
 
-    def _look(self, known: MapPicture, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
+    def _look(self, known: MapImage, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         """The image's turn, with the left camera or, where that gave nothing, with the right one."""
-        use_right = left is None or picture_flaw(left, self._rig.left) is not None
+        use_right = left is None or image_flaw(left, self._rig.left) is not None
         image, rig = (right if use_right else left), one_eyed(self._rig, right=use_right)
         assert image is not None  # the pipeline found one of them good
-        found = register(rig, image, prior, known.picture, self._config.registration)
+        found = register(rig, image, prior, known.image, self._config.registration)
         laid = self._laid(known, found, t_ns, prior)
         if laid.fix is not None or laid.report.outcome == "no_ground":
             return laid
@@ -119,25 +119,25 @@ class Recognisers:
         laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {other.report.detail}"))
         return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
 
-    def _by_peak(self, known: MapPicture, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
+    def _by_peak(self, known: MapImage, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
         """What the search alone says, where it is clear; else what became of the blocks."""
         report = laid.report
-        found = fit_peak(rig, prior, known.picture, peak, self._config.peak)
+        found = fit_peak(rig, prior, known.image, peak, self._config.peak)
         flaw = found if isinstance(found, str) else pose_flaw(found, prior)
         if flaw or isinstance(found, str):
             return replace(laid, report=msgspec.structs.replace(report, detail=f"{report.detail}; {flaw}"))
         evidence = (
-            f"{known.picture.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
+            f"{known.image.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
             f"correlation {peak.correlation:.2f}; {report.detail}"
         )
-        return _fixed(report.t_ns, known.picture.name, found, (1, 1), evidence, peak.correlation)
+        return _fixed(report.t_ns, known.image.name, found, (1, 1), evidence, peak.correlation)
 
-    def _laid(self, known: MapPicture, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
+    def _laid(self, known: MapImage, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
         """What registration found, judged."""
         if isinstance(found, NotRegistered):
-            return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
+            return _refused(t_ns, found.reason, f"{known.image.name}: {found.detail}")
         evidence = (
-            f"{known.picture.name}: {found.agreed} of {found.tried} blocks agree, peak {found.ratio:.2f} times the second, "
+            f"{known.image.name}: {found.agreed} of {found.tried} blocks agree, peak {found.ratio:.2f} times the second, "
             f"correlation {found.correlation:.2f}"
         )
         if flaw := pose_flaw(found.pose, prior):
@@ -145,7 +145,7 @@ class Recognisers:
         if not (found.is_sure(self._config.registration) or self._is_confirmed(found, t_ns, prior)):
             return _refused(t_ns, "ambiguous", evidence, (found.tried, found.agreed))
         self._likely = None
-        return _fixed(t_ns, known.picture.name, found.pose, (found.tried, found.agreed), evidence)
+        return _fixed(t_ns, known.image.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, found: Registered, t_ns: int, prior: Prior) -> bool:
         """Whether an earlier image of another view said the same of the prior's error; if not, this one waits for the next.
@@ -171,22 +171,22 @@ class Recognisers:
         drift = np.diag(np.maximum(now.prior - before.prior, 0.0))
         return bool(apart @ np.linalg.solve(now.covariance + before.covariance + drift, apart) < _SAME_99)
 
-    def _by_features(self, known: MapPicture, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Result:
+    def _by_features(self, known: MapImage, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Result:
         found = recognise(rig, image, prior, known.features, self._config.features)
         if isinstance(found, NotRecognised):
-            return _refused(t_ns, found.reason, f"{known.picture.name}: {found.detail}")
+            return _refused(t_ns, found.reason, f"{known.image.name}: {found.detail}")
         evidence, counts = (
-            f"{known.picture.name}: {found.inliers} of {found.matched} features agree",
+            f"{known.image.name}: {found.inliers} of {found.matched} features agree",
             (found.matched, found.inliers),
         )
         if flaw := pose_flaw(found.pose, prior):
             return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", counts)
-        return _fixed(t_ns, known.picture.name, found.pose, counts, evidence)
+        return _fixed(t_ns, known.image.name, found.pose, counts, evidence)
 
 
 def _both(described: Result, seen: Result) -> Result:
     """One report of both: the outcome is the image's, what became of the regions is kept."""
-    detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; picture: {seen.report.detail}"
+    detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; image: {seen.report.detail}"
     return replace(seen, report=msgspec.structs.replace(seen.report, detail=detail), regions=described.regions)
 
 

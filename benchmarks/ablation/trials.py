@@ -95,16 +95,16 @@ def _outline(seed: int, number: int) -> Trial:
     shown = draw(seed, number // len(_OFF_PX), partial=kind == 1)
     off_px = _OFF_PX[kind]
     prior = prior_of(shown.view, 0.5 * PRIOR_PX if off_px is None else PRIOR_PX, off_px)
-    return _of_view(("outline, whole", "outline, partial", "outline, 120 px off")[kind], shown.view, shown.pictures, prior)
+    return _of_view(("outline, whole", "outline, partial", "outline, 120 px off")[kind], shown.view, shown.images, prior)
 
 
 def _decoy(seed: int, number: int) -> Trial:
     kind = DECOYS[number % len(DECOYS)]
-    view, pictures, prior, possible = decoy(seed, number // len(DECOYS), kind)
-    return _of_view(f"decoys, {kind}", view, pictures, prior, possible=possible)
+    view, images, prior, possible = decoy(seed, number // len(DECOYS), kind)
+    return _of_view(f"decoys, {kind}", view, images, prior, possible=possible)
 
 
-def _of_view(group: str, view: View, pictures: tuple[Image, Image], prior: Prior, *, possible: bool = True) -> Trial:
+def _of_view(group: str, view: View, images: tuple[Image, Image], prior: Prior, *, possible: bool = True) -> Trial:
     """possible: whether any fix is right."""
 
     def judge(of: View) -> Callable[[Result], Verdict]:
@@ -121,7 +121,7 @@ def _of_view(group: str, view: View, pictures: tuple[Image, Image], prior: Prior
         return Frame(*shown, 500_000_001, after, judge(moved))
 
     landmarks = LandmarkMap.from_landmarks(_ORIGIN, view.landmarks)
-    several = (lambda: Frame(*pictures, 1, prior, judge(view)), second)
+    several = (lambda: Frame(*images, 1, prior, judge(view)), second)
     return Trial(group, view.rig, landmarks, PipelineConfig(path="predict"), several, _while_waiting)
 
 
@@ -152,7 +152,7 @@ def _from_above(trial: AerialTrial) -> Trial:
             sure = reach(result.pose.joint_covariance[:3, :3]) <= WRONG_M
             return "wrong" if decoys or (sure and off_m > WRONG_M) else "recognised"
 
-        return Frame(case.picture, None, k * 2_000_000_000, prior, verdict)
+        return Frame(case.image, None, k * 2_000_000_000, prior, verdict)
 
     several = [lambda k=k: frame(k) for k in range(1 if trial.after is None else 2)]
     return Trial(trial.case.group, trial.case.rig, trial.case.landmarks, PipelineConfig(path="predict"), several, _while_waiting)

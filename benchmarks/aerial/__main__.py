@@ -1,8 +1,8 @@
-"""Outlines on real aerial pictures: `python -m benchmarks.aerial [brighton] [nust] [spacenet]`.
+"""Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [spacenet]`.
 
 Predict and verify beside plain segmentation, one camera, every trial with a pipeline of its own. A trial is one image; where
 the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first image alone. All thresholds are the
-pipeline's defaults, made on rendered pictures: nothing is tuned here. How each set is judged: docs/vision_aerial.md.
+pipeline's defaults, made on rendered images: nothing is tuned here. How each set is judged: docs/vision_aerial.md.
 Tables and overlays go to out/aerial/.
 """
 
@@ -36,7 +36,7 @@ def main() -> None:
     args = arguments()
     data = data_folder()
     if not (data / "images").is_dir():
-        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded pictures")
+        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded images")
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
     outcomes = [outcome for name in args.sets or SETS for outcome in run_all(trials(name, data, args), args.paths, args.pictures)]
@@ -53,7 +53,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--priors", type=int, default=10, help="drawn for each picture")
+    parser.add_argument("--priors", type=int, default=10, help="drawn for each image")
     parser.add_argument("--width", type=int, default=brighton.AS_FINE_AS_THE_MAP, help="of Brighton's photos")
     parser.add_argument(
         "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's prior (1 3)"
@@ -80,27 +80,27 @@ def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
     return spacenet.trials(data, args.seed, args.priors)
 
 
-def run_all(several: Iterable[Trial], paths: Sequence[Way], pictures: bool) -> Iterator[Outcome]:
+def run_all(several: Iterable[Trial], paths: Sequence[Way], images: bool) -> Iterator[Outcome]:
     """Every trial by every path."""
     for trial in track(several, description="trials", console=Console(stderr=True)):
         for path in paths:
             outcome, result = run(trial, path)
-            if pictures:
+            if images:
                 write_overlay(trial, outcome, result)
             yield outcome
 
 
 def write_overlay(trial: Trial, outcome: Outcome, result: Result) -> None:
-    """The map in the picture: from the fix with its residuals, else from the prior."""
+    """The map in the image: from the fix with its residuals, else from the prior."""
     case, prior = (trial.case, trial.prior) if outcome.at_once or trial.after is None else trial.after
-    pose, picture = result.pose, to_8_bit(case.picture)
+    pose, image = result.pose, to_8_bit(case.image)
     p_n, R_nb = (prior.p_n, prior.R_nb) if pose is None else (pose.joint_p_n, pose.joint_R_nb)
     where = case.rig.camera_pose(p_n, R_nb)
     used = [m for m in case.landmarks if m.id in outcome.landmarks]
-    residuals = outline_residuals(picture, case.rig.left, *where, used)
+    residuals = outline_residuals(image, case.rig.left, *where, used)
     drawn_from = "drawn from the prior" if pose is None else f"{outcome.error_m:.2f} m off"
     caption = [f"{outcome.outcome}: {outcome.detail}", f"{drawn_from}; the prior is {outcome.prior_m:.1f} m off"]
-    drawn = draw_overlay(picture, case.rig.left, *where, list(case.landmarks), outcome.landmarks, residuals, caption)
+    drawn = draw_overlay(image, case.rig.left, *where, list(case.landmarks), outcome.landmarks, residuals, caption)
     name = f"{case.group} {trial.case.name} {trial.number} {outcome.path}".replace(",", "").replace(" ", "_")
     cv2.imwrite(str(OUT / f"{name}.jpg"), drawn)
 
@@ -115,12 +115,12 @@ def summary(outcomes: Iterable[Outcome]) -> list[Row]:
 
 def table(rows: Iterable[Row]) -> Table:
     columns = (
-        "set", "path", "pictures", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "sure to 2 m", "and beyond",
+        "set", "path", "images", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "sure to 2 m", "and beyond",
         "median m", "95 % m", "worst m", "cpu s",
     )  # fmt: skip
     cells = [
         (
-            r.group, r.path, str(r.pictures), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
+            r.group, r.path, str(r.images), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
             str(r.wrong), f"{r.sure:.1%}", str(r.sure_wrong), number(r.median_m), number(r.p95_m), number(r.worst_m),
             number(r.cpu_s),
         )

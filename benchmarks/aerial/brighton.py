@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.aerial.reference import Ortho, Picture, Reference, SiftReference, utm_to_ned
+from benchmarks.aerial.reference import Image, Ortho, Reference, SiftReference, utm_to_ned
 from benchmarks.aerial.trials import Case, Spread, Trial, distance_from, generator, nadir_rig, outline_share, turned
 from models.camera import CameraModel
 from models.maps.landmarks import LandmarkMap
@@ -86,17 +86,17 @@ def references(data: Path, landmarks: LandmarkMap, names: Sequence[str]) -> dict
     return {name: where for name, where in found.items() if where is not None}
 
 
-def photo(data: Path, name: str) -> Picture:
+def photo(data: Path, name: str) -> Image:
     """A photo as it is stored."""
     return read(data / FOLDER / "photo" / name)
 
 
-def read(path: Path) -> Picture:
-    """A image in colour."""
-    picture = cv2.imread(str(path))
-    if picture is None:
+def read(path: Path) -> Image:
+    """An image in colour."""
+    image = cv2.imread(str(path))
+    if image is None:
         raise FileNotFoundError(path)
-    return np.asarray(picture, dtype=np.uint8)
+    return np.asarray(image, dtype=np.uint8)
 
 
 def ortho(data: Path, landmarks: LandmarkMap) -> Ortho:
@@ -106,19 +106,19 @@ def ortho(data: Path, landmarks: LandmarkMap) -> Ortho:
         height_m, x0, y1, step = archive["dsm"], float(archive["x0"]), float(archive["y1"]), float(archive["res"])
     v, u = np.indices(height_m.shape)
     xy = np.column_stack((x0 + step * u.ravel(), y1 - step * v.ravel()))
-    picture = read(folder / "ortho_0.1m_utm15n.png")
-    return Ortho(picture, utm_to_ned(landmarks, EPSG, xy, height_m.ravel().astype(float)).reshape(*height_m.shape, 3))
+    image = read(folder / "ortho_0.1m_utm15n.png")
+    return Ortho(image, utm_to_ned(landmarks, EPSG, xy, height_m.ravel().astype(float)).reshape(*height_m.shape, 3))
 
 
 def case(data: Path, name: str, where: Reference, landmarks: LandmarkMap, width: int) -> Case:
     """A photo, reduced to the width, and which outlines it shows."""
     lens = camera(width)
-    picture = photo(data, name)
+    image = photo(data, name)
     if width < WIDTH:
-        picture = np.asarray(cv2.resize(picture, (lens.width, lens.height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        image = np.asarray(cv2.resize(image, (lens.width, lens.height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     shown = tuple(m.id for m in landmarks if outline_share(lens, where.p_nc, where.R_nc, m) >= _SHOWN)
     rig = nadir_rig(lens)
     return Case(
-        MANY if len(shown) >= _MANY else FEW, name.removesuffix(".jpg"), picture, rig, landmarks, where.p_nc,
+        MANY if len(shown) >= _MANY else FEW, name.removesuffix(".jpg"), image, rig, landmarks, where.p_nc,
         where.R_nc @ rig.R_bc.T, shown, distance_from(where.p_nc),
     )  # fmt: skip

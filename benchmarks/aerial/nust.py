@@ -42,8 +42,8 @@ def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
     """Every registered frame that shows a whole helipad."""
     landmarks, known = landmark_map(), registrations(data)
     shown = {number: pads(homography, landmarks) for number, homography in known.items()}
-    for number, picture in frames(data, [number for number, seen in shown.items() if seen]):
-        one = case(number, picture, known[number], landmarks)
+    for number, image in frames(data, [number for number, seen in shown.items() if seen]):
+        one = case(number, image, known[number], landmarks)
         for k in range(priors):
             yield Trial(one, k, SPREAD.draw(generator(seed, one.name, k), one.p_n, one.R_nb))
 
@@ -65,11 +65,11 @@ def frames(data: Path, wanted: Collection[int]) -> Iterator[tuple[int, Image]]:
     """Those frames of the video."""
     video = cv2.VideoCapture(str(data / FOLDER / "uav_video.mp4"))
     for number in range(max(wanted, default=-1) + 1):
-        done, picture = video.read()
+        done, image = video.read()
         if not done:
             return
         if number in wanted:
-            yield number, picture
+            yield number, image
 
 
 def pose(homography: Array, landmarks: LandmarkMap) -> tuple[Array, Array]:
@@ -88,13 +88,13 @@ def pads(homography: Array, landmarks: LandmarkMap) -> tuple[str, ...]:
     return tuple(name for name in PADS if outline_share(camera(), *where, landmarks[name]) == 1.0)
 
 
-def case(number: int, picture: Image, homography: Array, landmarks: LandmarkMap) -> Case:
+def case(number: int, image: Image, homography: Array, landmarks: LandmarkMap) -> Case:
     """A frame."""
     rig = nadir_rig(camera())
     p_nc, R_nc = pose(homography, landmarks)
     shown = pads(homography, landmarks)
     group = BOTH if len(shown) == len(PADS) else ONE
-    return Case(group, f"frame {number}", picture, rig, landmarks, p_nc, R_nc @ rig.R_bc.T, shown, _by_middle(p_nc, R_nc))
+    return Case(group, f"frame {number}", image, rig, landmarks, p_nc, R_nc @ rig.R_bc.T, shown, _by_middle(p_nc, R_nc))
 
 
 def _by_middle(p_nc: Array, R_nc: Array) -> Judge:

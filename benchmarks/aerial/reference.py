@@ -12,7 +12,7 @@ from models.maps import projection
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _REDUCED = 2  # the photos are 2.4 times as fine as the orthophoto
 _RATIO = 0.8
@@ -24,7 +24,7 @@ _LEAST_INLIERS = 30
 class Ortho:
     """An orthophoto (H, W, 3), 0 where it has no data, and the point in n (H, W, 3) that each pixel shows, NaN where unknown."""
 
-    picture: Picture
+    image: Image
     points_n: Array
 
 
@@ -46,10 +46,10 @@ class SiftReference:
         known = np.isfinite(ortho.points_n[..., 0])
         inside = cv2.erode(known.astype(np.uint8), np.ones((9, 9), np.uint8))
         self._sift = cv2.SIFT.create(8_000, contrastThreshold=0.02)
-        self._key, self._descriptor = self._sift.detectAndCompute(ortho.picture, inside)
+        self._key, self._descriptor = self._sift.detectAndCompute(ortho.image, inside)
         self._ortho = ortho
 
-    def locate(self, photo: Picture, camera: CameraModel) -> Reference | None:
+    def locate(self, photo: Image, camera: CameraModel) -> Reference | None:
         """The camera's pose, None where fewer than 30 points agree."""
         reduced = cv2.resize(photo, None, fx=1.0 / _REDUCED, fy=1.0 / _REDUCED, interpolation=cv2.INTER_AREA)
         key, descriptor = self._sift.detectAndCompute(reduced, None)

@@ -1,4 +1,4 @@
-"""Position from maps that hold a picture: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
+"""Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
 
 Registration beside features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, the peak of the search with
 its checks and without any (plain Sobel and normalised correlation, which always answers), and all as in flight, on the same
@@ -66,7 +66,7 @@ def main() -> None:
     data = data_folder()
     sets = args.sets or SETS
     if {"nust", "brighton"} & set(sets) and not (data / "images").is_dir():
-        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded pictures")
+        raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded images")
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
     every = [f for name in sets for f in flights(name, data, args.seed, OUT / "maps") if args.only in f.group]
@@ -90,14 +90,14 @@ def arguments() -> argparse.Namespace:
 
 def fly(flight: Flight) -> Iterator[Outcome]:
     """Every image of a flight, in order, as registration may wait for the next one."""
-    nothing = FeatureMap(flight.known.picture, np.empty((0, 3)), np.empty((0, 128), np.float32))
+    nothing = FeatureMap(flight.known.image, np.empty((0, 3)), np.empty((0, 128), np.float32))
     for way in WAYS:
         known = replace(flight.known, features=nothing) if way == "registration" else flight.known
         recognisers = Recognisers(flight.rig, _NOWHERE, known)
         for shot in flight.shots():
             begin = time.process_time()
             if way in {"as in flight", "registration"}:
-                result = recognisers.process(shot.picture, None, shot.t_ns, shot.prior)
+                result = recognisers.process(shot.image, None, shot.t_ns, shot.prior)
                 pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
             elif way in {"peak", "Sobel + correlation"}:
                 pose, outcome, detail = _peak(flight, shot, PeakConfig() if way == "peak" else _ANY_PEAK)
@@ -110,7 +110,7 @@ def fly(flight: Flight) -> Iterator[Outcome]:
 
 
 def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEstimate | None, str, str]:
-    found = recognise(flight.rig, shot.picture, shot.prior, flight.known.features, config)
+    found = recognise(flight.rig, shot.image, shot.prior, flight.known.features, config)
     if not isinstance(found, Recognised):
         return None, found.reason, found.detail
     if flaw := pose_flaw(found.pose, shot.prior):
@@ -119,10 +119,10 @@ def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEs
 
 
 def _peak(flight: Flight, shot: Shot, config: PeakConfig) -> tuple[PoseEstimate | None, str, str]:
-    peak = register(flight.rig, shot.picture, shot.prior, flight.known.picture).peak
+    peak = register(flight.rig, shot.image, shot.prior, flight.known.image).peak
     if peak is None:
         return None, "not_found", "no search"
-    found = fit_peak(flight.rig, shot.prior, flight.known.picture, peak, config)
+    found = fit_peak(flight.rig, shot.prior, flight.known.image, peak, config)
     return (None, "not_found", found) if isinstance(found, str) else (found, "fixed", f"ratio {peak.ratio:.2f}")
 
 
@@ -132,7 +132,7 @@ def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float
     def middle(p_n: Array, R_nb: Array) -> Array:
         camera, (p_nc, R_nc) = flight.rig.left, flight.rig.camera_pose(p_n, R_nb)
         ray = R_nc @ camera.ray(np.array([[0.5 * camera.width, 0.5 * camera.height]]))[0]
-        ground = float(flight.known.picture.heights.at(shot.p_n[None, :2])[0])
+        ground = float(flight.known.image.heights.at(shot.p_n[None, :2])[0])
         place: Array = p_nc[:2] + ray[:2] * (ground - p_nc[2]) / ray[2]
         return place
 
@@ -148,11 +148,11 @@ def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:
 
 
 def table(outcomes: Sequence[Outcome]) -> Table:
-    """Pictures that have a right answer."""
+    """Images that have a right answer."""
     columns = (
         "set",
         "by",
-        "pictures",
+        "images",
         "prior off m",
         "accepted",
         "beyond 2 m",
@@ -183,14 +183,14 @@ def _share(those: Sequence[bool]) -> str:
 
 
 def decoys(outcomes: Sequence[Outcome]) -> Table:
-    """Pictures that have none."""
+    """Images that have none."""
     rows = []
     for group, way in dict.fromkeys((o.group, o.way) for o in outcomes if o.decoy):
         every = [o for o in outcomes if (o.group, o.way, o.decoy) == (group, way, True)]
         false = sum(o.accepted for o in every)
         bound = f"{3.0 / len(every):.1%}" if not false else "-"
         rows.append((group, way, str(len(every)), str(false), bound, number(1e3 * float(np.median([o.cpu_s for o in every])))))
-    return Table("Decoys", ("set", "by", "pictures", "accepted", "share below (95 %)", "cpu ms"), rows)
+    return Table("Decoys", ("set", "by", "images", "accepted", "share below (95 %)", "cpu ms"), rows)
 
 
 if __name__ == "__main__":

@@ -15,15 +15,15 @@ import numpy as np
 
 from benchmarks.aerial import brighton, nust
 from benchmarks.aerial.trials import Spread, generator, nadir_rig
-from estimator.map_files import picture as picture_store
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files import image as image_store
+from estimator.map_files.image_file import ImageFile
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
-from vision.ground.picture import GroundPicture, Heights
+from vision.ground.image import GroundImage, Heights
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
-from vision.recognisers import MapPicture
+from vision.recognisers import MapImage
 from vision.synthetic import Conditions, Sun, World, WorldSpec, make_rig, make_world, render
 from vision.synthetic.texture import bounded, pyramid, texels_a_side
 
@@ -41,7 +41,7 @@ class Shot:
     """An image, the pose it was taken from, and its prior."""
 
     t_ns: int
-    picture: Image
+    image: Image
     p_n: Array
     R_nb: Array
     prior: Prior
@@ -49,11 +49,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class Flight:
-    """Pictures in their order over one map. decoy: no fix is right."""
+    """Images in their order over one map. decoy: no fix is right."""
 
     group: str
     rig: StereoRig
-    known: MapPicture
+    known: MapImage
     shots: Callable[[], Iterator[Shot]]
     decoy: bool = False
 
@@ -72,15 +72,15 @@ def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
 def _nust(data: Path, seed: int) -> Iterator[Flight]:
     """Every 15th frame that has a reference; the error of the prior lasts over the flight, as a filter's does."""
     landmarks = nust.landmark_map()
-    file = PictureFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
-    known = picture_store.load(file, landmarks.origin)
+    file = ImageFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
+    known = image_store.load(file, landmarks.origin)
     registered = nust.registrations(data)
     wanted = [number for number in registered if number % EVERY == 0]
     rig = nadir_rig(nust.camera())
     taken = []
-    for number, picture in nust.frames(data, wanted):
+    for number, image in nust.frames(data, wanted):
         p_nc, R_nc = nust.pose(registered[number], landmarks)
-        taken.append((number * _FRAME_NS, picture, p_nc, R_nc @ rig.R_bc.T))
+        taken.append((number * _FRAME_NS, image, p_nc, R_nc @ rig.R_bc.T))
     yield Flight("NUST, prior off by up to 30 m", rig, known, _shots(taken, NEAR, (seed, "nust", 0)))
     yield Flight("NUST, prior off by up to 100 m", rig, known, _shots(taken, WIDE, (seed, "nust", 1)))
     for turn in (cv2.ROTATE_180, cv2.ROTATE_90_CLOCKWISE):
@@ -93,7 +93,7 @@ def _nust(data: Path, seed: int) -> Iterator[Flight]:
 def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     """The photos from which the orthophoto was made: light and season are the same, it shows no more than that it works."""
     landmarks = brighton.landmark_map()
-    known = picture_store.load(brighton_files(data, out), landmarks.origin)
+    known = image_store.load(brighton_files(data, out), landmarks.origin)
     rig = nadir_rig(brighton.camera())
     taken = []
     for k, (name, where) in enumerate(brighton.references(data, landmarks, brighton.photo_names(data)).items()):
@@ -103,24 +103,24 @@ def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     yield Flight("Brighton decoys, map turned", rig, decoy, _shots(taken, LOW, (seed, "brighton", 1)), decoy=True)
 
 
-def brighton_files(data: Path, out: Path) -> PictureFile:
+def brighton_files(data: Path, out: Path) -> ImageFile:
     """The set's orthophoto and heights as files that a configuration can name."""
     out.mkdir(parents=True, exist_ok=True)
     with np.load(data / brighton.FOLDER / "dsm_0.1m_utm15n.npz") as archive:
         heights, x0, y1, step = archive["dsm"], float(archive["x0"]), float(archive["y1"]), float(archive["res"])
-    picture, raster = out / "ortho.png", out / "dsm.tif"
-    shutil.copyfile(data / brighton.FOLDER / "ortho_0.1m_utm15n.png", picture)
+    image, raster = out / "ortho.png", out / "dsm.tif"
+    shutil.copyfile(data / brighton.FOLDER / "ortho_0.1m_utm15n.png", image)
     cv2.imwrite(str(raster), heights.astype(np.float32))
-    for path in (picture.with_suffix(".pgw"), raster.with_suffix(".tfw")):
+    for path in (image.with_suffix(".pgw"), raster.with_suffix(".tfw")):
         path.write_text(f"{step} 0 0 {-step} {x0} {y1}")
-    return PictureFile(picture, 0.2, None, 0.5, raster, brighton.EPSG)
+    return ImageFile(image, 0.2, None, 0.5, raster, brighton.EPSG)
 
 
 def _rendered(seed: int) -> Iterator[Flight]:
     """A village seen by an orthophoto on one day, and by a camera on that day, on another one, and in another season."""
     scene = make_world(seed, WorldSpec(painted=0.0))
     rig, rng = make_rig(), np.random.default_rng(seed)
-    known = MapPicture.of(_orthophoto(scene.world, rng))
+    known = MapImage.of(_orthophoto(scene.world, rng))
     opposite = Sun(scene.world.sun.azimuth_rad + math.pi, math.radians(28.0), 0.3)
     worlds = {
         "rendered, the same day": (scene.world, Conditions()),
@@ -132,20 +132,20 @@ def _rendered(seed: int) -> Iterator[Flight]:
         for k in range(20):
             p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(90.0, 140.0)])
             R_nb = so3.matrix(so3.from_euler(rng.normal(0.0, 0.05), rng.normal(0.0, 0.05), rng.uniform(-math.pi, math.pi)))
-            picture = render(world, scene.rig.left, *scene.rig.camera_pose(p_n, R_nb), conditions, rng)
-            taken.append((k * 500_000_000, picture, p_n, R_nb))
+            image = render(world, scene.rig.left, *scene.rig.camera_pose(p_n, R_nb), conditions, rng)
+            taken.append((k * 500_000_000, image, p_n, R_nb))
         yield Flight(group, rig, known, _shots(taken, NEAR, (seed, group, 0)))
         decoy = _turned(known, cv2.ROTATE_180)
         yield Flight("rendered decoys, map turned", rig, decoy, _shots(taken, NEAR, (seed, group, 1)), decoy=True)
 
 
-def _orthophoto(world: World, rng: np.random.Generator) -> GroundPicture:
+def _orthophoto(world: World, rng: np.random.Generator) -> GroundImage:
     """From so far up that roofs lean by little more than a pixel; north up."""
     middle, f = 0.5 * (_ORTHO_PX - 1), _ORTHO_FROM_M / _ORTHO_M
     above = CameraModel(_ORTHO_PX, _ORTHO_PX, f, f, middle, middle)
-    picture = render(world, above, np.array([0.0, 0.0, -_ORTHO_FROM_M]), nadir_rig(above).R_bc, Conditions(vignetting=0.0), rng)
+    image = render(world, above, np.array([0.0, 0.0, -_ORTHO_FROM_M]), nadir_rig(above).R_bc, Conditions(vignetting=0.0), rng)
     affine = np.array([[0.0, -_ORTHO_M, _ORTHO_M * middle], [_ORTHO_M, 0.0, -_ORTHO_M * middle]])
-    return GroundPicture("ortho", picture, affine, Heights.level(world.ground.down_m), 0.1, 0.1)
+    return GroundImage("ortho", image, affine, Heights.level(world.ground.down_m), 0.1, 0.1)
 
 
 def _other_season(world: World) -> World:
@@ -163,11 +163,11 @@ def _other_season(world: World) -> World:
     return replace(world, ground=replace(ground, cover=cover, detail=other), clutter=clutter, sun=_OVERCAST)
 
 
-def _turned(known: MapPicture, turn: int) -> MapPicture:
+def _turned(known: MapImage, turn: int) -> MapImage:
     """The same georeference over an image that is turned about its middle, as far as the new one covers the same pixels."""
-    picture = known.picture
-    image = np.asarray(cv2.rotate(picture.image, turn), dtype=np.uint8)
-    return MapPicture.of(replace(picture, image=image))
+    ground = known.image
+    image = np.asarray(cv2.rotate(ground.image, turn), dtype=np.uint8)
+    return MapImage.of(replace(ground, image=image))
 
 
 def _shots(
@@ -181,12 +181,12 @@ def _shots(
     def shots() -> Iterator[Shot]:
         drawn = generator(*key)
         until_ns = -1
-        for t_ns, picture, p_n, R_nb in taken:
+        for t_ns, image, p_n, R_nb in taken:
             if t_ns >= until_ns:
                 off, until_ns = spread.draw(drawn, np.zeros(3), np.eye(3)), t_ns + 3_000_000_000
                 bearing, farther = drawn.uniform(0.0, 2.0 * math.pi), drawn.uniform(*away)
             there = p_n + off.p_n + farther * np.array([math.cos(bearing), math.sin(bearing), 0.0])
             q = so3.normalise(so3.multiply(off.q_nb_wxyz, so3.from_matrix(np.ascontiguousarray(R_nb))))
-            yield Shot(t_ns, picture, p_n, R_nb, Prior(there, q, off.covariance))
+            yield Shot(t_ns, image, p_n, R_nb, Prior(there, q, off.covariance))
 
     return shots

@@ -23,7 +23,7 @@ from vision.pose.sensitivity import eyes
 from vision.predict import pattern
 from vision.predict.coarse_search import CoarseConfig
 from vision.predict.motion import motion
-from vision.records.pictures import usable
+from vision.records.images import usable
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Found:
 
 def look(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
     """The summit over all shifts that the prior allows, at its heading and height."""
-    eye, pictures = eyes(case.rig)[0], usable(case.picture, None, case.rig)
+    eye, images = eyes(case.rig)[0], usable(case.image, None, case.rig)
     move = motion(eye, marks, prior)
-    assert not isinstance(pictures, str)
+    assert not isinstance(images, str)
     assert move is not None
-    best = pattern.best_shift(eye, pictures, marks, move, CoarseConfig())
+    best = pattern.best_shift(eye, images, marks, move, CoarseConfig())
     assert best is not None
     return Found(case.judge(*move.pose(move.gain[:, :2] @ best.shift_px)), best.ratio)
 

@@ -34,9 +34,9 @@ _SEARCHED_PX, _BLUR_PX = 10, 1.0
 
 @dataclass(frozen=True)
 class Scene:
-    """Picture (16 bit), all footprints, camera and its pose p_nc, R_nc; slope (2, H, W): du, dv of the blurred image."""
+    """Image (16 bit), all footprints, camera and its pose p_nc, R_nc; slope (2, H, W): du, dv of the blurred image."""
 
-    picture: Image
+    image: Image
     landmarks: LandmarkMap
     camera: CameraModel
     p_nc: Array
@@ -46,8 +46,8 @@ class Scene:
 
 def scene(data: Path) -> Scene:
     """What is on file; footprints count as painted on level ground."""
-    picture = cv2.imread(str(data / FOLDER / "sample_geotiff.tif"), cv2.IMREAD_UNCHANGED)
-    if picture is None:
+    image = cv2.imread(str(data / FOLDER / "sample_geotiff.tif"), cv2.IMREAD_UNCHANGED)
+    if image is None:
         raise FileNotFoundError(data / FOLDER / "sample_geotiff.tif")
     read = LandmarkMap.from_geojson((data / FOLDER / "geotiff_labels.geojson").read_bytes())
     flat = [Landmark.of(m.id, m.outline_n, 0.0, sigma_m=_ROOF_SIGMA_M, outline_sigma_m=_ROOF_SIGMA_M) for m in read]
@@ -57,9 +57,9 @@ def scene(data: Path) -> Scene:
     px = np.array([[u, v] for u in (0.0, SIZE - 1.0) for v in (0.0, 0.5 * SIZE, SIZE - 1.0)])
     xy = np.array(_NORTH_WEST) + STEP_M * (px + 0.5) * np.array([1.0, -1.0])
     ground_n = utm_to_ned(landmarks, EPSG, xy, np.full(len(xy), landmarks.origin[2]))
-    smooth = cv2.GaussianBlur(to_8_bit(picture), (0, 0), _BLUR_PX)
+    smooth = cv2.GaussianBlur(to_8_bit(image), (0, 0), _BLUR_PX)
     slope = np.array([cv2.Sobel(smooth, cv2.CV_64F, 1, 0), cv2.Sobel(smooth, cv2.CV_64F, 0, 1)])
-    return Scene(picture, landmarks, camera, *plane_pose(ground_n, px, camera), slope)
+    return Scene(image, landmarks, camera, *plane_pose(ground_n, px, camera), slope)
 
 
 def sets(landmarks: LandmarkMap, size: int) -> list[list[Landmark]]:
@@ -95,7 +95,7 @@ def case(of: Scene, name: str, marks: Sequence[Landmark], apart_m: Array) -> Cas
         return float(np.linalg.norm(projected_shift(of, marks, p_n, R_nb) - apart_m))
 
     group, shown = f"SpaceNet, {len(marks)} footprints", tuple(m.id for m in marks)
-    return Case(group, name, of.picture, rig, landmarks, of.p_nc, of.R_nc @ rig.R_bc.T, shown, judge)
+    return Case(group, name, of.image, rig, landmarks, of.p_nc, of.R_nc @ rig.R_bc.T, shown, judge)
 
 
 def prior(of: Case, rng: np.random.Generator) -> Prior:

@@ -26,13 +26,13 @@ from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
 from calib.files.formats import save_camera
 from estimator.commands.photo.shots import Given, take
-from estimator.map_files import picture as picture_store
+from estimator.map_files import image as image_store
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
 from models.radius import reach
 from vision.identify.identify import Prior
 from vision.pipeline import Result
-from vision.recognisers import MapPicture, Recognisers
+from vision.recognisers import MapImage, Recognisers
 
 _VIEWER: Final = "Microsoft Windows Photo Viewer 10.0.10240.16384"
 _TURNED: Final = frozenset(f"DJI_00{k}.jpg" for k in range(24, 30))
@@ -90,7 +90,7 @@ def main() -> None:
     args = parser.parse_args()
     data = data_folder()
     if not (data / brighton.FOLDER).is_dir():
-        raise SystemExit(f"{data / brighton.FOLDER} not found: set LANDFIX_DATA to the folder of recorded pictures")
+        raise SystemExit(f"{data / brighton.FOLDER} not found: set LANDFIX_DATA to the folder of recorded images")
     cv2.setNumThreads(1)
     with TemporaryDirectory() as folder:
         table = Table("Photos with their tags", _COLUMNS, list(_rows(data, Path(folder), args.width)))
@@ -106,7 +106,7 @@ def _rows(data: Path, folder: Path, width: int) -> Iterator[tuple[str, ...]]:
     marks = brighton.landmark_map()
     names = brighton.photo_names(data)
     references = {name: (w.p_nc, w.R_nc) for name, w in brighton.references(data, marks, names).items()}
-    known = picture_store.load(brighton_files(data, folder / "maps"), marks.origin)
+    known = image_store.load(brighton_files(data, folder / "maps"), marks.origin)
     around = np.mean([p_nc[:2] for p_nc, _ in references.values()], axis=0)
     decoy = LandmarkMap.from_landmarks(marks.origin, turned(list(marks), around, generator(0, "tagged", 0)))
     nothing = LandmarkMap.from_landmarks(marks.origin, [])
@@ -115,27 +115,27 @@ def _rows(data: Path, folder: Path, width: int) -> Iterator[tuple[str, ...]]:
     calibrated = folder / "camera.yaml"
     save_camera(calibrated, brighton.camera())
     photos = {name: tagged(data, name, folder) for name in (*as_written, *by_viewer)}
-    maps: tuple[tuple[str, LandmarkMap, MapPicture | None], ...] = (
+    maps: tuple[tuple[str, LandmarkMap, MapImage | None], ...] = (
         ("outlines", marks, None), ("orthophoto", nothing, known), ("outlines, map turned", decoy, None)
     )  # fmt: skip
-    for said, landmarks, picture in maps:
+    for said, landmarks, image in maps:
         for kind, group in (("as written", as_written), ("turned by a viewer", by_viewer)):
             for how, rig in (("by its tags", None), ("calibrated", calibrated)):
                 files = [photos[name] for name in group]
-                found = _locate(files, rig, width, marks, landmarks, picture)
+                found = _locate(files, rig, width, marks, landmarks, image)
                 yield _summary(
                     said, kind, how, [_judge(*one, references[name][0]) for name, one in zip(group, found, strict=True)]
                 )
 
 
 def _locate(
-    files: Sequence[Path], rig: Path | None, width: int, ground: LandmarkMap, landmarks: LandmarkMap, picture: MapPicture | None
+    files: Sequence[Path], rig: Path | None, width: int, ground: LandmarkMap, landmarks: LandmarkMap, image: MapImage | None
 ) -> Iterator[tuple[Prior, Result]]:
     """What the command finds in each photo alone."""
     down = float(np.median(ground.columns.base_d))
     shots = take(Given(files, rig, None, [], "", None, width), landmarks.frame, lambda north, east: down)  # noqa: ARG005
     for shot in shots.images:
-        yield shot.prior, Recognisers(shots.rig, landmarks, picture).process(shot.left, None, shot.t_ns, shot.prior)
+        yield shot.prior, Recognisers(shots.rig, landmarks, image).process(shot.left, None, shot.t_ns, shot.prior)
 
 
 def _judge(prior: Prior, result: Result, true_n: Array) -> Row:

@@ -57,14 +57,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Case:
-    """A image, a map, and the pose known without the pipeline; shown: landmarks in the image.
+    """An image, a map, and the pose known without the pipeline; shown: landmarks in the image.
 
     group: what is counted together; judge: how far a pose is off.
     """
 
     group: str
     name: str
-    picture: Image
+    image: Image
     rig: StereoRig
     landmarks: LandmarkMap
     p_n: Array
@@ -162,13 +162,13 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
     case, prior = trial.case, trial.prior
     pipeline = LandmarkPipeline(case.rig, case.landmarks, PipelineConfig(path=path))
     begin = time.process_time()
-    result = pipeline.process(case.picture, None, 0, prior)
+    result = pipeline.process(case.image, None, 0, prior)
     cpu_s = time.process_time() - begin
     off = float(np.linalg.norm(prior.p_n[:2] - case.p_n[:2]))
     at_once = result.report.outcome != "waiting" or trial.after is None
     if trial.after is not None and not at_once:
         case, prior = trial.after
-        result = pipeline.process(case.picture, None, _NEXT_NS, prior)
+        result = pipeline.process(case.image, None, _NEXT_NS, prior)
     what = (
         trial.case.group, trial.case.name, path, trial.number, len(trial.case.shown), off, result.report.outcome,
         result.report.detail, cpu_s,
@@ -185,13 +185,13 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
 
 
 class Row(msgspec.Struct, frozen=True):
-    """Trials of one kind; pictures: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
+    """Trials of one kind; images: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
     share accepted from the first image; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m.
     """
 
     group: str
     path: str
-    pictures: int
+    images: int
     trials: int
     accepted: float
     at_once: float

@@ -127,8 +127,8 @@ def shaded(runs: int) -> dict[str, Any]:
     for seed in range(runs):
         rng, views = np.random.default_rng(seed), []
         for k, pose in enumerate(synthetic.poses([(VGA, IDENTITY)], BOARD, 15, rng)):
-            picture = painter.paint(pose, rng, 0.0, 0.7) * light + rng.normal(0.0, 3.0, light.shape)
-            seen = find(np.asarray(np.clip(np.rint(picture), 0, 255), dtype=np.uint8), BOARD, str(k))
+            image = painter.paint(pose, rng, 0.0, 0.7) * light + rng.normal(0.0, 3.0, light.shape)
+            seen = find(np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8), BOARD, str(k))
             if isinstance(seen, View):
                 views.append(seen)
                 off.append(seen.px - VGA.project(pose.of(BOARD.points)))

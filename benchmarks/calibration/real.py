@@ -79,7 +79,7 @@ def chessboards(folder: Path) -> list[Table]:
     )  # fmt: skip
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     speed = [
-        ("26 VGA pictures: corners", f"{found_s:.2f} s"),
+        ("26 VGA images: corners", f"{found_s:.2f} s"),
         *(("two cameras and the rig, lens " + lens, t) for lens, t in cost),
     ]
     speed.append(("peak memory of the process", f"{memory:.0f} MB"))

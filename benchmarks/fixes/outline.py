@@ -76,31 +76,31 @@ def converge(seed: int, number: int) -> list[Outcome]:
     shown = draw(seed, number)
     view, off = shown.view, {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
     alone = prior_of(view, PRIOR_PX, 20.0, only_shift=True)
-    fit = estimate_pose(view.rig, shown.pictures, view.landmarks, (alone.p_n, alone.R_nb), alone, WIDE)
+    fit = estimate_pose(view.rig, shown.images, view.landmarks, (alone.p_n, alone.R_nb), alone, WIDE)
     fitted = outcome_of(view, fit, "") if isinstance(fit, PoseEstimate) else outcome_of(view, None, f"{fit.reason}: {fit.detail}")
     fitted = msgspec.structs.replace(fitted, name=f"fine stage alone, 20 px, map {view.cell.map_sigma_m} m")
-    return [fitted] + [_fixed(f"coarse search, {d:.0f} px", view, shown.pictures, prior) for d, prior in off.items()]
+    return [fitted] + [_fixed(f"coarse search, {d:.0f} px", view, shown.images, prior) for d, prior in off.items()]
 
 
 def accuracy(seed: int, number: int) -> list[Outcome]:
     """The prior drawn about the truth."""
     shown = draw(seed, number)
-    return [_fixed("accuracy", shown.view, shown.pictures, prior_of(shown.view, 0.5 * PRIOR_PX), with_bound=True)]
+    return [_fixed("accuracy", shown.view, shown.images, prior_of(shown.view, 0.5 * PRIOR_PX), with_bound=True)]
 
 
 def partial(seed: int, number: int) -> list[Outcome]:
     """Outlines cut by the border or hidden by trees."""
     shown = draw(seed, number, partial=True)
-    return [_fixed("partial", shown.view, shown.pictures, prior_of(shown.view, 0.5 * PRIOR_PX), share=shown.share)]
+    return [_fixed("partial", shown.view, shown.images, prior_of(shown.view, 0.5 * PRIOR_PX), share=shown.share)]
 
 
 def decoys(seed: int, number: int) -> list[Outcome]:
     """Wrong maps and priors."""
     outcomes = []
     for kind in DECOYS:
-        view, pictures, prior, possible = decoy(seed, number, kind)
+        view, images, prior, possible = decoy(seed, number, kind)
         name = f"decoy: {kind}" + ("" if possible else " (no fix is right)")
-        outcomes.append(_fixed(name, view, pictures, prior))
+        outcomes.append(_fixed(name, view, images, prior))
     return outcomes
 
 
@@ -110,28 +110,28 @@ def speed(seed: int, number: int) -> list[Outcome]:
     if shown.view.cell.marks != 3:
         return []
     prior = prior_of(shown.view, PRIOR_PX)
-    _fixed("", shown.view, shown.pictures, prior)
-    theirs = sift_and_flann(*shown.pictures)
+    _fixed("", shown.view, shown.images, prior)
+    theirs = sift_and_flann(*shown.images)
     if theirs is None or theirs.points < 500:
         return []
-    return [msgspec.structs.replace(_fixed("speed", shown.view, shown.pictures, prior), sift_s=theirs.seconds)]
+    return [msgspec.structs.replace(_fixed("speed", shown.view, shown.images, prior), sift_s=theirs.seconds)]
 
 
 PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "decoys": decoys, "speed": speed}
 
 
 def _fixed(
-    name: str, view: View, pictures: tuple[Image, Image], prior: Prior, share: float = 1.0, *, with_bound: bool = False
+    name: str, view: View, images: tuple[Image, Image], prior: Prior, share: float = 1.0, *, with_bound: bool = False
 ) -> Outcome:
     """The pipeline's answer, to one pair or to two."""
     pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
     begin = time.process_time()
-    result = pipeline.process(*pictures, 1, prior)
+    result = pipeline.process(*images, 1, prior)
     seconds = time.process_time() - begin
     at_once = result.report.outcome != "waiting"
     if not at_once:
-        view, pictures, prior = later(view, prior)
-        result = pipeline.process(*pictures, 1 + NEXT_NS, prior)
+        view, images, prior = later(view, prior)
+        result = pipeline.process(*images, 1 + NEXT_NS, prior)
     limit = float(np.sqrt(np.trace(bound(_with_prior(view, prior))[:3, :3]))) if with_bound else 0.0
     said = f"{result.report.outcome}: {result.report.detail}"
     found = outcome_of(view, result.pose, said)

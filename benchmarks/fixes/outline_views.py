@@ -34,7 +34,7 @@ class Shown:
     """A view, its images and the share of the roofs' outlines that the left one shows."""
 
     view: View
-    pictures: tuple[Image, Image]
+    images: tuple[Image, Image]
     share: float
 
 
@@ -87,8 +87,8 @@ def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
     error = rng.normal(size=6) * slip
     moved = replace(view, p_n=view.p_n + way, R_nb=so3.matrix(turn) @ view.R_nb)
     q = so3.normalise(so3.multiply(so3.quat_exp(error[3:]), so3.multiply(turn, prior.q_nb_wxyz)))
-    pictures = render_pair(moved.world, moved.true_rig, moved.p_n, moved.R_nb, moved.conditions, rng)
-    return moved, pictures, Prior(prior.p_n + way + error[:3], q, prior.covariance + np.diag(slip**2))
+    images = render_pair(moved.world, moved.true_rig, moved.p_n, moved.R_nb, moved.conditions, rng)
+    return moved, images, Prior(prior.p_n + way + error[:3], q, prior.covariance + np.diag(slip**2))
 
 
 def visible_share(view: View) -> float:

@@ -54,9 +54,9 @@ def main() -> None:
 def run_view(job: tuple[int, int]) -> Outcome:
     """Render one view, fit it, and compare with the truth."""
     view = draw_view(*job)
-    pictures = render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
+    images = render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
     p_n, R_nb, shift = start_from_regions(eyes(view.rig)[0], view.landmarks, *_regions(view), view.prior)
-    fit = estimate_pose(view.rig, pictures, view.landmarks, (p_n, R_nb), view.prior, shift_m=shift)
+    fit = estimate_pose(view.rig, images, view.landmarks, (p_n, R_nb), view.prior, shift_m=shift)
     if isinstance(fit, NoPose):
         return msgspec.structs.replace(outcome_of(view, None, fit.reason), number=job[1])
     limit = float(np.sqrt(np.trace(bound(view)[:3, :3])))

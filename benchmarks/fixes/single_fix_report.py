@@ -84,7 +84,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     left.legend(loc="upper right")
     right.axvspan(*BAND, color="tab:green", alpha=0.15, label="goal: 0.7 to 1.5")
     right.plot([r.position for r in rows], y, "o", color="tab:blue", label="position with prior, d²/3")
-    right.plot([r.alone for r in rows], y, "x", color="tab:orange", label="pictures alone, d²/6")
+    right.plot([r.alone for r in rows], y, "x", color="tab:orange", label="images alone, d²/6")
     right.axvline(1.0, color="grey", linewidth=0.8)
     right.set_xlim(left=0.0)
     right.set_xlabel("mean squared Mahalanobis distance per degree of freedom")

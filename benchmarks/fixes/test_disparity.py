@@ -45,7 +45,7 @@ def test_disparity_on_recorded_pairs() -> None:
     """Region by region: the median of its cells' errors against the truth at the same positions."""
     folder = data_folder()
     if not (folder / "images").is_dir():
-        pytest.skip("no recorded pictures: set LANDFIX_DATA to the folder that holds images/")
+        pytest.skip("no recorded images: set LANDFIX_DATA to the folder that holds images/")
     makers: list[tuple[str, Callable[[], list[RealPair]]]] = [
         ("Middlebury motorcycle", lambda: [real_pairs.motorcycle(folder)]),
         ("Middlebury aloe", lambda: [real_pairs.aloe(folder)]),

@@ -23,7 +23,7 @@ from vision.describe.regions import Region, find_regions
 from vision.describe.segment import classes, colour_table, cylinder, segment_colours, segment_seeds, valleys
 from vision.describe.survey import Settings, Survey, grey, survey
 from vision.image import enhance
-from vision.image.check import pair_flaw, picture_flaw
+from vision.image.check import image_flaw, pair_flaw
 from vision.image.rectify import Image, rectification, rectify
 from vision.show.annotate import annotate
 
@@ -67,11 +67,11 @@ def check() -> Figure:
     torn[300:] = 128
     stuck[260:] = stuck[260]
     bright = np.clip(VIEW.left.astype(int) + 200, 0, 255).astype(np.uint8)
-    pictures = [VIEW.left, VIEW.left // 30, bright, torn, stuck, VIEW.left[:300]]
-    figure, axes = sheet(1, len(pictures), 14.0, 2.6)
-    for ax, picture in zip(axes[0], pictures, strict=True):
-        said = picture_flaw(picture, RIG.left) or pair_flaw(picture, VIEW.right) or "good"
-        show(ax, picture, said.replace(", ", ",\n"))
+    images = [VIEW.left, VIEW.left // 30, bright, torn, stuck, VIEW.left[:300]]
+    figure, axes = sheet(1, len(images), 14.0, 2.6)
+    for ax, image in zip(axes[0], images, strict=True):
+        said = image_flaw(image, RIG.left) or pair_flaw(image, VIEW.right) or "good"
+        show(ax, image, said.replace(", ", ",\n"))
     return figure
 
 
@@ -80,7 +80,7 @@ def rectified() -> Figure:
     figure, axes = sheet(2, 1, 11.0, 8.4)
     for ax, pair, title in (
         (axes[0, 0], (VIEW.left, VIEW.right), "as taken: lenses bend, the right camera squints by 1.5 degrees and rolls by 1.4"),
-        (axes[1, 0], (LEFT, RIGHT), "rectified: a point stands in the same row of both pictures"),
+        (axes[1, 0], (LEFT, RIGHT), "rectified: a point stands in the same row of both images"),
     ):
         show(ax, np.hstack(pair), title)
         for row in range(40, 480, 80):
@@ -97,7 +97,7 @@ def enhanced() -> Figure:
     half[:, 320:] = np.clip(half[:, 320:] * 0.35, 0, 255)
     clean, clouded = enhance.median(noisy, 5), enhance.median(half, 5)
     figure, axes = sheet(2, 4, 13.0, 5.4)
-    for ax, picture, title in zip(
+    for ax, image, title in zip(
         axes.ravel(),
         (noisy, clean, enhance.stretch(clean), enhance.gamma(clean, 0.5),
          half, enhance.stretch(clouded), enhance.stretch_blocks(clouded), enhance.logarithm(clouded)),
@@ -105,7 +105,7 @@ def enhanced() -> Figure:
          "one half in a cloud's shadow", "stretch of the whole", "stretch by blocks", "log"),
         strict=True,
     ):  # fmt: skip
-        show(ax, picture, title)
+        show(ax, image, title)
     return figure
 
 
@@ -114,7 +114,7 @@ def segmented() -> Figure:
     smooth = enhance.median(LEFT, 3)
     known, seeds = segment_colours(smooth, TABLE), segment_seeds(smooth)
     figure, axes = sheet(1, 4, 15.0, 3.4)
-    show(axes[0, 0], LEFT, "rectified left picture")
+    show(axes[0, 0], LEFT, "rectified left image")
     show(axes[0, 1], PALETTE[known], "colours known from a map: double threshold")
     colours = np.random.default_rng(11).integers(50, 255, (256, 3)).astype(np.uint8)
     show(axes[0, 2], colours[seeds], "nothing known: seeds")
@@ -238,7 +238,7 @@ def epipolar() -> Figure:
     cases = (
         ("as calibrated", VIEW.right, MADE),
         ("right camera 0.23 degrees off in pitch", VIEW.right, rectification(pitch)),
-        ("right picture taken later", np.roll(VIEW.right, 4, axis=0), MADE),
+        ("right image taken later", np.roll(VIEW.right, 4, axis=0), MADE),
     )
     figure, axes = sheet(1, 3, 14.0, 4.2)
     for ax, (title, right, made) in zip(axes[0], cases, strict=True):

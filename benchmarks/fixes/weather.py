@@ -188,9 +188,9 @@ def main() -> None:
             columns,
             [(name, *(number(x) for x in row), number(float(row.mean()))) for name, row in zip(WAYS, v, strict=True)],
         )
-        for title, v in (("Roofs recognised [%]", share), ("Wrong regions a picture", wrong))
+        for title, v in (("Roofs recognised [%]", share), ("Wrong regions an image", wrong))
     ]
-    text = "\n".join(t.markdown() for t in tables) + f"\n{int(counts[0, 0, 0])} roofs in {len(samples)} pictures\n"
+    text = "\n".join(t.markdown() for t in tables) + f"\n{int(counts[0, 0, 0])} roofs in {len(samples)} images\n"
     print(text)
     (args.out / "weather.md").write_text(text)
 

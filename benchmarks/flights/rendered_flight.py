@@ -1,4 +1,4 @@
-"""One rendered flight: simulated, its pictures drawn, and replayed with what the cameras see or without it."""
+"""One rendered flight: simulated, its images drawn, and replayed with what the cameras see or without it."""
 
 from pathlib import Path
 
@@ -7,9 +7,9 @@ import numpy as np
 from calib.files.formats import load_rig
 from estimator.config import load
 from estimator.frontend.processor import Sight
-from estimator.frontend.replay_pictures import SightReplay
+from estimator.frontend.replay_images import SightReplay
 from estimator.map_files import store as map_store
-from estimator.replay import flight_pictures
+from estimator.replay import flight_images
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
 from logs.evaluation.evaluate import Comparison, compare
@@ -22,10 +22,10 @@ def draw(folder: Path, plan: Scenario, seed: int) -> None:
     assert plan.cameras is not None
     folder.mkdir(parents=True, exist_ok=True)
     simulation = simulate(plan, seed)
-    pictures = flight_pictures.plan(plan.cameras, simulation, seed)
-    pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
-    (folder / "flight.toml").write_text(flight_pictures.configuration(simulation, "map.geojson", "rig.yaml"))
-    simulated.write(simulation, folder / "flight.mcap", pictures=pictures)
+    images = flight_images.plan(plan.cameras, simulation, seed)
+    images.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
+    (folder / "flight.toml").write_text(flight_images.configuration(simulation, "map.geojson", "rig.yaml"))
+    simulated.write(simulation, folder / "flight.mcap", images=images)
 
 
 def fly(folder: Path, after_s: float, *, landmarks: bool = True) -> Comparison:

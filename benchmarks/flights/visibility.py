@@ -1,8 +1,8 @@
-"""Rendered flights over landmarks that the picture's border cuts off: with fixes in part, without them, and taken for whole.
+"""Rendered flights over landmarks that the image's border cuts off: with fixes in part, without them, and taken for whole.
 
 python -m benchmarks.flights.visibility --seeds 1 2 3
 
-The same multirotor flies at 40 m over the same kind of village with pictures of three sizes from the middle of one lens: of the
+The same multirotor flies at 40 m over the same kind of village with images of three sizes from the middle of one lens: of the
 landmark that is seen best nearly all, about half, or about a fifth of the outline is in view. From 14 s on the camera alone aids
 the IMU. Each flight is drawn once and flown in closed loop (predict and verify, from the filter's own prior) in four modes:
 
@@ -30,8 +30,8 @@ from rich.progress import track
 from estimator.config import parse
 from estimator.frontend.requests import prior_at
 from estimator.fusion import Fusion
-from estimator.replay import flight_pictures
-from logs.wire.pictures import decode_picture
+from estimator.replay import flight_images
+from logs.wire.images import decode_image
 from models.messages import AidStatus, Array, Estimate, LandmarkFix, Reason
 from models.sim.scenario import EPOCH_NS, Simulation, Truth, simulate
 from models.sim.scenario_file import loads
@@ -84,9 +84,9 @@ seed = {seed}
 
 
 class Frames(msgspec.Struct, frozen=True):
-    """What became of the pictures after JUDGED_S, and of the estimates then, of one flight in one mode."""
+    """What became of the images after JUDGED_S, and of the estimates then, of one flight in one mode."""
 
-    pictures: int
+    images: int
     visible: float  # mean share of outline in view of the landmark seen best
     fixes: int
     partial: int  # of these with fewer than six directions
@@ -98,25 +98,25 @@ class Frames(msgspec.Struct, frozen=True):
 
 @dataclass
 class Shots:
-    """Pictures of one flight, drawn once; visible: share of outline in view of the landmark seen best, of each."""
+    """Images of one flight, drawn once; visible: share of outline in view of the landmark seen best, of each."""
 
-    flight: flight_pictures.Flight
+    flight: flight_images.Flight
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
     visible: list[float] = field(default_factory=list)
 
     @classmethod
-    def of(cls, flight: flight_pictures.Flight) -> "Shots":
+    def of(cls, flight: flight_images.Flight) -> "Shots":
         """Draw them."""
         shots = cls(flight)
         for k, t_ns in enumerate(flight.t_ns.tolist()):
-            left, right = (decode_picture(message.schema, message.data) for message in flight.draw(k))
+            left, right = (decode_image(message.schema, message.data) for message in flight.draw(k))
             shots.pairs.append((left, right))
             shots.visible.append(_visible(flight, t_ns))
         return shots
 
 
-def _visible(flight: flight_pictures.Flight, t_ns: int) -> float:
-    """Largest share of a roof's outline that the left picture shows."""
+def _visible(flight: flight_images.Flight, t_ns: int) -> float:
+    """Largest share of a roof's outline that the left image shows."""
     truth, scene = flight.truth, flight.scene
     k = int(np.clip(np.searchsorted(truth.t_ns, t_ns), 0, len(truth.t_ns) - 1))
     eye, best = eyes(scene.rig)[0], 0.0
@@ -131,7 +131,7 @@ def _visible(flight: flight_pictures.Flight, t_ns: int) -> float:
 
 
 def fly(simulation: Simulation, shots: Shots, mode: str) -> Frames:
-    """Messages and pictures in order of arrival, each look from the filter's own prior."""
+    """Messages and images in order of arrival, each look from the filter's own prior."""
     fusion = Fusion(parse(simulation.config_toml).fusion())
     flight = shots.flight
     pipeline = LandmarkPipeline(flight.scene.rig_calibrated, flight.scene.map, PipelineConfig(path="predict"))
@@ -198,16 +198,16 @@ def _nees(d: Array, cov: Array) -> float:
 def table(results: dict[tuple[str, str], list[Frames]]) -> str:
     """One line per visibility and mode, over all seeds."""
     lines = [
-        f"{'lens for':9} {'mode':11} {'in view':>8} {'pictures':>9} {'fixes':>7} {'in part':>8} {'fused':>7} "
+        f"{'lens for':9} {'mode':11} {'in view':>8} {'images':>9} {'fixes':>7} {'in part':>8} {'fused':>7} "
         f"{'RMS m':>7} {'p95 m':>7} {'NEES/3':>7} {'att':>6}"
     ]
     for (share, mode), flights in results.items():
-        pictures = sum(f.pictures for f in flights)
+        images = sum(f.images for f in flights)
         fixes, partial, fused = (sum(getattr(f, what) for f in flights) for what in ("fixes", "partial", "fused"))
         error2, nees, attitude = (np.concatenate([getattr(f, what) for f in flights]) for what in ("error2", "nees", "attitude"))
         lines.append(
-            f"{share:9} {mode:11} {np.mean([f.visible for f in flights]):8.0%} {pictures:9} {fixes / pictures:7.0%} "
-            f"{partial / pictures:8.0%} {fused / pictures:7.0%} {np.sqrt(error2.mean()):7.2f} "
+            f"{share:9} {mode:11} {np.mean([f.visible for f in flights]):8.0%} {images:9} {fixes / images:7.0%} "
+            f"{partial / images:8.0%} {fused / images:7.0%} {np.sqrt(error2.mean()):7.2f} "
             f"{np.sqrt(np.quantile(error2, 0.95)):7.2f} {nees.mean():7.2f} {attitude.mean():6.2f}"
         )
     return "\n".join(lines)
@@ -231,7 +231,7 @@ def main() -> None:
         plan = loads(SCENARIO.format(width=width, height=height, seed=seed))
         simulation = simulate(plan, seed)
         assert plan.cameras is not None
-        shots = Shots.of(flight_pictures.plan(plan.cameras, simulation, seed))
+        shots = Shots.of(flight_images.plan(plan.cameras, simulation, seed))
         for mode in arguments.modes:
             results[share, mode].append(fly(simulation, shots, mode))
     text = table(results)

@@ -133,25 +133,23 @@ def row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def sequences(
-    name: str, conditions: Conditions, count: int, seed: int, pictures: int = 4, step_m: float = 12.0
-) -> tuple[str, ...]:
+def sequences(name: str, conditions: Conditions, count: int, seed: int, images: int = 4, step_m: float = 12.0) -> tuple[str, ...]:
     """Flights of a few images a second apart, regions that stay open waiting for the next: share fixed after each image.
 
     The prior's error stays the same but for a drift of 0.3 m a second, as in dead reckoning.
     """
-    rng, fixed_at = np.random.default_rng(seed), [0] * pictures
+    rng, fixed_at = np.random.default_rng(seed), [0] * images
     identified = wrong = wrong_fixes = 0
     for k in range(count):
         if k % FRAMES_PER_WORLD == 0:
             world = draw_world(rng, conditions)
         p_n, q_nb = draw_pose(rng, conditions)
         heading, error, memory = rng.uniform(-np.pi, np.pi), draw_error(rng, conditions), Constellation()
-        for picture in range(pictures):
+        for image in range(images):
             frame = look(rng, world, p_n, q_nb, error, conditions)
-            frame.prior.covariance[range(3), range(3)] += picture * 0.3**2
+            frame.prior.covariance[range(3), range(3)] += image * 0.3**2
             near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0))
-            t_ns = picture * 1_000_000_000
+            t_ns = image * 1_000_000_000
             remembered = memory.recall(frame.sightings, t_ns, frame.prior)
             found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, frame.scale_sigma, CONFIG)
             now = found.accepted[: len(frame.sightings)]
@@ -160,12 +158,12 @@ def sequences(
                 wrong += sum(n != t for n, t, a in zip(named, frame.truth, now, strict=False) if a)
                 identified += int(now.sum())
                 wrong_fixes += is_wrong(frame, found)
-                fixed_at[picture] += 1
+                fixed_at[image] += 1
                 break
             memory.hold(frame.sightings, remembered, t_ns, frame.prior)
             p_n = p_n + step_m * np.array([np.cos(heading), np.sin(heading), 0.0])
             error = error + np.concatenate([rng.normal(0.0, 0.3, 3), np.zeros(3)])
-    shares = [share(sum(fixed_at[: k + 1]), count) for k in range(pictures)]
+    shares = [share(sum(fixed_at[: k + 1]), count) for k in range(images)]
     return (name, str(count), *shares, str(wrong_fixes), str(identified), str(wrong))
 
 
@@ -265,10 +263,8 @@ def main() -> None:
     tables.append(calibration_table(title, identities(everything)))
     tables.append(calibration_table('Probability that "not in the map" is wrong', absences(everything)))
     rows = [sequences(name, c, args.frames // 2, args.seed * 100 + 30 + k) for k, (name, c) in enumerate(WORLDS.items())]
-    columns = ("world", "flights", "after 1", "2", "3", "4 pictures", "wrong fixes", "identified", "wrong")
-    tables.append(
-        Table("Flights over any number of regions, open ones waiting for the next picture: fixed by then", columns, rows)
-    )
+    columns = ("world", "flights", "after 1", "2", "3", "4 images", "wrong fixes", "identified", "wrong")
+    tables.append(Table("Flights over any number of regions, open ones waiting for the next image: fixed by then", columns, rows))
     if args.stress:
         rows = []
         for k, (name, change) in enumerate(STRESS.items()):

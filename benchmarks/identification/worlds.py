@@ -1,5 +1,5 @@
 """Worlds of look-alikes, in numbers: objects of nearly one size, a map that lacks some and holds some that are gone, and what a
-stereo rig measures of them. No pictures: thousands of frames a minute.
+stereo rig measures of them. No images: thousands of frames a minute.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Maps: a million footprints, footprints found in a satellite picture."""
+"""Maps: a million footprints, footprints found in a satellite image."""

@@ -1,4 +1,4 @@
-"""The pictures of docs/map.md, from a rendered village: `python -m benchmarks.maps.pictures`.
+"""The images of docs/map.md, from a rendered village: `python -m benchmarks.maps.pictures`.
 
 Prints the figures that the text quotes.
 """
@@ -70,20 +70,20 @@ def _describe(axes: Axes, landmark: Landmark) -> None:
 
 
 def overlays(scene: Scene, village: LandmarkMap) -> Array:
-    """The same picture with the map drawn from the true pose and from one beside it."""
+    """The same image with the map drawn from the true pose and from one beside it."""
     p_n, R_nb = np.array([-60.0, 10.0, -50.0]), matrix(from_euler(0.1, 0.05, 0.2))
     p_nc, R_nc = scene.rig.camera_pose(p_n, R_nb)
-    picture = render(scene.world, scene.rig.left, p_nc, R_nc, Conditions(), np.random.default_rng(0))
+    image = render(scene.world, scene.rig.left, p_nc, R_nc, Conditions(), np.random.default_rng(0))
     landmarks = village.near(p_n[0], p_n[1], 150.0)
     panels = []
     for title, off in (("true pose", 0.0), (f"pose {OFF_M} m too far east", OFF_M)):
         place = p_nc + np.array([0.0, off, 0.0])
-        residuals = [r for r in outline_residuals(picture, scene.rig.left, place, R_nc, landmarks) if len(r.px) > 25]
+        residuals = [r for r in outline_residuals(image, scene.rig.left, place, R_nc, landmarks) if len(r.px) > 25]
         spread = float(np.median([r.spread_px for r in residuals]))
         print(f"{title}: median residual {spread:.2f} px over {len(residuals)} landmarks")
         panels.append(
             draw_overlay(
-                picture,
+                image,
                 scene.rig.left,
                 place,
                 R_nc,

@@ -15,7 +15,7 @@ from estimator.replay.replay import replay
 from logs.evaluation.evidence import read
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded, encode_input
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array, ImuSample, PoseFix, vec3
@@ -64,7 +64,7 @@ def _write(folder: Path, handheld: sets.Sequence, name: str, dark_s: tuple[float
     for frame in handheld.frames[::2]:
         t_ns, is_dark = _ns(frame.t_s), dark_s[0] <= frame.t_s < dark_s[1]
         for topic, image in zip(("/left/image", "/right/image"), frame.images(), strict=True):
-            messages.append((t_ns + 5_000_000, encode_picture(t_ns, np.zeros_like(image) if is_dark else image, topic)))
+            messages.append((t_ns + 5_000_000, encode_image(t_ns, np.zeros_like(image) if is_dark else image, topic)))
     with Recorder(folder / name) as recorder:
         for arrived_ns, message in sorted(messages, key=lambda item: item[0]):
             recorder.write(*message, arrived_ns)

@@ -5,7 +5,7 @@
 Processes on this machine: `landfix run` with its vision, a vehicle (400 Hz IMU, 5 Hz GNSS, stereo VGA of a rendered village at
 10 Hz) and a subscriber. Latency is from an IMU sample's stamp to its estimate in the subscriber's hands: two hops over Zenoh and
 the estimator between them; beside it how late the machine wakes a process that only sleeps, at the same priority, and what a
-host takes from a virtual machine. The pictures are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
+host takes from a virtual machine. The images are rendered beforehand. --mavlink: IMU and GNSS come over MAVLink instead (UDP).
 """
 
 import argparse
@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.service import pictures
+from benchmarks.service import images
 from benchmarks.service.vehicle import ORIGIN
 from benchmarks.service.watch import child, watch
 from estimator.config import parse
@@ -138,14 +138,14 @@ def main() -> None:
     parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
     parser.add_argument("--realtime", action="store_true", help="SCHED_RR, but for vision, for a busy machine; needs root")
     parser.add_argument("--awake", action="store_true", help="no core goes idle: a host that takes idle ones away cannot")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where pictures, log and replay are kept")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where images, log and replay are kept")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "turn.mcap").exists():
-            pictures.write(folder)
+            images.write(folder)
         if given.realtime:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))
         result = run(given.minutes, given.port, given.port + 1 if given.mavlink else None, folder, awake=given.awake)

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 import zenoh
 
-from benchmarks.service import pictures
+from benchmarks.service import images
 from benchmarks.service.__main__ import configuration, listening, python
 from benchmarks.service.vehicle import connected, image, imu, pose_fix
 from benchmarks.service.watch import child
@@ -194,7 +194,7 @@ def main() -> None:
     given.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        pictures.write(folder)
+        images.write(folder)
         rows = run(given.minutes, folder, given.out)
     slow = [
         r for r in rows if r.get("recovered_s", 0.0) > 2.0 or r.get("restarts_without_cause", 0) or r.get("internal_errors", 0)

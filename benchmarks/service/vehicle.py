@@ -35,7 +35,7 @@ RATE = 2.0 * math.pi / (PERIOD_NS * 1e-9)
 SPEED_M_S = RATE * RADIUS_M
 IMU_SIGMA = np.repeat([2e-3, 3e-2], 3)  # rad/s, m/s^2: white, at 400 Hz
 _VGA = (480, 640)
-_PICTURES = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
+_IMAGES = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
 
 
 def truth(t_ns: int) -> tuple[Array, Array, Array]:
@@ -70,7 +70,7 @@ def pose_fix(t_ns: int, rng: np.random.Generator) -> PoseFix:
 
 
 def image(topic: str, t_ns: int, pixels: bytes) -> Encoded:
-    """A raw grey VGA picture."""
+    """A raw grey VGA image."""
     make: Any = STORE.types
     sec, nanosec = divmod(t_ns, 1_000_000_000)
     stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
@@ -84,7 +84,7 @@ def image(topic: str, t_ns: int, pixels: bytes) -> Encoded:
 
 
 class Turn:
-    """Pictures of one turn of the circle (benchmarks.service.pictures), over and over, each exactly when the vehicle is there."""
+    """Images of one turn of the circle (benchmarks.service.images), over and over, each exactly when the vehicle is there."""
 
     def __init__(self, log: Path) -> None:
         with LogReader(log) as reader:
@@ -142,7 +142,7 @@ class Vehicle:
     def _declared(self, topic: str, schema: str) -> zenoh.Publisher:
         """Reliable for measurements, best effort for cameras of their own, as rmw_zenoh maps them."""
         key, control = zenoh_keys.rmw_key(0, topic, schema, type_hash(schema)), zenoh.CongestionControl
-        if schema in _PICTURES and self._cameras is not self._session:
+        if schema in _IMAGES and self._cameras is not self._session:
             return self._cameras.declare_publisher(key, congestion_control=control.DROP)
         return self._session.declare_publisher(key, congestion_control=control.BLOCK, express=True)
 
@@ -173,8 +173,8 @@ class Vehicle:
             if _due(k, image_hz, imu_hz):
                 for topic in ("/left/image", "/right/image"):
                     self.put(image(topic, t_ns, self._pixels))
-            for picture in turn.due(t_ns) if turn else ():
-                self.put(picture)
+            for shot in turn.due(t_ns) if turn else ():
+                self.put(shot)
 
     def _receive(self, sample: zenoh.Sample) -> None:
         now_ns = time.time_ns()
@@ -216,7 +216,7 @@ def arguments(description: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--gnss-hz", type=float, default=5.0)
     parser.add_argument("--fix-hz", type=float, default=0.0, help="pose fixes from elsewhere")
     parser.add_argument("--fix-s", type=float, default=math.inf, help="until then")
-    parser.add_argument("--pictures", type=Path, help="turn.mcap of benchmarks.service.pictures")
+    parser.add_argument("--pictures", type=Path, help="turn.mcap of benchmarks.service.images")
     parser.add_argument("--seed", type=int, default=1)
     return parser
 

@@ -86,14 +86,14 @@ def _replay(folder: Path) -> None:
 
 
 def _demo(folder: Path) -> None:
-    from estimator.replay import flight_pictures  # noqa: PLC0415
+    from estimator.replay import flight_images  # noqa: PLC0415
     from estimator.service import warm_up  # noqa: PLC0415
     from estimator.service.vision import warm_up as vision_warm_up  # noqa: PLC0415
     from estimator.tools import demo  # noqa: PLC0415
 
     warm_up.warm_up()
     vision_warm_up.warm_up()
-    flight_pictures.pool = _here  # type: ignore[attr-defined, assignment]
+    flight_images.pool = _here  # type: ignore[attr-defined, assignment]
     demo.demo(folder, seed=1, scenario=_DEMO)
 
 

@@ -96,18 +96,18 @@ def grey(image: Image) -> Grey:
 
 def find(image: Image, board: Board, name: str = "") -> View | Why:
     """The view of a board in an image, or why there is none."""
-    picture = grey(image)
-    height, width = picture.shape
+    grey_image = grey(image)
+    height, width = grey_image.shape
     if board.marker_m > 0.0:
-        found = _find_charuco(picture, board)
+        found = _find_charuco(grey_image, board)
         return Why.NOT_FOUND if found is None else View(name, width, height, *found, 0.0)
-    corners = _find_chessboard(picture, board.size)
+    corners = _find_chessboard(grey_image, board.size)
     if corners is None:
         return Why.NOT_FOUND
-    px = refined(picture, corners, board.size)
-    if _turned(picture, px, board):
+    px = refined(grey_image, corners, board.size)
+    if _turned(grey_image, px, board):
         px = px[::-1].copy()
-    edge = _edge_width(picture, px, board)
+    edge = _edge_width(grey_image, px, board)
     if _is_blurred(edge, px, board):
         return Why.BLURRED
     return View(name, width, height, np.arange(len(px)), px, edge)
@@ -115,24 +115,24 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
 
 def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
     """Another number of inner corners that an image shows a board of, the largest; BLURRED where its edges are; None: none."""
-    picture = grey(image)
+    grey_image = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     sizes = sorted({*near, *_OTHER_SIZES} - {board.size}, key=lambda s: -s[0] * s[1])
     for size in sizes:
-        if min(size) >= 3 and (px := _find_chessboard(picture, size)) is not None:
+        if min(size) >= 3 and (px := _find_chessboard(grey_image, size)) is not None:
             other = Board(*size, board.square_m)
-            return Why.BLURRED if _is_blurred(_edge_width(picture, px, other), px, other) else size
+            return Why.BLURRED if _is_blurred(_edge_width(grey_image, px, other), px, other) else size
     return None
 
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
     """The inner corners of the larger chessboard that a board found in an image is a part of; None where there is none."""
-    picture, size = grey(image), board.size
+    grey_image, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:
         size = larger
         tries = [(size[0] + i, size[1] + j) for i, j in ((1, 1), (1, 0), (0, 1))]
-        larger = next((s for s in tries if _find_chessboard(picture, s) is not None), None)
+        larger = next((s for s in tries if _find_chessboard(grey_image, s) is not None), None)
     return size if size != board.size else None
 
 
@@ -140,12 +140,12 @@ def _is_blurred(edge_px: float, px: Array, board: Board) -> bool:
     return edge_px > max(_BLURRED_PX, _BLURRED_SQUARE * float(np.median(spacing(px, board.size))))
 
 
-def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
+def _find_chessboard(grey_image: Grey, size: tuple[int, int]) -> Array | None:
     """Corners (N, 2) roughly, row by row."""
-    enhanced = stretch(median(picture))
-    shrink = max(1.0, max(picture.shape) / _SEARCH_PX)
+    enhanced = stretch(median(grey_image))
+    shrink = max(1.0, max(grey_image.shape) / _SEARCH_PX)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    for candidate in (enhanced, picture):  # where squares are small the median takes too much
+    for candidate in (enhanced, grey_image):  # where squares are small the median takes too much
         small = (
             candidate
             if shrink == 1.0
@@ -158,8 +158,8 @@ def _find_chessboard(picture: Grey, size: tuple[int, int]) -> Array | None:
     return None
 
 
-def _find_charuco(picture: Grey, board: Board) -> tuple[NDArray[np.int64], Array] | None:
-    found: Any = cv2.aruco.CharucoDetector(board.charuco).detectBoard(picture)
+def _find_charuco(grey_image: Grey, board: Board) -> tuple[NDArray[np.int64], Array] | None:
+    found: Any = cv2.aruco.CharucoDetector(board.charuco).detectBoard(grey_image)
     corners, ids = found[:2]
     if ids is None or len(ids) < 6:
         return None
@@ -169,7 +169,7 @@ def _find_charuco(picture: Grey, board: Board) -> tuple[NDArray[np.int64], Array
     return order, np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
-def _turned(picture: Grey, px: Array, board: Board) -> bool:
+def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
     """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
 
     With an odd number of squares between the end corners' own squares the two ends differ in colour; else they look alike and
@@ -177,12 +177,12 @@ def _turned(picture: Grey, px: Array, board: Board) -> bool:
     """
     if board.ends_alike:
         return False
-    levels, first = levels_at(picture, middles_of(px, board.size)), is_first_kind(board.size)
+    levels, first = levels_at(grey_image, middles_of(px, board.size)), is_first_kind(board.size)
     return bool(levels[first].mean() > levels[~first].mean())
 
 
-def _edge_width(picture: Grey, px: Array, board: Board) -> float:
+def _edge_width(grey_image: Grey, px: Array, board: Board) -> float:
     """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small to tell."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
-    width = float(np.ravel(cv2.estimateChessboardSharpness(picture, board.size, corners)[0])[0])
+    width = float(np.ravel(cv2.estimateChessboardSharpness(grey_image, board.size, corners)[0])[0])
     return width if width < _UNKNOWN_PX else 0.0

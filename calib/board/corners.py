@@ -35,24 +35,24 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _LIGHT: Final = (0.2, 5.0)  # of its mean on the board: beyond, away from the board, the quadratic means nothing
 
 
-def refined(picture: Grey, corners: Array, size: Size) -> Array:
+def refined(image: Grey, corners: Array, size: Size) -> Array:
     """Corners to a part of a pixel; one off the pattern begins again from there, and stays if it is more of a corner there."""
-    even = (picture / _light(picture, corners, size)).astype(np.float32)
+    even = (image / _light(image, corners, size)).astype(np.float32)
     smooth = np.asarray(cv2.GaussianBlur(even, (0, 0), _SMOOTHING_PX), dtype=np.float32)
-    windows = _windows(picture, corners, _FIRST_WINDOW * spacing(corners, size))
+    windows = _windows(image, corners, _FIRST_WINDOW * spacing(corners, size))
     px = _sub_pixel(smooth, corners, windows)
     predicted, off = _pattern(px, size)
     again = _sub_pixel(smooth, np.where(off[:, None], predicted, px), windows)
     better = off & (_saddle(smooth, again) > _saddle(smooth, px))
     px[better] = again[better]
-    windows = _windows(picture, px, _WINDOW * spacing(px, size))
+    windows = _windows(image, px, _WINDOW * spacing(px, size))
     return _straightened(_sub_pixel(smooth, px, windows), windows, size)
 
 
-def _light(picture: Grey, px: Array, size: Size) -> Level:
+def _light(image: Grey, px: Array, size: Size) -> Level:
     """How bright white is at each pixel, over its mean on the board; where squares are few a plane, or alike all over."""
     middles = middles_of(px, size)
-    levels, first = levels_at(picture, middles), is_first_kind(size)
+    levels, first = levels_at(image, middles), is_first_kind(size)
     bright = first if levels[first].mean() > levels[~first].mean() else ~first
     u, v = middles[bright].T
     terms = next(n for n, fewest in ((6, 10), (3, 5), (1, 1)) if len(u) >= fewest)
@@ -60,7 +60,7 @@ def _light(picture: Grey, px: Array, size: Size) -> Level:
     x, y = ((u - centre[0]) / scale, (v - centre[1]) / scale)
     c = np.zeros(6)
     c[:terms] = np.linalg.lstsq(_quadratic(x, y)[:, :terms], levels[bright] / levels[bright].mean(), rcond=None)[0]
-    rows, columns = (np.arange(n, dtype=np.float32) for n in picture.shape)
+    rows, columns = (np.arange(n, dtype=np.float32) for n in image.shape)
     x, y = ((columns - centre[0]) / scale)[None], ((rows - centre[1]) / scale)[:, None]
     light = (c[0] + c[1] * x + c[3] * x * x) + (c[2] * y + c[5] * y * y) + c[4] * x * y
     return np.asarray(np.clip(light, *_LIGHT), dtype=np.float32)
@@ -81,33 +81,33 @@ def is_first_kind(size: Size) -> NDArray[np.bool_]:
     return np.asarray((np.add.outer(np.arange(size[1] - 1), np.arange(size[0] - 1)) % 2 == 0).ravel())
 
 
-def levels_at(picture: Grey, px: Array) -> Array:
+def levels_at(image: Grey, px: Array) -> Array:
     """Grey levels (M,) at px (M, 2), between the pixels."""
     at = px.astype(np.float32).reshape(-1, 1, 2)
-    return np.asarray(cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float64).ravel()
+    return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float64).ravel()
 
 
-def _saddle(picture: Level, px: Array) -> Array:
+def _saddle(image: Level, px: Array) -> Array:
     """How much of a chessboard's corner is at px (N, 2): I_xy^2 - I_xx I_yy, near 0 on edges and where nothing is."""
-    xx, yy, xy = (cv2.Sobel(picture, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
-    u, v = np.clip(np.rint(px), 0, np.array(picture.shape[::-1]) - 1).astype(np.int64).T
+    xx, yy, xy = (cv2.Sobel(image, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
+    u, v = np.clip(np.rint(px), 0, np.array(image.shape[::-1]) - 1).astype(np.int64).T
     return np.asarray((xy * xy - xx * yy)[v, u])
 
 
-def _windows(picture: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
+def _windows(image: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
     """Half windows (N,) [px] as near to half_px as serves a corner and as the image holds."""
-    height, width = picture.shape
+    height, width = image.shape
     to_border = np.minimum(px, np.array([width - 1.0, height - 1.0]) - px).min(axis=1)
     return np.asarray(np.maximum(np.minimum(np.clip(half_px, *_WINDOW_PX), to_border - 2.0), _LEAST_PX), dtype=np.int64)
 
 
-def _sub_pixel(picture: Level, px: Array, windows: NDArray[np.int64]) -> Array:
+def _sub_pixel(image: Level, px: Array, windows: NDArray[np.int64]) -> Array:
     """cornerSubPix with a window of its own for each corner."""
     refined = px.copy()
     for w in np.unique(windows):
         some = windows == w
         start = px[some].astype(np.float32).reshape(-1, 1, 2)
-        refined[some] = cv2.cornerSubPix(picture, start, (int(w), int(w)), (-1, -1), _STOP).reshape(-1, 2)
+        refined[some] = cv2.cornerSubPix(image, start, (int(w), int(w)), (-1, -1), _STOP).reshape(-1, 2)
     return refined
 
 

@@ -37,7 +37,7 @@ def camera_matrix(x_o: Array, px: Array) -> Array:
     Raises CalibrationError. A camera in the plane a41 X + a42 Y + a43 Z = 0 through the origin has a44 = 0: move the origin.
     """
     if len(x_o) != len(px) or len(x_o) < _FEWEST:
-        raise CalibrationError(f"{len(x_o)} points in space and {len(px)} in the picture; {_FEWEST} or more of each are needed")
+        raise CalibrationError(f"{len(x_o)} points in space and {len(px)} in the image; {_FEWEST} or more of each are needed")
     spread = np.linalg.svd(x_o - x_o.mean(axis=0), compute_uv=False)
     if spread[2] < _FLAT * spread[0]:
         raise CalibrationError("the points lie in one plane: points on two or three planes are needed, or the chessboard method")

@@ -46,7 +46,7 @@ _COUNT = {Lens.TWO: 4, Lens.FOUR: 4, Lens.FIVE: 5, Lens.EIGHT: 8, Lens.FISHEYE: 
 
 @dataclass(frozen=True)
 class Dropped:
-    """A image that was not used, and why."""
+    """An image that was not used, and why."""
 
     name: str
     reason: str

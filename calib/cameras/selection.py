@@ -16,7 +16,7 @@ _ALIKE: Final = 0.02  # of the image's diagonal: boards that moved less are one 
 _GRID = 8  # cells a side of the coverage
 
 
-def check_sizes(views: Sequence[View], what: str = "pictures") -> None:
+def check_sizes(views: Sequence[View], what: str = "images") -> None:
     """Refuse images of different sizes: a camera is known for one size."""
     sizes = {(v.width, v.height): v.name for v in views}
     if len(sizes) > 1:
@@ -35,7 +35,7 @@ def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int
     """
     if len(views) < FEWEST:
         raise CalibrationError(
-            f"{len(views)} usable views of the board, at least {FEWEST} are needed (20 are good): take more pictures, "
+            f"{len(views)} usable views of the board, at least {FEWEST} are needed (20 are good): take more images, "
             "the whole board in each, tilted 20-45 degrees each way"
         )
     outlines = _outlines(views, board)

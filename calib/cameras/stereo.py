@@ -60,7 +60,7 @@ def calibrate(
     """The rig that took the pairs. Raises CalibrationError with what to do."""
     report = progress or (lambda _: None)
     for side in (0, 1):
-        check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} pictures")
+        check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} images")
     both = [common for pair in pairs if (common := shared(pair, board)) is not None]
     chosen = [both[i] for i in choose([p.left for p in both], board)]
     problem = _start(chosen, board, lens)
@@ -169,7 +169,7 @@ def _check_sides(rig: StereoRig) -> None:
     if x * x < y * y + z * z:
         raise CalibrationError(
             f"the second camera stands at ({x:.3f}, {y:.3f}, {z:.3f}) m right, down, forward of the first, not beside it: "
-            "are they partners? If the cameras lie on their sides, turn both's pictures upright"
+            "are they partners? If the cameras lie on their sides, turn both's images upright"
         )
     if x < 0.0:
         raise CalibrationError(

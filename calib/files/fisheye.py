@@ -26,7 +26,7 @@ def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[i
     beyond = np.flatnonzero((r_d > 1.02 * r_corner) | (np.diff(r_d, prepend=0.0) <= 0.0))
     inside = slice(0, int(beyond[0]) if len(beyond) else len(theta))
     if not len(beyond) or r_d[inside][-1] < 0.98 * r_corner:
-        raise CalibrationError("the lens sees more than 80 degrees aside in the picture's corners; crop the pictures")
+        raise CalibrationError("the lens sees more than 80 degrees aside in the image's corners; crop the images")
     r, target = np.tan(theta[inside]), r_d[inside]
     s = r * r
 
@@ -42,5 +42,5 @@ def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[i
     c = least_squares(difference, first, x_scale="jac").x
     worst = float(np.abs(ratio(c) - target).max()) * max(fx, fy)
     if not worst < _WORST_PX:
-        raise CalibrationError(f"the lens cannot be written as a rational model ({worst:.1f} px off); crop the pictures")
+        raise CalibrationError(f"the lens cannot be written as a rational model ({worst:.1f} px off); crop the images")
     return CameraModel(*size, fx, fy, cx, cy, (float(c[0]), float(c[1]), 0.0, 0.0, *(float(x) for x in c[2:])))

@@ -57,7 +57,7 @@ class CameraImu:
     dropped: int
 
     @property
-    def pictures(self) -> int:
+    def images(self) -> int:
         """How many were used: the first has no innovation."""
         return len(self.innovations) + 1
 
@@ -81,7 +81,7 @@ def calibrate(
     inside = (stamps_ns > imu.t_ns[0] + 6e8) & (stamps_ns < imu.t_ns[-1] - 6e8)
     if int(inside.sum()) < _FEWEST:
         raise CalibrationError(
-            f"{int(inside.sum())} pictures show the board while the IMU ran; {_FEWEST} are the least, a minute at 20 Hz is good"
+            f"{int(inside.sum())} images show the board while the IMU ran; {_FEWEST} are the least, a minute at 20 Hz is good"
         )
     order = np.flatnonzero(inside)[np.argsort(stamps_ns[inside], kind="stable")]
     one_board = read_from_one_end([views[i] for i in order], board)

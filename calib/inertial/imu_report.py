@@ -10,7 +10,7 @@ from calib.inertial.allan import Noise
 from calib.inertial.camera_imu import CameraImu
 from calib.inertial.imu import SixPosition, Static
 from calib.report.page import Table
-from calib.report.pictures import BLUE, GREEN, GREY, VERMILLION
+from calib.report.plots import BLUE, GREEN, GREY, VERMILLION
 from calib.report.verdict import Figure as Fact
 from calib.report.verdict import Verdict
 from models import so3
@@ -23,7 +23,7 @@ _MODEL: Final = (
     "innovations are larger than the noise says: is --square-mm right, the board fixed, are [imu] axes and noise this IMU's, "
     "do its stamps jump?"
 )
-_FEW: Final = "record for a minute, the whole board in the picture, in good light, so that more pictures count"
+_FEW: Final = "record for a minute, the whole board in the image, in good light, so that more images count"
 
 
 def of_static(result: Static) -> Verdict:
@@ -44,7 +44,7 @@ def of_camera_imu(result: CameraImu) -> Verdict:
         Fact("sigma of the translation", 1e3 * float(sigma[:3].max()), "mm", 3.0, 10.0, _MOVE),
         Fact("sigma of the rotation", float(np.rad2deg(sigma[3:6].max())), "deg", 0.05, 0.2, _MOVE),
         Fact("sigma of the time offset", 1e3 * float(sigma[6]), "ms", 0.3, 1.0, _MOVE),
-        Fact("pictures short of 400", max(400.0 - result.pictures, 0.0), "", 0.0, 300.0, _FEW),
+        Fact("images short of 400", max(400.0 - result.images, 0.0), "", 0.0, 300.0, _FEW),
     ))  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def camera_imu_tables(result: CameraImu) -> list[Table]:
     matrix = [("R_bc", " ".join(f"{x:+.6f}" for x in row)) for row in result.R_bc]
     facts = [
         ("R_bc as roll, pitch, yaw", f"{roll:.3f}, {pitch:.3f}, {yaw:.3f} deg"),
-        ("pictures used, left out", f"{result.pictures}, {result.dropped}"),
+        ("images used, left out", f"{result.images}, {result.dropped}"),
         ("residual of the corners", f"{result.residual_px:.3f} px"),
         ("first guess of the rotation, from rates alone, was off by", f"{result.rotation_only_deg:.3f} deg"),
         ("mean square of the normalised innovations (1 is right)", f"{result.mean_square:.2f}"),

@@ -53,7 +53,7 @@ def mono_tables(result: Mono) -> list[Table]:
     views = [(v.name, f"{rms:.3f}") for v, rms in zip(result.views, result.solution.view_rms(), strict=True)]
     change = " ".join(f"{x:.1f}" for x in result.spread)
     facts = [
-        ("picture", f"{result.camera.width} x {result.camera.height}"), ("lens model", result.lens.value),
+        ("image", f"{result.camera.width} x {result.camera.height}"), ("lens model", result.lens.value),
         ("residual RMS", f"{result.solution.rms:.3f} px"), ("of views left out", _left_out(result.held_out)),
         ("largest change of fx fy cx cy, a quarter of the views left out", f"{change} x what sigma says"),
         ("sigma widened, for errors that views have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
@@ -83,7 +83,7 @@ def stereo_tables(result: Stereo) -> list[Table]:
             "residual RMS",
             f"{result.solution.rms:.3f} px (left {result.solution.camera_rms(0):.3f}, right {result.solution.camera_rms(1):.3f})",
         ),
-        ("epipolar distance, pictures as they are", f"{result.epipolar_before_px:.3f} px"),
+        ("epipolar distance, images as they are", f"{result.epipolar_before_px:.3f} px"),
         ("row error, rectified", f"{result.epipolar_after_px:.3f} px"),
         ("of pairs left out", _left_out(result.held_out)),
         ("a square of the board, triangulated", f"{1e3 * result.square_m:.3f} mm"),
@@ -108,9 +108,9 @@ def _left_out(held_out: HeldOut) -> str:
     return rms + (f"; {100.0 * held_out.beyond:.0f} % lie beyond the lens model of the others" if held_out.beyond > 0.0 else "")
 
 
-def dropped(pictures: Sequence[Dropped]) -> Table:
+def dropped(images: Sequence[Dropped]) -> Table:
     """What was not used."""
-    return "Not used", ("picture", "reason"), [(d.name, d.reason) for d in pictures]
+    return "Not used", ("image", "reason"), [(d.name, d.reason) for d in images]
 
 
 def _page(title: str, judged: Verdict, tables: Sequence[Table], png: bytes) -> str:

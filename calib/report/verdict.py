@@ -69,10 +69,10 @@ class Verdict(msgspec.Struct, frozen=True):
 
 
 _STILL: Final = "hold board and camera still, in good light, and see that the board is flat"
-_TILT: Final = "tilt the board 20-45 degrees, about both axes, and come near enough to fill a third of the picture"
-_SPREAD: Final = "move the board into the picture's corners and along its borders"
+_TILT: Final = "tilt the board 20-45 degrees, about both axes, and come near enough to fill a third of the image"
+_SPREAD: Final = "move the board into the image's corners and along its borders"
 _FLAT: Final = "the board is bowed: glue it to glass or aluminium, and do it again"
-_MORE: Final = "take more pictures (20 that differ)"
+_MORE: Final = "take more images (20 that differ)"
 _LENS: Final = "take a lens model of fewer coefficients (--lens), or move the board into the corners"
 
 
@@ -137,13 +137,13 @@ def _camera(camera: CameraModel, solution: Solution, side: str = "") -> tuple[Fi
     focal = 100.0 * float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     return (
         Figure(f"{side}sigma of the focal length", focal, "%", 0.3, 1.0, _better(solution)),
-        Figure(f"{side}picture that the lens model cannot have made", uncovered(camera), "%", 0.0, 3.0, _LENS),
+        Figure(f"{side}image that the lens model cannot have made", uncovered(camera), "%", 0.0, 3.0, _LENS),
         Figure(f"{side}sigma of the principal point", float(max(sigma[2:4])), "px", 3.0, 8.0, _better(solution)),
     )
 
 
 def _covered(counts: NDArray[np.int64], good: float, usable: float) -> Figure:
-    return Figure("picture without a corner", 100.0 * float(np.mean(counts == 0)), "%", good, usable, _SPREAD)
+    return Figure("image without a corner", 100.0 * float(np.mean(counts == 0)), "%", good, usable, _SPREAD)
 
 
 def uncovered(camera: CameraModel) -> float:

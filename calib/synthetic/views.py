@@ -1,4 +1,4 @@
-"""Pictures and views of a board by a known camera, for tests and benchmarks: what calibration must give back.
+"""Images and views of a board by a known camera, for tests and benchmarks: what calibration must give back.
 
 Each pixel's ray meets the board's plane, x_o = R_oc (x_c - t), and takes the colour of the square there. A pixel that an edge
 crosses takes the mean of 55 rays on a Fibonacci lattice: on a square grid of rays an edge along the pixels would stand in steps.
@@ -32,14 +32,14 @@ class Painter:
 
     def paint(self, pose: Pose, rng: np.random.Generator, noise: float = 2.0, blur_px: float = 0.6) -> Grey:
         """The image of a board at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma of the lens' blur."""
-        picture = self._levels(pose, self._plane)
+        image = self._levels(pose, self._plane)
         around = np.ones((3, 3), np.uint8)
-        edge = cv2.dilate(picture, around) != cv2.erode(picture, around)
+        edge = cv2.dilate(image, around) != cv2.erode(image, around)
         plane, by_u, by_v = self._plane[edge], self._by_u[edge], self._by_v[edge]
-        picture[edge] = np.mean([self._levels(pose, plane + du * by_u + dv * by_v) for du, dv in _LATTICE], axis=0)
+        image[edge] = np.mean([self._levels(pose, plane + du * by_u + dv * by_v) for du, dv in _LATTICE], axis=0)
         if blur_px > 0:
-            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px))
-        noisy = np.rint(picture + rng.normal(0.0, noise, picture.shape))
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px))
+        noisy = np.rint(image + rng.normal(0.0, noise, image.shape))
         return np.asarray(np.clip(noisy, 0, 255), dtype=np.uint8)
 
     def _levels(self, pose: Pose, plane: Array) -> Array:
@@ -74,7 +74,7 @@ def poses(cameras: Sequence[tuple[CameraModel, Pose]], board: Board, count: int,
 
 
 def seen(camera: CameraModel, pose: Pose, board: Board, rng: np.random.Generator, sigma_px: float, name: str = "") -> View:
-    """The view without a picture: exact corners plus white noise."""
+    """The view without an image: exact corners plus white noise."""
     px = camera.project(pose.of(board.points))
     return View(name, camera.width, camera.height, np.arange(len(px)), px + rng.normal(0.0, sigma_px, px.shape), 2.0)
 

@@ -1,4 +1,4 @@
-"""Three who are asked for a landmark in a pair of pictures: landfix, the thesis' method alone, SIFT + FLANN.
+"""Three who are asked for a landmark in a pair of images: landfix, the thesis' method alone, SIFT + FLANN.
 
 Each answers recognised, wrong or silent. Recognised: the landmark asked for is named and the position that follows agrees with
 the truth. Wrong: something is named that is another thing or not there, or the position contradicts the truth. Who is silent is
@@ -151,10 +151,10 @@ class Looked(NamedTuple):
     cpu_ms: float
 
 
-def look(picture: Image) -> Looked:
+def look(image: Image) -> Looked:
     """All key points of an image."""
     begin = time.process_time()
-    points, descriptors = _sift().detectAndCompute(grey(picture), np.array([]))
+    points, descriptors = _sift().detectAndCompute(grey(image), np.array([]))
     cpu_ms = 1e3 * (time.process_time() - begin)
     places = np.array([p.pt for p in points], np.float32).reshape(-1, 2)
     return Looked(places, np.asarray(descriptors if points else (), np.float32).reshape(-1, 128), cpu_ms)
@@ -167,7 +167,7 @@ def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer
     own are found beforehand. Without a reference there is nothing to look for.
     """
     if sample.reference is None:
-        return Answer("silent", None, None, "no picture of the landmark")
+        return Answer("silent", None, None, "no image of the landmark")
     reference = _key_points(sample.reference, surroundings)
     begin = time.process_time()
     H = homography(reference, looked)
@@ -198,7 +198,7 @@ def _sift() -> cv2.SIFT:
 
 def _key_points(reference: Reference, surroundings: bool) -> Looked:
     """Of a reference: all, or those on the roof and its edge."""
-    looked = look(reference.picture)
+    looked = look(reference.image)
     if surroundings:
         return looked
     roof = cv2.dilate(reference.mask, np.ones((2 * _ROOF_PX + 1, 2 * _ROOF_PX + 1), np.uint8)) > 0

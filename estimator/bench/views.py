@@ -55,7 +55,7 @@ _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
 class Reference:
     """The landmark's image, taken from above on another day; mask: its roof; centre_px: of the roof."""
 
-    picture: Image
+    image: Image
     mask: NDArray[np.uint8]
     centre_px: Array
 
@@ -236,13 +236,13 @@ def _reference(world: World, target: str, height_m: float, rng: np.random.Genera
     hour = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 65.0)))
     p_nc = np.array([*mark.centre_n, -height_m * rng.uniform(0.8, 1.25)])
     R_nc = so3.matrix(so3.from_euler(0.0, 0.0, float(rng.uniform(-math.pi, math.pi))))
-    picture = render(replace(world, sun=hour), _REFERENCE, p_nc, R_nc, _conditions(rng), rng)
+    image = render(replace(world, sun=hour), _REFERENCE, p_nc, R_nc, _conditions(rng), rng)
     roof = np.column_stack([mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)])
     corners = _REFERENCE.project((roof - p_nc) @ R_nc)
-    mask = np.zeros(picture.shape[:2], np.uint8)
+    mask = np.zeros(image.shape[:2], np.uint8)
     cv2.fillPoly(mask, [corners.round().astype(np.int32)], 255)
     centre = _REFERENCE.project(((np.array([*mark.centre_n, mark.roof_d]) - p_nc) @ R_nc)[None])[0]
-    return Reference(picture, mask, centre)
+    return Reference(image, mask, centre)
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:

@@ -21,7 +21,7 @@ def command(
     """Fly a simulation through the real pipeline.
 
     A multirotor over a village that a map knows. GPS is cut off, what the stereo camera sees takes over, then the lens is dark
-    for twenty seconds. Writes input.mcap (sensors, pictures, truth), demo.toml with rig.yaml and map.geojson (configuration),
+    for twenty seconds. Writes input.mcap (sensors, images, truth), demo.toml with rig.yaml and map.geojson (configuration),
     estimate.mcap, the pictures demo.png (flight) and overlay.png (the map drawn into what the camera saw), and report.html.
 
     \b

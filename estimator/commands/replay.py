@@ -90,11 +90,11 @@ def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Togeth
     from estimator.config import ConfigError
     from estimator.frontend.files import load_odometry, load_sight
     from estimator.frontend.repeat import Repeat, Together
+    from estimator.frontend.replay_images import SightReplay
     from estimator.frontend.replay_odometry import OdometryReplay
-    from estimator.frontend.replay_pictures import SightReplay
 
-    rig, landmarks, picture = config.rig.file, config.map.landmarks, config.map_picture(folder)
-    mapped, odometry = bool(landmarks or picture), config.visual_odometry
+    rig, landmarks, image = config.rig.file, config.map.landmarks, config.map_image(folder)
+    mapped, odometry = bool(landmarks or image), config.visual_odometry
     if rig is None or not (mapped or odometry.enabled):
         raise ConfigError(
             "--from-images needs the cameras and a map or odometry: give -c FILE with [rig] file, and [map] landmarks, "
@@ -103,7 +103,7 @@ def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Togeth
     left, right = config.inputs.left_image, config.inputs.right_image
     parts: list[Repeat] = []
     if mapped:
-        sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, picture)
+        sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, image)
         parts.append(SightReplay(sight, config.vision, left, right, source))
     if odometry.enabled:
         parts.append(OdometryReplay(load_odometry(folder / rig), odometry, config.vision, (left, right), source))

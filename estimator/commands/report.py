@@ -21,7 +21,7 @@ def command(
     config: ConfigFile = None,
     rig: Annotated[Path | None, typer.Option(metavar="RIG", help="Calibration of the cameras [default: the log's].")] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map [default: the log's].")] = None,
-    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Show what the cameras saw.")] = True,
+    images: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Show what the cameras saw.")] = True,
     json: Json = False,
 ) -> None:
     """Write a report of a flight as one HTML page: trajectory, uncertainty, rejected measurements, problems.
@@ -39,7 +39,7 @@ def command(
     from estimator.tools.overlay.gallery import illustrations
     from logs.report.write import no_illustrations, write
 
-    illustrate = illustrations(log, config, rig, map_file) if pictures else no_illustrations
+    illustrate = illustrations(log, config, rig, map_file) if images else no_illustrations
     with progress(f"read {log.name}") as report:
         written = write(log, out, truth_topic=truth, outage_s=outage_s, illustrate=illustrate, progress=report)
     if json:

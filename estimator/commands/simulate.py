@@ -16,14 +16,14 @@ def command(
         int, typer.Option(min=0, help="Equal seeds give equal logs; another one is another flight over the same village.")
     ] = 0,
     images: Annotated[
-        bool, typer.Option("--images/--no-images", help="Draw the pictures of a scenario that has [cameras], or leave them out.")
+        bool, typer.Option("--images/--no-images", help="Draw the images of a scenario that has [cameras], or leave them out.")
     ] = True,
     json: Json = False,
 ) -> None:
     """Simulate a flight as a log.
 
     OUT.mcap holds the sensors' messages and the truth; OUT.toml is the configuration that fits it. With [cameras] in the scenario
-    there are stereo pictures in it, and OUT_map.geojson and OUT_rig.yaml are its landmark map and calibration.
+    there are stereo images in it, and OUT_map.geojson and OUT_rig.yaml are its landmark map and calibration.
 
     \b
     Examples:
@@ -42,12 +42,12 @@ def command(
     config, text = out.with_suffix(".toml"), simulation.config_toml
     with progress(f"simulate {scenario.stem}") as report:
         if images and plan.cameras:
-            from estimator.replay import flight_pictures
+            from estimator.replay import flight_images
 
             map_file, rig_file = (out.with_name(f"{out.stem}_{name}") for name in ("map.geojson", "rig.yaml"))
-            flight = flight_pictures.plan(plan.cameras, simulation, seed)
+            flight = flight_images.plan(plan.cameras, simulation, seed)
             flight.write_map_and_rig(map_file, rig_file)
-            text = flight_pictures.configuration(simulation, map_file.name, rig_file.name)
+            text = flight_images.configuration(simulation, map_file.name, rig_file.name)
             messages = write(simulation, out, report, flight)
         else:
             messages = write(simulation, out, report)

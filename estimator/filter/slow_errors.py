@@ -47,6 +47,13 @@ class SlowErrors:
         every = (self.tau_s, self.psd, self.mean, self.estimated)
         return SlowErrors(columns, *(np.concatenate((values[:begin], values[end:])) for values in every))
 
+    def as_state(self, block: str, psd: Array) -> "SlowErrors":
+        """With a block corrected from now on, as a random walk of psd (k,)."""
+        at = slice(self.columns[block].start - E.SIZE, self.columns[block].stop - E.SIZE)
+        tau_s, driven, estimated = self.tau_s.copy(), self.psd.copy(), self.estimated.copy()
+        tau_s[at], driven[at], estimated[at] = np.inf, psd, 1.0
+        return SlowErrors(self.columns, tau_s, driven, self.mean, estimated)
+
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
         """With those of these blocks that it has as the ones that were used last."""
         now = [block for block in blocks if block in self.columns]

@@ -9,13 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.filter import contradiction
+from estimator.filter import contradiction, delay
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
+from estimator.filter.delay import Delays
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.path_scale import PathScale
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
+from estimator.filter.variance_factor import NO_EXCESS
 from estimator.sources import rest
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
@@ -29,6 +32,7 @@ from models.state import E, X
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer beside fixes on a local map"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
+_NO_IMU = np.zeros(6)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
@@ -66,6 +70,8 @@ class Tracker(Alignment):
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
+        self.path_scale = PathScale()
+        self.delays: Delays = {}
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -96,7 +102,12 @@ class Tracker(Alignment):
         assert bank is not None
         if self.is_aligned and self.without_sensor is not None:
             return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
-        return bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
+        if self.is_aligned:
+            return bank.covariance()
+        cov = covariance(bank, self.config.initialise)
+        for off in self.apart.values():
+            cov[E.P, E.P] += np.outer(off, off)
+        return cov
 
     @property
     def is_sound(self) -> bool:
@@ -136,8 +147,7 @@ class Tracker(Alignment):
         found: list[str] = []
         if self.shown is None:
             return found
-        if conflict := self._conflict():
-            found.append(conflict)
+        found += filter(None, (self._conflict(), *(self.path_scale.objection(topic) for topic in sorted(self.absolute))))
         if self.is_aligned and self.without_sensor is not None:
             found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
         found += [
@@ -145,6 +155,8 @@ class Tracker(Alignment):
             for topic, s in sorted(self.sources.items())
             if s.drift_m_s
         ]
+        if self.hypotheses is not None:
+            found += delay.remarks(self.delays, self.hypotheses.lead)
         if (f := self.variance_factor.value) >= _WORTH_SAYING:
             found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
         return found
@@ -209,6 +221,11 @@ class Tracker(Alignment):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._take_prior(aid, z)
+        self.path_scale = self.path_scale.also(aid, z)
+        if why := self.path_scale.objection(aid.topic):
+            if self.sources.pop(aid.topic, _UNKNOWN).fused_ns > NEVER:
+                self._leave(self.path_scale.last[-1][1])
+            return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
                 return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
@@ -222,7 +239,7 @@ class Tracker(Alignment):
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
             self.absolute |= {aid.topic}
-        gyro_b = self._gyro(samples) if aid.uses_rate else _NO_RATE  # no other measurement asks for it
+        gyro_b = self._imu(samples)[:_XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
         self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):
@@ -234,6 +251,7 @@ class Tracker(Alignment):
             self._wait_for_heading(aid, z, gyro_b)
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
+            aid = delay.carried(aid, z, self._imu(samples), self.delays, hypotheses.members, alone=alone)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
             if self.hypotheses is not hypotheses or hypotheses.switches != switches:
                 self.stretch = None  # another filter leads, with another past, or none
@@ -292,6 +310,10 @@ class Tracker(Alignment):
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
             self._note_variance(aid, verdict.seen)
+        if verdict.fused and (aid.absolute or aid.receiver):
+            self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
+            if self.delays[aid.witness].is_state:
+                self.stretch = None  # a run would leave the delay out
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
@@ -330,12 +352,12 @@ class Tracker(Alignment):
         elif is_long:
             self.stretch = Stretch.of(self.hypotheses.lead)
 
-    def _gyro(self, samples: ImuBuffer) -> Array:
-        """The raw angular rate now, (3,)."""
+    def _imu(self, samples: ImuBuffer) -> Array:
+        """The raw angular rate and specific force now, (6,)."""
         if not samples.count:
-            return _NO_RATE
+            return _NO_IMU
         index = samples.first_after(self.t_ns)
-        return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)[:3]
+        return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)
 
     def _alone(self, aid: Aid) -> bool:
         """No other absolute source is active to compare this one with."""
@@ -345,6 +367,18 @@ class Tracker(Alignment):
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()
         )
+
+    def _leave(self, position_n: Array) -> None:
+        """A source that has been fused turns out to be wrong; a position of GNSS (3,) shows by how much it may have misled."""
+        self.variance_factor = NO_EXCESS
+        if not self.is_aligned or self.hypotheses is None:
+            self._begin_again()
+            return
+        del self.hypotheses.members[1:]
+        lead, self.stretch = self.hypotheses.lead, None
+        off = position_n - lead.x[X.P]
+        self.hypotheses.members[0].doubts.clear()
+        lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
         """Another absolute source has been fused lately."""

@@ -6,23 +6,23 @@ from calib.errors import CalibrationError
 from calib.files.formats import load_cameras
 from estimator.frontend.odometry import OdometrySight
 from estimator.frontend.processor import Sight
-from estimator.map_files import picture as picture_store
+from estimator.map_files import image as image_store
 from estimator.map_files import store as map_store
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files.image_file import ImageFile
 from estimator.strict_toml import ConfigError
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
 from models.messages import Vec3
 
 
-def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None = None) -> Sight:
+def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None = None) -> Sight:
     """Vision with these files, in the frame at `origin` (None: the map's own). Raises ConfigError, which names the file."""
     try:
         if map_file:
             landmarks = map_store.load(map_file, Defaults(origin=origin))
         else:
-            landmarks = LandmarkMap.from_landmarks(origin or _picture_origin(picture), [])
-        known = picture_store.load(picture, landmarks.origin) if picture else None
+            landmarks = LandmarkMap.from_landmarks(origin or _image_origin(image), [])
+        known = image_store.load(image, landmarks.origin) if image else None
         return Sight(load_cameras(rig_file), landmarks, known)
     except (CalibrationError, MapError, ValueError) as error:
         raise ConfigError(str(error)) from None
@@ -40,17 +40,17 @@ def load_odometry(rig_file: Path) -> OdometrySight:
         raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
 
 
-def map_origin(map_file: Path | None, picture: PictureFile | None = None) -> Vec3:
+def map_origin(map_file: Path | None, image: ImageFile | None = None) -> Vec3:
     """Where the frame of a map lies, of its landmarks or else of its image. Raises ConfigError."""
     try:
-        return map_store.load(map_file).origin if map_file else _picture_origin(picture)
+        return map_store.load(map_file).origin if map_file else _image_origin(image)
     except MapError as error:
         raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{map_file}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
 
 
-def _picture_origin(picture: PictureFile | None) -> Vec3:
-    if picture is None:
-        raise ConfigError("[map]: neither landmarks nor a picture")
-    return picture_store.origin(picture)
+def _image_origin(image: ImageFile | None) -> Vec3:
+    if image is None:
+        raise ConfigError("[map]: neither landmarks nor an image")
+    return image_store.origin(image)

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from estimator.frontend.requests import Pair, Shot, Track
 from models import so3
-from models.messages import OdometryRequest, PictureName, vec3
+from models.messages import ImageName, OdometryRequest, vec3
 from models.state import E, X
 
 _VELOCITY_SIGMA, _RATE_SIGMA = 0.05, 0.002  # m/s and rad/s: what the prediction is uncertain by at least
@@ -102,6 +102,6 @@ class KeyFrames:
         return (height, float(np.hypot(np.sqrt(variance), self._config.ground_sigma_m))) if height > 0.0 else (0.0, 0.0)
 
 
-def name_of(shot: Shot | None) -> PictureName | None:
+def name_of(shot: Shot | None) -> ImageName | None:
     """What a request calls an image."""
     return shot.name if shot else None

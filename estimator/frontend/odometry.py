@@ -8,10 +8,10 @@ import numpy as np
 from estimator.frontend.key_frames import name_of
 from estimator.frontend.requests import Pair
 from logs.wire.codec import Encoded, encode, encode_input
-from logs.wire.pictures import Picture, PictureError, decode_picture
+from logs.wire.images import ImageError, Pixels, decode_image
 from models import so3
 from models.camera import StereoRig
-from models.messages import Array, OdometryDelta, OdometryRequest, PictureName, VisionReport, vec3
+from models.messages import Array, ImageName, OdometryDelta, OdometryRequest, VisionReport, vec3
 from vision.odometry.step import Frame, Prediction, Step, StereoOdometry
 
 ODOMETRY_REPORT_TOPIC: Final = "/landfix/odometry_report"
@@ -25,7 +25,7 @@ class OdometrySight:
         cv2.setNumThreads(1)
         self._odometry = StereoOdometry(rig)
         self._time_offset_ns = round(rig.time_offset_s * 1e9)
-        self._frames: dict[tuple[PictureName | None, ...], Frame | str] = {}
+        self._frames: dict[tuple[ImageName | None, ...], Frame | str] = {}
 
     @property
     def time_offset_ns(self) -> int:
@@ -58,11 +58,11 @@ class OdometrySight:
         return self._frames[names]
 
     def _decoded(self, pair: Pair) -> Frame | str:
-        images: list[Picture | None] = []
+        images: list[Pixels | None] = []
         for shot in pair:
             try:
-                images.append(None if shot is None else decode_picture(shot.schema, shot.data))
-            except PictureError as error:
+                images.append(None if shot is None else decode_image(shot.schema, shot.data))
+            except ImageError as error:
                 return f"{shot.topic}: {error}" if shot else str(error)
         return self._odometry.frame(images[0], images[1])
 

@@ -11,7 +11,7 @@ from estimator.frontend.requests import Shot
 from estimator.frontend.residuals import Overlay, View
 from estimator.publish import OVERLAY_TOPIC
 from logs.wire.codec import Encoded, encode, encode_input
-from logs.wire.pictures import Picture, PictureError, decode_picture, encode_picture
+from logs.wire.images import ImageError, Pixels, decode_image, encode_image
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import LandmarkMap
@@ -19,7 +19,7 @@ from models.messages import VisionReport, VisionRequest
 from models.radius import horizontal_radius
 from vision.identify.identify import Prior
 from vision.image.scaled import scaled
-from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
+from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
 _JPEG_QUALITY: Final = 80
 
@@ -28,8 +28,8 @@ class _Look(NamedTuple):
     """What was looked at last, and what was identified in it."""
 
     request: VisionRequest
-    left: Picture | None
-    right: Picture | None
+    left: Pixels | None
+    right: Pixels | None
     identified: frozenset[str]
 
 
@@ -37,7 +37,7 @@ class Sight:
     """Vision, from request and images to messages. Each run of requests has recognisers of its own: memory begins anew."""
 
     def __init__(
-        self, rig: StereoRig, landmarks: LandmarkMap, known: MapPicture | None = None, config: RecogniserConfig | None = None
+        self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
     ) -> None:
         cv2.setNumThreads(1)  # the other core flies
         self._rig, self._landmarks, self._known, self._config = rig, landmarks, known, config
@@ -53,7 +53,7 @@ class Sight:
         """Exposure minus stamp."""
         return round(self._rig.time_offset_s * 1e9)
 
-    def look(self, request: VisionRequest, pictures: tuple[Shot | None, Shot | None]) -> list[Encoded]:
+    def look(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
         """What the images show: the report, the fix if there is one, and for viewers the landmarks where that is news.
 
         Never raises.
@@ -62,8 +62,8 @@ class Sight:
             self._run = request.run
             self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
             self._board = LandmarkBoard(self._landmarks)
-        decoded = [_decoded(shot, camera) for shot, camera in zip(pictures, (self._rig.left, self._rig.right), strict=True)]
-        left, right = (picture if not isinstance(picture, str) else None for picture in decoded)
+        decoded = [_decoded(shot, camera) for shot, camera in zip(images, (self._rig.left, self._rig.right), strict=True)]
+        left, right = (image if not isinstance(image, str) else None for image in decoded)
         prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
         result = self._recognisers.process(left, right, request.t_ns, prior)
         unread = "".join(f"; {flaw}" for flaw in decoded if isinstance(flaw, str))
@@ -83,25 +83,25 @@ class Sight:
         if self._last is None or self._began_ns is None:
             return None
         request, left, right, identified = self._last
-        picture = left if left is not None else right
+        image = left if left is not None else right
         try:
             R_nb = so3.matrix(so3.normalise(np.array(request.q_nb_wxyz)))
             radius_m = float(horizontal_radius(request.covariance[None, :2, :2])[0])
             view = View(request.t_ns, np.array(request.p_n), R_nb, request.covariance, radius_m, mode, identified)
             overlay = Overlay(self._rig, self._landmarks, self._began_ns, right=left is None)
-            if picture is None or picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
+            if image is None or image.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
                 return None
-            canvas = overlay.frame(picture, view, self._used).canvas
+            canvas = overlay.frame(image, view, self._used).canvas
         except Exception:  # an image for people must not cost the next fix; `overlays` of the status stands still then
             return None
-        return encode_picture(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
+        return encode_image(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
 
 
-def _decoded(shot: Shot | None, camera: CameraModel) -> Picture | str | None:
+def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:
     """The image at the camera's size, where its aspect ratio fits, or why it cannot be read."""
     if shot is None:
         return None
     try:
-        return scaled(decode_picture(shot.schema, shot.data), camera)
-    except PictureError as error:
+        return scaled(decode_image(shot.schema, shot.data), camera)
+    except ImageError as error:
         return f"{shot.topic}: {error}"

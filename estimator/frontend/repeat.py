@@ -16,7 +16,7 @@ from logs.store.parts import PartsReader
 from logs.store.reader import Record
 from logs.wire.codec import Encoded
 from logs.wire.stamps import stamp_of
-from models.messages import Output, PictureName
+from models.messages import ImageName, Output
 
 _KEPT: Final = 400  # images
 
@@ -50,7 +50,7 @@ class Repeat(ABC):
         with PartsReader(source) as reader:
             self._repeats = any(record.topic == request_topic for record in reader)
         self._pairing, self._track = Pairing(config), Track()
-        self._shots: dict[PictureName, Shot] = {}
+        self._shots: dict[ImageName, Shot] = {}
         self._due: deque[tuple[int, list[Encoded]]] = deque()
 
     @abstractmethod
@@ -104,7 +104,7 @@ class Repeat(ABC):
                 yield Record(asked.request.topic, asked.request.schema, record.log_time_ns, asked.request.data)
                 self._due.append((record.log_time_ns + self._latency_ns, asked.answers))
 
-    def _pair(self, left: PictureName | None, right: PictureName | None) -> Pair | None:
+    def _pair(self, left: ImageName | None, right: ImageName | None) -> Pair | None:
         """The images of these names; None where one is not in the log."""
         found = Pair(*(self._shots.get(name) if name else None for name in (left, right)))
         return None if (left and found.left is None) or (right and found.right is None) else found

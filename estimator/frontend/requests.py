@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from models import so3
-from models.messages import Array, Estimate, Mode, Output, PictureName, VisionRequest, vec3
+from models.messages import Array, Estimate, ImageName, Mode, Output, VisionRequest, vec3
 from models.state import E, X
 
 _SECOND_NS: Final = 1_000_000_000
@@ -41,7 +41,7 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Shot(NamedTuple):
-    """A image as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
+    """An image as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
 
     topic: str
     schema: str
@@ -51,13 +51,13 @@ class Shot(NamedTuple):
     arrived_ns: int
 
     @property
-    def name(self) -> PictureName:
+    def name(self) -> ImageName:
         """What a request calls it."""
-        return PictureName(self.topic, self.stamp_ns)
+        return ImageName(self.topic, self.stamp_ns)
 
 
 class Pair(NamedTuple):
-    """Pictures taken at once, or one alone."""
+    """Images taken at once, or one alone."""
 
     left: Shot | None
     right: Shot | None
@@ -80,7 +80,7 @@ class Pairing:
         self._last_ns = 0
 
     def put(self, side: str, shot: Shot) -> list[Pair]:
-        """A image of the "left" or "right" camera; the pairs that are complete now."""
+        """An image of the "left" or "right" camera; the pairs that are complete now."""
         other_side = "right" if side == "left" else "left"
         ready = self.overdue(shot.arrived_ns)
         others = self._waiting[other_side]

@@ -18,7 +18,7 @@ from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from vision.describe.survey import to_8_bit
-from vision.show.overlay import Picture, Residuals, add_strip, draw_overlay, expected_px, in_view, outline_residuals
+from vision.show.overlay import Canvas, Residuals, add_strip, draw_overlay, expected_px, in_view, outline_residuals
 
 _REACH_M = 300.0  # landmarks further off are too small to be measured
 _LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 30.0  # edges are looked for so far at least, and at most
@@ -42,7 +42,7 @@ class View(NamedTuple):
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """One picture: what the estimate said then, and how well its outlines lie on the image."""
+    """One image: what the estimate said then, and how well its outlines lie on the image."""
 
     t_s: Annotated[float, Meta(description="since the estimate began")]
     mode: str
@@ -90,7 +90,7 @@ class Summary(NamedTuple):
 
     @classmethod
     def of(cls, moments: list[Moment]) -> "Summary":
-        """Pictures without a residual do not count."""
+        """Images without a residual do not count."""
         seen = [(m.residual_px, m.expected_px, m.identified > 0) for m in moments if m.residual_px is not None]
         ratios = [residual / expected for residual, expected, _ in seen if expected]
         return cls(
@@ -107,7 +107,7 @@ class OverlayResult(msgspec.Struct, frozen=True):
     log: str
     video: str
     plot: str
-    pictures: int
+    images: int
     without_estimate: int
     unreadable: int
     measured: str
@@ -120,9 +120,9 @@ class OverlayResult(msgspec.Struct, frozen=True):
 
 
 class Frame(NamedTuple):
-    """A image with the map in it, and its numbers."""
+    """An image with the map in it, and its numbers."""
 
-    canvas: Picture
+    canvas: Canvas
     moment: Moment
 
 
@@ -141,7 +141,7 @@ class Overlay:
 
     def frame(
         self,
-        picture: NDArray[np.uint8] | NDArray[np.uint16],
+        image: NDArray[np.uint8] | NDArray[np.uint16],
         view: View,
         measured: Collection[str] | None = None,
         draw: bool = True,
@@ -150,7 +150,7 @@ class Overlay:
 
         measured: ids of the landmarks that are measured; None: all in view.
         """
-        canvas = np.asarray(to_8_bit(picture), np.uint8)
+        canvas = np.asarray(to_8_bit(image), np.uint8)
         place = self._rig.right_camera_pose if self._right else self._rig.camera_pose
         p_nc, R_nc = place(view.p_n, view.R_nb)
         near = in_view(self.camera, p_nc, R_nc, self._landmarks.near(p_nc[0], p_nc[1], _REACH_M))
@@ -169,7 +169,7 @@ class Overlay:
 
     def _measure(
         self,
-        canvas: Picture,
+        canvas: Canvas,
         p_nc: Array,
         R_nc: Array,
         near: list[Landmark],

@@ -53,9 +53,8 @@ def pool(jobs: int | None, begin: Callable[[], None] | None = None) -> Iterator[
     try:
         yield executor
     except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
         for worker in set(active_children()) - others:
             worker.terminate()
-            worker.join()
+        executor.shutdown(cancel_futures=True)  # waits for the executor's thread, which joins them
         raise
     executor.shutdown()

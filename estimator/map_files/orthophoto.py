@@ -1,6 +1,6 @@
-"""Georeferenced pictures, and the colours of roofs in them.
+"""Georeferenced images, and the colours of roofs in them.
 
-A GeoTIFF, or any picture with a world file (.pgw, .jgw, .tfw, .wld) beside it:
+A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) beside it:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """
@@ -25,25 +25,25 @@ _RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; 
 _FORMATS = {2: "s", 3: "H", 4: "I", 12: "d"}  # TIFF's types that these tags have
 _LEAST_PX = 4  # that make a colour
 _MARGIN = 0.15  # of the width, along the edge: eaves, shadow, mixed pixels
-_STRETCH = (1.0, 99.0)  # percentiles of a 16-bit picture that become 0 and 255
+_STRETCH = (1.0, 99.0)  # percentiles of a 16-bit image that become 0 and 255
 
 
 class Orthophoto(NamedTuple):
-    """Picture (H, W, 3) BGR, affine A (2, 3), EPSG code of x and y."""
+    """Image (H, W, 3) BGR, affine A (2, 3), EPSG code of x and y."""
 
-    picture: NDArray[np.uint8]
+    image: NDArray[np.uint8]
     affine: Array
     epsg: int
 
     @property
     def is_grey(self) -> bool:
         """Whether it has no colours to give."""
-        sample = self.picture[::7, ::7]
+        sample = self.image[::7, ::7]
         return bool(np.all(sample == sample[:, :, :1]))
 
 
 def load(path: Path, epsg: int = 0) -> Orthophoto:
-    """The picture of a file; epsg: its system, where the file holds none. Raises MapError, one line."""
+    """The image of a file; epsg: its system, where the file holds none. Raises MapError, one line."""
     data = path.read_bytes()
     image = _decode(path, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     return Orthophoto(_to_8_bit(image), *georeference(path, data, epsg))
@@ -59,7 +59,7 @@ def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
 
 
 def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
-    """Affine (2, 3) and EPSG code of a picture file's data; epsg: where the file holds none. Raises MapError, one line."""
+    """Affine (2, 3) and EPSG code of an image file's data; epsg: where the file holds none. Raises MapError, one line."""
     tags = _tags(data)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
@@ -79,12 +79,12 @@ def _decode(path: Path, data: bytes, flags: int) -> cv2.typing.MatLike:
     except cv2.error:
         image = None
     if image is None:
-        raise MapError(f"{path}: not a picture that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
+        raise MapError(f"{path}: not an image that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
     return image
 
 
 def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
-    """The map with the median colour of the picture for each landmark that has none and lies in it."""
+    """The map with the median colour of the image for each landmark that has none and lies in it."""
     columns = the_map.columns
     colours = columns.colour_bgr.copy()
     missing = np.flatnonzero(colours[:, 0] < 0)
@@ -94,7 +94,7 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
     assert xy is not None
     px = (xy - ortho.affine[:, 2]) @ np.linalg.inv(ortho.affine[:, :2]).T
     for i in missing.tolist():
-        found = _median(ortho.picture, px[columns.offsets[i] : columns.offsets[i + 1]])
+        found = _median(ortho.image, px[columns.offsets[i] : columns.offsets[i + 1]])
         if found is not None:
             colours[i] = found
     report = the_map.report
@@ -108,10 +108,10 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
     )
 
 
-def _median(picture: NDArray[np.uint8], px: Array) -> Array | None:
-    """Median colour inside an outline (K, 2), its margin left out; None where it is not wholly in the picture or too small."""
+def _median(image: NDArray[np.uint8], px: Array) -> Array | None:
+    """Median colour inside an outline (K, 2), its margin left out; None where it is not wholly in the image or too small."""
     low, high = np.floor(px.min(axis=0)).astype(int), np.ceil(px.max(axis=0)).astype(int)
-    if np.any(low < 0) or np.any(high >= (picture.shape[1], picture.shape[0])):
+    if np.any(low < 0) or np.any(high >= (image.shape[1], image.shape[0])):
         return None
     mask = np.zeros((high[1] - low[1] + 1, high[0] - low[0] + 1), np.uint8)
     cv2.fillPoly(mask, [np.rint((px - low) * 16).astype(np.int32)], 1, cv2.LINE_8, 4)
@@ -119,7 +119,7 @@ def _median(picture: NDArray[np.uint8], px: Array) -> Array | None:
     inside = depth > max(1.0, 2.0 * _MARGIN * float(depth.max()))
     if np.sum(inside) < _LEAST_PX:
         return None
-    middle: Array = np.median(picture[low[1] : high[1] + 1, low[0] : high[0] + 1][inside], axis=0)
+    middle: Array = np.median(image[low[1] : high[1] + 1, low[0] : high[0] + 1][inside], axis=0)
     return middle
 
 

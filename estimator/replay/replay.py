@@ -53,7 +53,7 @@ class ReplayConfig(Protocol):
 
 
 class SeesAgain(Protocol):
-    """What looks at the pictures of the log again (estimator.frontend.replay_pictures.SightReplay)."""
+    """What looks at the images of the log again (estimator.frontend.replay_images.SightReplay)."""
 
     def records(self, record: Record) -> Iterable[Record]:
         """What the estimator is to see instead of this record."""
@@ -74,7 +74,7 @@ def replay(
 ) -> ReplaySummary:
     """Replay the log `source` (or its parts, or their folder) into `out`; progress: gets the fraction done. Raises LogError.
 
-    sight: looks at the pictures of the log again; None: the fixes in it are taken. attachments: files that the configuration
+    sight: looks at the images of the log again; None: the fixes in it are taken. attachments: files that the configuration
     names (publish.file_attachment), instead of the log's own of that kind.
     """
     parts = files_of(source)

@@ -12,8 +12,8 @@ from models.sim.scenario import Simulation
 _PROGRESS_EVERY = 2000  # messages
 
 
-class Pictures(Protocol):
-    """Messages with their times of arrival, in order: flight_pictures.Flight."""
+class Images(Protocol):
+    """Messages with their times of arrival, in order: flight_images.Flight."""
 
     def __len__(self) -> int: ...
 
@@ -24,12 +24,12 @@ def write(
     simulation: Simulation,
     out: Path,
     progress: Callable[[float], None] | None = None,
-    pictures: Pictures = (),
+    images: Images = (),
 ) -> int:
-    """Writes `out`; returns the number of messages. Of equal times the sensors come first, then the truth, then pictures."""
-    total = len(simulation.messages) + len(simulation.truth.t_ns) + len(pictures)
+    """Writes `out`; returns the number of messages. Of equal times the sensors come first, then the truth, then images."""
+    total = len(simulation.messages) + len(simulation.truth.t_ns) + len(images)
     inputs = ((m.arrived_ns, 0, encode_input(m)) for m in simulation.messages)
-    shots = ((arrived_ns, 2, message) for arrived_ns, message in pictures)
+    shots = ((arrived_ns, 2, message) for arrived_ns, message in images)
     with Recorder(out) as recorder:
         merged = heapq.merge(inputs, _truth(simulation), shots, key=lambda item: item[:2])
         for count, (log_time_ns, _, encoded) in enumerate(merged):

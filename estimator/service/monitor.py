@@ -127,7 +127,7 @@ class View:
         written_mb, waiting_kb = float(d.get("log bytes_written", "0")) / 1e6, float(d.get("log waiting_bytes", "0")) / 1e3
         table.add_row("log", Text(f"{state}   {written_mb:.1f} MB, {waiting_kb:.0f} kB waiting", style=colour))
         table.add_row("", d.get("log file", ""))
-        dropped = f"{lost} inputs, {d.get('log dropped_images', '0')} pictures, {d.get('log dropped_outputs', '0')} outputs"
+        dropped = f"{lost} inputs, {d.get('log dropped_images', '0')} images, {d.get('log dropped_outputs', '0')} outputs"
         table.add_row("not logged", Text(dropped, style="" if lost == "0" else "red"))
         refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('implausible_stamps', '0')} with unbelievable stamps"
         table.add_row("refused", refused)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files.image_file import ImageFile
 from estimator.publish import CONFIG_ATTACHMENT, OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
 from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, Px4Config
 from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
@@ -79,7 +79,7 @@ class RunConfig(Protocol):
     @property
     def inputs(self) -> Topics: ...  # noqa: D102
     def files(self) -> dict[str, str]: ...  # noqa: D102
-    def map_picture(self, folder: Path) -> PictureFile | None: ...  # noqa: D102
+    def map_image(self, folder: Path) -> ImageFile | None: ...  # noqa: D102
     def mounting(self) -> ImuMounting: ...  # noqa: D102
     def fusion(self) -> FusionConfig: ...  # noqa: D102
     def decoder(self) -> Decoder: ...  # noqa: D102
@@ -198,13 +198,13 @@ def assembled(
 def _vision(
     stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox, bus: ZenohBus | None
 ) -> VisionWorker | None:
-    """Vision, where the configuration names cameras and a map, of landmarks or a picture."""
-    files, inputs, picture = config.files(), config.inputs, config.map_picture(folder)
-    if "calibration" not in files or not ("map" in files or picture):
+    """Vision, where the configuration names cameras and a map, of landmarks or an image."""
+    files, inputs, image = config.files(), config.inputs, config.map_image(folder)
+    if "calibration" not in files or not ("map" in files or image):
         return None
     sides = {**dict.fromkeys(inputs.left_image, "left"), **dict.fromkeys(inputs.right_image, "right")}
     landmarks = folder / files["map"] if "map" in files else None
-    where = folder / files["calibration"], landmarks, config.fusion().origin, picture
+    where = folder / files["calibration"], landmarks, config.fusion().origin, image
     screen = bus.screen(OVERLAY_TOPIC, schemas.COMPRESSED_IMAGE) if bus else None
     stamps, overlay_hz = Stamps(clock, config.clock), config.output.overlay_hz
     worker = VisionWorker(where, config.vision, sides, clock, stamps, track, mailbox.put_own, screen, overlay_hz)
@@ -270,16 +270,16 @@ class _NoLog:
 
 
 def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
-    """What the log says of itself; of the map's picture, too large to be attached, name and checksum. Raises ConfigError."""
+    """What the log says of itself; of the map's image, too large to be attached, name and checksum. Raises ConfigError."""
     known = {"version": version(), "config_sha256": digest}
-    picture = config.map_picture(folder)
-    if picture is None:
+    image = config.map_image(folder)
+    if image is None:
         return known
     try:
-        with picture.path.open("rb") as file:
-            return known | {"picture": picture.path.name, "picture_sha256": file_digest(file, "sha256").hexdigest()}
+        with image.path.open("rb") as file:
+            return known | {"picture": image.path.name, "picture_sha256": file_digest(file, "sha256").hexdigest()}
     except OSError as error:
-        raise ConfigError(f"{picture.path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise ConfigError(f"{image.path}: {(error.strerror or 'cannot be read').lower()}") from None
 
 
 def _log(

@@ -1,4 +1,4 @@
-"""Fixes on our own landmarks: of the whole pose, or of those combinations of position and attitude that the pictures show.
+"""Fixes on our own landmarks: of the whole pose, or of those combinations of position and attitude that the images show.
 
 nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """

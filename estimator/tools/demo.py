@@ -70,28 +70,28 @@ def demo(folder: Path, seed: int = 0, progress: Stages = lambda _, __: None, sce
 
 def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> None:
     """input.mcap and demo.toml; with cameras in the scenario map.geojson and rig.yaml too."""
-    from estimator.replay import flight_pictures  # noqa: PLC0415  (slow to import, and not always needed)
+    from estimator.replay import flight_images  # noqa: PLC0415  (slow to import, and not always needed)
 
     plan = loads(scenario, SCENARIO)
     simulation = simulate(plan, seed)
-    text, pictures = simulation.config_toml, None
+    text, images = simulation.config_toml, None
     if plan.cameras:
-        pictures = flight_pictures.plan(plan.cameras, simulation, seed)
-        pictures.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
-        text = flight_pictures.configuration(simulation, "map.geojson", "rig.yaml")
+        images = flight_images.plan(plan.cameras, simulation, seed)
+        images.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
+        text = flight_images.configuration(simulation, "map.geojson", "rig.yaml")
     (folder / "demo.toml").write_text(text, encoding="utf-8")
-    simulated.write(simulation, folder / "input.mcap", progress, *([pictures] if pictures else []))
+    simulated.write(simulation, folder / "input.mcap", progress, *([images] if images else []))
 
 
 def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:
-    """estimate.mcap, from pictures where there are any, and then overlay.png."""
+    """estimate.mcap, from images where there are any, and then overlay.png."""
     log, estimate, sheet = folder / "input.mcap", folder / "estimate.mcap", folder / "overlay.png"
     rig_file, map_file = config.rig.file, config.map.landmarks
     if rig_file is None or map_file is None:
         return replay(log, estimate, config, progress), ""
     from calib.files.formats import load_rig  # noqa: PLC0415
     from estimator.frontend.processor import Sight  # noqa: PLC0415
-    from estimator.frontend.replay_pictures import SightReplay  # noqa: PLC0415
+    from estimator.frontend.replay_images import SightReplay  # noqa: PLC0415
     from estimator.map_files import store as map_store  # noqa: PLC0415
     from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
 

@@ -92,7 +92,7 @@ def _vision() -> None:
 
 def _flight() -> None:
     """What estimates, then what simulates and draws."""
-    from estimator.replay import flight_pictures  # noqa: PLC0415
+    from estimator.replay import flight_images  # noqa: PLC0415
     from estimator.service.warm_up import warm_up  # noqa: PLC0415
     from models.sim.scenario import simulate  # noqa: PLC0415
     from models.sim.scenario_file import loads  # noqa: PLC0415
@@ -101,7 +101,7 @@ def _flight() -> None:
     plan = loads(_SCENARIO)
     simulation = simulate(plan, 0)
     assert plan.cameras is not None
-    flight_pictures.plan(plan.cameras, simulation, 0).draw(0)
+    flight_images.plan(plan.cameras, simulation, 0).draw(0)
 
 
 def main() -> None:

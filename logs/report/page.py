@@ -33,7 +33,7 @@ _SCRIPTS: Final = ("tools.js", "time.js", "map.js", "page.js")
 
 
 class Shot(msgspec.Struct, frozen=True):
-    """A picture of the gallery, as JPEG, and what is said of it."""
+    """An image of the gallery, as JPEG, and what is said of it."""
 
     t_ns: int
     outcome: str
@@ -44,7 +44,7 @@ class Shot(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Illustrations:
-    """What only vision can add: the landmarks of its map, pictures, and a word on what is missing."""
+    """What only vision can add: the landmarks of its map, images, and a word on what is missing."""
 
     landmarks: Sequence[Landmark] = ()
     shots: Sequence[Shot] = ()
@@ -233,7 +233,7 @@ def _vision(m: Material, sheet: _Sheet) -> str:
     charts = sheet.add(report_plots.vision(m.evidence, m.gathered))
     shots = "".join(_figure(m, s) for s in m.illustrations.shots)
     note = _faint(m.illustrations.note) if m.illustrations.note and (charts or shots) else ""
-    return charts + (f"<h3>Pictures</h3><div class='gallery'>{shots}</div>" if shots else "") + note
+    return charts + (f"<h3>Images</h3><div class='gallery'>{shots}</div>" if shots else "") + note
 
 
 def _figure(m: Material, s: Shot) -> str:

@@ -269,7 +269,7 @@ def vision(evidence: Evidence, gathered: Gathered) -> Charts:
         )
     span = (looks[-1][0] - looks[0][0]) * 1e-9 / MOST_POINTS
     strips = {outcome: _joined(stays, span) for outcome, stays in sorted(rows.items(), key=lambda r: -len(r[1]))}
-    charts: Charts = {"outcomes": StripChart("What came of each pair of pictures", strips)}
+    charts: Charts = {"outcomes": StripChart("What came of each pair of images", strips)}
     fits = [(t, r) for t, r in looks if np.isfinite(r.residual_px)]
     if fits:
         fits = [fits[row] for row in _worst([r.residual_px for _, r in fits])]

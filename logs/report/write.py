@@ -28,7 +28,7 @@ Illustrate = Callable[[Evidence, Gathered], Illustrations]
 
 
 def no_illustrations(_: Evidence, __: Gathered) -> Illustrations:
-    """Neither landmarks nor pictures."""
+    """Neither landmarks nor images."""
     return Illustrations()
 
 

@@ -21,6 +21,7 @@ from models.messages import (
     Checkpoint,
     GnssFix,
     GnssVelocity,
+    ImageName,
     ImuSample,
     Input,
     LandmarkFix,
@@ -28,7 +29,6 @@ from models.messages import (
     OdometryDelta,
     OdometryPose,
     OdometryRequest,
-    PictureName,
     PoseFix,
     Quat,
     Reading,
@@ -185,7 +185,7 @@ def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
     message = _deserialize(data, schemas.VISION_REQUEST)
     p_n, q_nb_wxyz, covariance = _pose(message.pose)
     named = ((message.left_topic, message.left_stamp), (message.right_topic, message.right_stamp))
-    left, right = (PictureName(topic, _t_ns(stamp)) if topic else None for topic, stamp in named)
+    left, right = (ImageName(topic, _t_ns(stamp)) if topic else None for topic, stamp in named)
     return VisionRequest(_t_ns(message.header.stamp), arrived_ns, p_n, q_nb_wxyz, covariance, left, right, int(message.run))
 
 
@@ -195,7 +195,7 @@ def decode_odometry_request(data: bytes, arrived_ns: int) -> OdometryRequest:
     if not len(message.topics) == len(message.stamps) == 4:
         raise ValueError(f"an odometry request of {len(message.topics)} topics and {len(message.stamps)} stamps, not of four")
     motion = _odometry_motion(message)
-    names = [PictureName(t, _t_ns(s)) if t else None for t, s in zip(message.topics, message.stamps, strict=True)]
+    names = [ImageName(t, _t_ns(s)) if t else None for t, s in zip(message.topics, message.stamps, strict=True)]
     return OdometryRequest(
         _t_ns(message.header.stamp), arrived_ns, *motion, (names[0], names[1]), (names[2], names[3]),
         axes.body(_vector(message.down)), float(message.height), float(message.height_sigma),

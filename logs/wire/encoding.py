@@ -19,6 +19,7 @@ from models.messages import (
     GnssFix,
     GnssVelocity,
     Health,
+    ImageName,
     ImuSample,
     Input,
     LandmarkFix,
@@ -27,7 +28,6 @@ from models.messages import (
     OdometryPose,
     OdometryRequest,
     Output,
-    PictureName,
     PoseFix,
     Quat,
     Reading,
@@ -220,7 +220,7 @@ def _vision_report(report: VisionReport) -> dict[str, Any]:
 
 
 def _vision_request(request: VisionRequest) -> dict[str, Any]:
-    left, right = request.left or PictureName("", 0), request.right or PictureName("", 0)
+    left, right = request.left or ImageName("", 0), request.right or ImageName("", 0)
     return {
         "header": header_of(request.t_ns, _MAP),
         "pose": _pose_with_covariance(request.p_n, request.q_nb_wxyz, request.covariance),
@@ -288,7 +288,7 @@ def _motion(message: OdometryDelta | OdometryRequest) -> dict[str, Any]:
 
 
 def _odometry_request(request: OdometryRequest) -> dict[str, Any]:
-    names = [name or PictureName("", 0) for name in (*request.first, *request.second)]
+    names = [name or ImageName("", 0) for name in (*request.first, *request.second)]
     return {
         **_motion(request),
         "topics": [name.topic for name in names],

@@ -45,7 +45,7 @@ geometry_msgs/PoseWithCovariance pose
 float64[36] covariance_common
 # Identifiers of the landmarks in the map.
 string[] landmarks
-# Agreement of description and picture, 0 to 1.
+# Agreement of description and image, 0 to 1.
 float64 similarity
 # RMS of the outline fit, px.
 float64 residual_px
@@ -114,27 +114,27 @@ float64 residual_px
 float64 processing_s
 """,
     VISION_REQUEST: """\
-# Look for landmarks in these pictures. What vision answers follows from this, the pictures and the requests before it.
+# Look for landmarks in these images. What vision answers follows from this, the images and the requests before it.
 # header.stamp: exposure; header.frame_id: map (ENU at the map origin).
 std_msgs/Header header
 # Where base_link (FLU) is believed to have been, with the covariance of LandmarkFix.
 geometry_msgs/PoseWithCovariance pose
-# Topic and stamp of the picture of each camera; an empty topic: there is none.
+# Topic and stamp of the image of each camera; an empty topic: there is none.
 string left_topic
 builtin_interfaces/Time left_stamp
 string right_topic
 builtin_interfaces/Time right_stamp
-# Counts the runs of vision: each begins without memory of earlier pictures.
+# Counts the runs of vision: each begins without memory of earlier images.
 uint32 run
 """,
     ODOMETRY_REQUEST: """\
-# Measure the motion between two pairs of pictures. The answer follows from this and the pictures alone.
+# Measure the motion between two pairs of images. The answer follows from this and the images alone.
 # header.stamp: exposure of the later pair; header.frame_id: base_link.
 std_msgs/Header header
 builtin_interfaces/Time begin
 # The predicted motion, as in OdometryDelta.
 geometry_msgs/PoseWithCovariance motion
-# Topics and stamps of the pictures: left and right at the beginning, left and right at the end; an empty topic: there is none.
+# Topics and stamps of the images: left and right at the beginning, left and right at the end; an empty topic: there is none.
 string[] topics
 builtin_interfaces/Time[] stamps
 # Downwards, in base_link (FLU) at the beginning.

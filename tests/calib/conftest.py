@@ -37,8 +37,8 @@ def simulated_views(count: int = 12, seed: int = 0, sigma_px: float = 0.2) -> li
 
 
 @pytest.fixture(scope="session")
-def pictures() -> list[Grey]:
-    """Ten small pictures of a board, tilted each way."""
+def images() -> list[Grey]:
+    """Ten small images of a board, tilted each way."""
     rng = np.random.default_rng(5)
     painter = views.Painter(SMALL, BOARD)
     return [painter.paint(pose, rng) for pose in views.poses([(SMALL, IDENTITY)], BOARD, 10, rng)]

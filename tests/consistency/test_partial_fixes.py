@@ -1,7 +1,7 @@
 """Is a filter consistent that fuses fixes in part? One landmark point, seen from afar, leaves the attitude open; and the truth
 bends.
 
-Vision is played by its own equations: the joint optimum of prior and picture, linearised and reported there. The picture is where
+Vision is played by its own equations: the joint optimum of prior and image, linearised and reported there. The image is where
 the point is in body axes, which is exactly the same from every place on a sphere about it.
 """
 
@@ -46,7 +46,7 @@ def _seen(x: Array) -> Array:
 
 
 def _look(z_b: Array, prior: Prior) -> LandmarkFix:
-    """What vision reports of a point seen at z_b: Gauss-Newton on prior and picture, then the picture alone."""
+    """What vision reports of a point seen at z_b: Gauss-Newton on prior and image, then the image alone."""
     x, information = prior.x.copy(), np.linalg.inv(prior.cov)
     for _ in range(20):
         R = so3.matrix(x[X.Q])
@@ -135,4 +135,4 @@ def test_a_late_fix_whose_prior_has_moved_claims_less() -> None:
     now, moved = _fuse(fix, asked), _fuse(fix, Prior(turned, asked.cov))
     sure, less = (np.sqrt(np.diag(f.cov)[E.P].sum()) for f in (now, moved))
     assert less > 1.7 * sure
-    assert np.linalg.norm(moved.x[X.P] - turned[X.P]) < 2.5  # and so does not pull: the picture is the same from there
+    assert np.linalg.norm(moved.x[X.P] - turned[X.P]) < 2.5  # and so does not pull: the image is the same from there

@@ -28,7 +28,7 @@ from estimator.cli import app
 from estimator.config import load
 from logs.store.recorder import Recorder
 from logs.wire.codec import encode_input
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.frames import GRAVITY
@@ -114,8 +114,8 @@ def a_board_and_an_imu(folder: Path) -> None:
             log.write(*encode_input(ImuSample(t_ns, t_ns, vec3(gyro), vec3(accel))), t_ns)
         for t_ns in stamps.tolist():
             R_oc, p_o = motion.camera(1e-9 * (t_ns - int(imu.t_ns[0])) + true.time_offset_s)
-            picture = painter.paint(Pose(R_oc.T, -R_oc.T @ p_o), rng)
-            log.write(*encode_picture(t_ns, picture, "/left/image", jpeg_quality=95), t_ns)
+            image = painter.paint(Pose(R_oc.T, -R_oc.T @ p_o), rng)
+            log.write(*encode_image(t_ns, image, "/left/image", jpeg_quality=95), t_ns)
 
 
 def a_photo_and_footprints(folder: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from estimator.config import load
 from estimator.frontend.files import load_sight
-from estimator.frontend.replay_pictures import SightReplay
+from estimator.frontend.replay_images import SightReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader
 from logs.store.recorder import Recorder
@@ -34,7 +34,7 @@ Messages = dict[str, list[Any]]
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short flight with pictures and truth, as `landfix simulate` and `landfix replay --from-images` leave it."""
+    """A short flight with images and truth, as `landfix simulate` and `landfix replay --from-images` leave it."""
     flight, config_file = write_flight(tmp_path_factory.mktemp("viewers"))
     source, out = flight.with_name("source.mcap"), flight.with_name("out.mcap")
     with LogReader(flight) as reader, Recorder(source) as recorder:
@@ -59,7 +59,7 @@ def types(log: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def messages(log: Path) -> Messages:
-    """All messages but pictures and the fast ones, of which the first few."""
+    """All messages but images and the fast ones, of which the first few."""
     found: Messages = {}
     with LogReader(log) as reader:
         for record in reader:
@@ -122,7 +122,7 @@ def test_the_3d_panel_draws_landmarks_and_pose_in_a_frame_that_tf_reports(types:
     assert messages["/landfix/landmarks"][0].markers[1].header.frame_id == panel["fixedFrame"]
 
 
-def test_pictures_health_and_map_are_there(types: dict[str, str], messages: Messages) -> None:
+def test_images_health_and_map_are_there(types: dict[str, str], messages: Messages) -> None:
     for panel in _panels("Image"):
         assert types[panel["imageMode"]["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
     (health,) = _panels("DiagnosticStatusPanel")

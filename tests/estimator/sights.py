@@ -9,7 +9,7 @@ import numpy as np
 from calib.files.formats import save_rig
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded, encode_input
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import PoseFix
@@ -19,12 +19,12 @@ from vision.synthetic import Conditions, WorldSpec, make_world, render_pair
 
 PLACE = (0.0, 0.0, -75.0)
 SPEC = WorldSpec(area_m=120.0, painted=1.0, flat=0.0, trees=0.0, sigma_m=0.05, height_sigma_m=0.05)
-SEEN_S = (6.0, 6.5, 7.0, 7.5)  # when pictures are taken; pose fixes end before
+SEEN_S = (6.0, 6.5, 7.0, 7.5)  # when images are taken; pose fixes end before
 ALIGNED_S = 5.0
 
 
 class Village(NamedTuple):
-    """The map and rig of vision, and pairs of pictures taken at PLACE, level, heading north."""
+    """The map and rig of vision, and pairs of images taken at PLACE, level, heading north."""
 
     rig: StereoRig
     map: LandmarkMap
@@ -39,12 +39,12 @@ def village() -> Village:
     for seen_s in SEEN_S:
         t_ns = EPOCH_NS + round(seen_s * SECOND)
         left, right = render_pair(scene.world, scene.rig, np.array(PLACE), np.eye(3), Conditions(), rng)
-        pairs.append((encode_picture(t_ns, left, "/left/image"), encode_picture(t_ns, right, "/right/image", jpeg_quality=95)))
+        pairs.append((encode_image(t_ns, left, "/left/image"), encode_image(t_ns, right, "/right/image", jpeg_quality=95)))
     return Village(scene.rig_calibrated, scene.map, tuple(pairs))
 
 
 def write_flight(folder: Path) -> tuple[Path, Path]:
-    """flight.mcap and the configuration beside it: aligned by pose fixes, then pictures only."""
+    """flight.mcap and the configuration beside it: aligned by pose fixes, then images only."""
     seen = village()
     (folder / "map.geojson").write_bytes(seen.map.to_geojson())
     save_rig(folder / "rig.yaml", seen.rig)
@@ -55,7 +55,7 @@ def write_flight(folder: Path) -> tuple[Path, Path]:
         (m.arrived_ns, encode_input(m)) for m in hover(9.0, place=PLACE) if not (isinstance(m, PoseFix) and m.t_ns > last_ns)
     ]
     for seen_s, pair in zip(SEEN_S, seen.pairs, strict=True):
-        messages += [(EPOCH_NS + round((seen_s + 0.02) * SECOND), picture) for picture in pair]
+        messages += [(EPOCH_NS + round((seen_s + 0.02) * SECOND), image) for image in pair]
     with Recorder(folder / "flight.mcap") as recorder:
         for arrived_ns, message in sorted(messages, key=lambda item: item[0]):
             recorder.write(*message, arrived_ns)

@@ -110,10 +110,10 @@ def test_every_key_has_a_meaning_and_every_number_a_default() -> None:
     assert {k.section.partition(".")[0] for k in keys} == set(Config.__struct_fields__)
     assert [f"{k.section}.{k.name}" for k in keys if not k.meaning] == []
     without = {f"{k.section}.{k.name}" for k in keys if k.default == "-" and k.section != "zenoh.security"}
-    of_the_picture = {"map.picture", "map.picture_heights", "map.picture_height_m"}
+    of_the_image = {"map.picture", "map.picture_heights", "map.picture_height_m"}
     of_the_vehicle = {"bounds.speed_m_s", "bounds.lowest_m", "bounds.highest_m"}
     of_the_place = {"map.origin", "visual_odometry.ground_m", "range.ground_m", "magnetometer.declination_deg"}
-    assert without == {"map.landmarks", "rig.file"} | of_the_place | of_the_picture | of_the_vehicle
+    assert without == {"map.landmarks", "rig.file"} | of_the_place | of_the_image | of_the_vehicle
 
 
 def test_every_physical_number_has_a_unit() -> None:

@@ -104,7 +104,7 @@ def test_undistortion_converges_up_to_the_fold() -> None:
     np.testing.assert_allclose(camera.undistort(px)[:, 0], r, atol=1e-8)
 
 
-def test_what_lies_in_the_picture() -> None:
+def test_what_lies_in_the_image() -> None:
     camera = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5)
     px = np.array([[-0.5, 0.0], [-0.51, 0.0], [639.5, 479.5], [639.6, 0.0], [5.0, 5.0], [math.nan, 5.0]])
     assert camera.contains(px).tolist() == [True, False, True, False, True, False]

@@ -229,7 +229,7 @@ def test_bend_knows_what_is_not_known() -> None:
     for dx in rng.multivariate_normal(np.zeros(E.SIZE), cov, 4000):
         turned = so3.matrix(so3.quat_exp(dx[E.THETA]))
         there = retract(x, dx)
-        there[X.P] = np.array([0.0, 0.0, 40.0]) - turned @ np.array([0.0, 0.0, 40.0])  # the same picture
+        there[X.P] = np.array([0.0, 0.0, 40.0]) - turned @ np.array([0.0, 0.0, 40.0])  # the same image
         left_out.append(z.evaluate(there, GYRO)[0])
     cov[E.P, E.P] *= 1e4  # position unknown, but what the reading and the attitude say of it
     expected = np.mean([np.outer(n, n) for n in left_out], axis=0)

@@ -1,6 +1,6 @@
-"""The outline path on a few real aerial pictures: it finds what is there, and has no fix where the map is not.
+"""The outline path on a few real aerial images: it finds what is there, and has no fix where the map is not.
 
-python -m benchmarks.aerial has all pictures, and many priors for each.
+python -m benchmarks.aerial has all images, and many priors for each.
 """
 
 from collections.abc import Sequence
@@ -22,15 +22,15 @@ WIDTH = brighton.AS_FINE_AS_THE_MAP
 
 
 @pytest.fixture(scope="module")
-def landfix_pictures(landfix_data: Path) -> Path:
+def landfix_images(landfix_data: Path) -> Path:
     if not all((landfix_data / one.FOLDER).is_dir() for one in (brighton, nust, spacenet)):
-        pytest.skip("no aerial pictures: LANDFIX_DATA has no images/brighton_beach_uav, nust_..., spacenet_...")
+        pytest.skip("no aerial images: LANDFIX_DATA has no images/brighton_beach_uav, nust_..., spacenet_...")
     return landfix_data
 
 
 @pytest.fixture(scope="module")
-def photos(landfix_pictures: Path) -> dict[str, Reference]:
-    return brighton.references(landfix_pictures, brighton.landmark_map(), PHOTOS)
+def photos(landfix_images: Path) -> dict[str, Reference]:
+    return brighton.references(landfix_images, brighton.landmark_map(), PHOTOS)
 
 
 def outcomes(trials: Sequence[Trial]) -> list[Outcome]:
@@ -46,34 +46,34 @@ def test_photos_are_located_without_outlines(photos: dict[str, Reference]) -> No
         assert 30.0 < -where.p_nc[2] < 45.0
 
 
-def test_photos_with_three_outlines(landfix_pictures: Path, photos: dict[str, Reference]) -> None:
+def test_photos_with_three_outlines(landfix_images: Path, photos: dict[str, Reference]) -> None:
     landmarks, trials = brighton.landmark_map(), []
     for name, where in photos.items():
-        case = brighton.case(landfix_pictures, name, where, landmarks, WIDTH)
+        case = brighton.case(landfix_images, name, where, landmarks, WIDTH)
         assert len(case.shown) >= 3
         trials += [Trial(case, k, brighton.SPREAD.draw(generator(0, name, k), case.p_n, case.R_nb)) for k in range(2)]
     found = [o for o in outcomes(trials) if o.accepted]
-    assert len(found) >= 2  # 3; the others wait for another picture that agrees
+    assert len(found) >= 2  # 3; the others wait for another image that agrees
     assert max(o.error_m for o in found) < 2.0
     assert np.median([o.error_m for o in found]) > 0.05  # the map is not that good
     assert np.mean([o.squared for o in found]) < 4.0
 
 
-def test_a_map_that_is_turned_is_not_in_the_photos(landfix_pictures: Path, photos: dict[str, Reference]) -> None:
+def test_a_map_that_is_turned_is_not_in_the_photos(landfix_images: Path, photos: dict[str, Reference]) -> None:
     landmarks, trials = brighton.landmark_map(), []
     for name, where in photos.items():
         rng = generator(1, name, 0)
         decoy = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), where.p_nc[:2], rng))
-        case = brighton.case(landfix_pictures, name, where, decoy, WIDTH)
+        case = brighton.case(landfix_images, name, where, decoy, WIDTH)
         trials.append(Trial(case, 0, brighton.SPREAD.draw(rng, case.p_n, case.R_nb)))
     assert not any(o.accepted for o in outcomes(trials))
 
 
-def test_helipads_of_the_video(landfix_pictures: Path) -> None:
-    landmarks, known = nust.landmark_map(), nust.registrations(landfix_pictures)
+def test_helipads_of_the_video(landfix_images: Path) -> None:
+    landmarks, known = nust.landmark_map(), nust.registrations(landfix_images)
     trials = []
-    for number, picture in nust.frames(landfix_pictures, FRAMES):
-        case = nust.case(number, picture, known[number], landmarks)
+    for number, image in nust.frames(landfix_images, FRAMES):
+        case = nust.case(number, image, known[number], landmarks)
         assert case.shown == nust.PADS
         trials += [Trial(case, k, nust.SPREAD.draw(generator(0, case.name, k), case.p_n, case.R_nb)) for k in range(2)]
     found = [o for o in outcomes(trials) if o.accepted]
@@ -82,9 +82,9 @@ def test_helipads_of_the_video(landfix_pictures: Path) -> None:
 
 
 @pytest.mark.parametrize(("size", "least"), [(10, 7), (3, 1)])
-def test_footprints_are_found_together_and_turned_ones_are_not(landfix_pictures: Path, size: int, least: int) -> None:
+def test_footprints_are_found_together_and_turned_ones_are_not(landfix_images: Path, size: int, least: int) -> None:
     """Hipped roofs under trees: hardly one of them gives a fit. Three outlines rarely have one place only."""
-    of = spacenet.scene(landfix_pictures)
+    of = spacenet.scene(landfix_images)
     trials, decoys = [], []
     for marks in spacenet.sets(of.landmarks, size)[::6]:
         rng = generator(0, marks[0].id, size)
@@ -102,17 +102,17 @@ def test_footprints_are_found_together_and_turned_ones_are_not(landfix_pictures:
     assert not any(o.accepted for o in outcomes(decoys))
 
 
-def test_a_picture_that_is_shifted_shows_as_misregistration(landfix_pictures: Path) -> None:
-    of = spacenet.scene(landfix_pictures)
+def test_an_image_that_is_shifted_shows_as_misregistration(landfix_images: Path) -> None:
+    of = spacenet.scene(landfix_images)
     some = spacenet.sets(of.landmarks, 10)[0]
-    moved = spacenet.Scene(of.picture, of.landmarks, of.camera, of.p_nc, of.R_nc, np.roll(of.slope, (4, -3), axis=(1, 2)))
+    moved = spacenet.Scene(of.image, of.landmarks, of.camera, of.p_nc, of.R_nc, np.roll(of.slope, (4, -3), axis=(1, 2)))
     apart = spacenet.misregistration(moved, some) - spacenet.misregistration(of, some)
     np.testing.assert_allclose(apart, spacenet.STEP_M * np.array([-3.0, 4.0]), atol=0.1)
 
 
-def test_a_shifted_prior_shows_as_projected_shift(landfix_pictures: Path) -> None:
+def test_a_shifted_prior_shows_as_projected_shift(landfix_images: Path) -> None:
     """North is up but for the grid's convergence of 1.4 degrees: a camera moved north shows the houses moved down."""
-    of = spacenet.scene(landfix_pictures)
+    of = spacenet.scene(landfix_images)
     marks = spacenet.sets(of.landmarks, 3)[0]
     case = spacenet.case(of, "", marks, np.zeros(2))
     shift = spacenet.projected_shift(of, marks, case.p_n + np.array([10.0, 0.0, 0.0]), case.R_nb)
@@ -139,7 +139,7 @@ def test_priors_are_what_they_say() -> None:
     np.testing.assert_allclose(error.std(axis=0), spread.sigma[:3], rtol=0.06)
 
 
-def test_how_much_of_an_outline_is_in_the_picture() -> None:
+def test_how_much_of_an_outline_is_in_the_image() -> None:
     camera = CameraModel(100, 100, 100.0, 100.0, 49.5, 49.5)
     R_nc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     box = np.array([(-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0)])

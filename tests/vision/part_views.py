@@ -17,7 +17,7 @@ from vision.synthetic.world import Look, Sun, World
 
 SIGMA: Final = np.array([0.5, 0.5, 0.3, *np.radians([0.2, 0.2, 0.7])])  # a filter that is aided
 HEIGHT_M: Final = 40.0
-_SIDE: Final = HEIGHT_M * 640.0 / 600.0  # as wide as the picture
+_SIDE: Final = HEIGHT_M * 640.0 / 600.0  # as wide as the image
 _ROUND: Final = 0.15 * HEIGHT_M  # radius
 
 
@@ -60,7 +60,7 @@ def part_view(kind: str, seed: int, sigma: Array = SIGMA) -> Flight:
     roll, pitch = rng.normal(0.0, 0.05, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, yaw))
     p_n = np.array([0.0, 0.0, -HEIGHT_M])
-    pictures = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
+    images = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
     error = sigma * rng.normal(size=6)
     q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb)))
-    return Flight(pictures, rig, (mark,), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))
+    return Flight(images, rig, (mark,), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))

@@ -13,7 +13,7 @@ from vision.image.rectify import Image
 
 @dataclass(frozen=True)
 class RealPair:
-    """truth: disparity of the left picture's pixels, NaN where unknown; its own error in px (how far it is rounded)."""
+    """truth: disparity of the left image's pixels, NaN where unknown; its own error in px (how far it is rounded)."""
 
     name: str
     left: Image

@@ -41,7 +41,7 @@ def nadir_rig(
     lens: tuple[float, ...] = (),
     squint_rad: float = 0.0,
 ) -> StereoRig:
-    """Looks down; the picture's upper edge is ahead."""
+    """Looks down; the image's upper edge is ahead."""
     camera = CameraModel(width, height, f, f, (width - 1) / 2, (height - 1) / 2, lens)
     R_bc = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     R_rc = so3.matrix(so3.quat_exp(squint_rad * np.array([1.0, -0.7, 1.2])))
@@ -79,7 +79,7 @@ def view(seed: int, height_m: float = 30.0, tilt_rad: float = 0.12, rig: StereoR
 
 
 def roof_at(the_view: View, contour: Array, rig: StereoRig) -> int | None:
-    """Index of the roof that a contour shows, wholly in the picture and of about its size; None for anything else."""
+    """Index of the roof that a contour shows, wholly in the image and of about its size; None for anything else."""
     for k, corners in enumerate(the_view.roofs_c):
         px = rig.left.project(corners)
         size = cv2.contourArea(px.astype(np.float32))

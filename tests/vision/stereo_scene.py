@@ -1,4 +1,4 @@
-"""Made-up pictures for the tests of the stages: a tilted textured board in front of a rectified rig, drawn ray by ray."""
+"""Made-up images for the tests of the stages: a tilted textured board in front of a rectified rig, drawn ray by ray."""
 
 import numpy as np
 
@@ -39,7 +39,7 @@ def board(
     contrast: float = 25.0,
     vertical_px: float = 0.0,
 ) -> tuple[Image, Image, Array]:
-    """Left and right BGR picture of a red rectangle on Z = depth + slope . (X, Y) before a green wall, and its corners (4, 3)."""
+    """Left and right BGR image of a red rectangle on Z = depth + slope . (X, Y) before a green wall, and its corners (4, 3)."""
     rng = np.random.default_rng(seed)
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     a, b = size_m
@@ -51,7 +51,7 @@ def board(
     e2 = np.cross(normal, e1)
     axes = np.stack((c * e1 + s * e2, -s * e1 + c * e2))
     corners = np.array([0.0, 0.0, depth_m]) + flat @ axes
-    pictures = []
+    images = []
     for camera, x0, dv in ((the_rig.left, 0.0, 0.0), (the_rig.right, BASELINE, vertical_px)):
         fine = 3  # rays a pixel each way
         u, v = ((np.arange(n * fine) + 0.5) / fine - 0.5 for n in (camera.width, camera.height))
@@ -64,5 +64,5 @@ def board(
         wall = np.array(GREEN) * (1.0 + 0.15 * texture(rx * ground_m + x0, ry * ground_m, 4)[..., None])
         light = np.where(inside[..., None], roof, wall)
         light = light.reshape(camera.height, fine, camera.width, fine, 3).mean(axis=(1, 3))
-        pictures.append(np.clip(light + rng.normal(0.0, noise, light.shape), 0, 255).round().astype(np.uint8))
-    return pictures[0], pictures[1], corners
+        images.append(np.clip(light + rng.normal(0.0, noise, light.shape), 0, 255).round().astype(np.uint8))
+    return images[0], images[1], corners

@@ -1,4 +1,4 @@
-"""The pipeline on rendered pictures: a fix where there is one, a reason and never an exception where there is none."""
+"""The pipeline on rendered images: a fix where there is one, a reason and never an exception where there is none."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -142,21 +142,21 @@ def torn(image: Image) -> Image:
     ],
     ids=["black", "white", "saturated", "torn", "cropped", "two channels", "floats", "empty"],
 )
-def test_useless_pictures_are_a_reason(spoil: Any) -> None:
+def test_useless_images_are_a_reason(spoil: Any) -> None:
     v = view()
     result = pipeline().process(spoil(v.left), spoil(v.right), 0, v.prior)
     assert result.fix is None
-    assert result.report.outcome == "no_picture"
+    assert result.report.outcome == "no_image"
     assert "left:" in result.report.detail
     assert_not_confidently_wrong(pipeline().process(spoil(v.left), v.right, 0, v.prior), v)
     assert_not_confidently_wrong(pipeline().process(v.left, spoil(v.right), 0, v.prior), v)
 
 
-def test_no_picture_at_all() -> None:
-    assert pipeline().process(None, None, 0, view().prior).report.outcome == "no_picture"
+def test_no_image_at_all() -> None:
+    assert pipeline().process(None, None, 0, view().prior).report.outcome == "no_image"
 
 
-def test_noise_and_a_picture_of_nothing() -> None:
+def test_noise_and_an_image_of_nothing() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
     for left, right in (
         (noise, noise[::-1].copy()),
@@ -164,7 +164,7 @@ def test_noise_and_a_picture_of_nothing() -> None:
     ):
         result = pipeline().process(left, right, 0, view().prior)
         assert result.fix is None
-        assert result.report.outcome in {"no_region", "no_candidate", "no_picture", "not_in_map"}
+        assert result.report.outcome in {"no_region", "no_candidate", "no_image", "not_in_map"}
 
 
 def test_swapped_cameras_are_said() -> None:
@@ -175,7 +175,7 @@ def test_swapped_cameras_are_said() -> None:
     assert "swapped" in result.report.detail
 
 
-def test_the_same_picture_twice_is_one_camera() -> None:
+def test_the_same_image_twice_is_one_camera() -> None:
     v = view()
     result = pipeline().process(v.left, v.left, 0, v.prior)
     assert "same image" in result.report.detail
@@ -183,7 +183,7 @@ def test_the_same_picture_twice_is_one_camera() -> None:
 
 
 @pytest.mark.parametrize("moved_m", [0.3, 3.0, 30.0])
-def test_pictures_not_taken_together(moved_m: float) -> None:
+def test_images_not_taken_together(moved_m: float) -> None:
     v, later = view(), view(1, moved_m, 0.6 * moved_m)
     result = pipeline().process(v.left, later.right, 0, v.prior)
     assert_not_confidently_wrong(result, v)
@@ -251,13 +251,13 @@ def test_the_next_house_is_not_taken_for_the_right_one(seeds: tuple[int, ...], f
     assert (answer.fix, answer.report.outcome) == (None, "ambiguous")
 
 
-def test_a_place_that_the_picture_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_place_that_the_image_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where identified regions say: at the true place there is a fix, 13 m aside, between look-alikes, there is none."""
     v, sigma = view(), np.diag(np.array([0.5, 0.5, 0.5, *np.radians([0.3, 0.3, 0.5])]) ** 2)
     results = []
     for aside in (0.0, 13.0):
         place = Prior(v.p_n + np.array([aside, 0.0, 0.0]), v.q_nb, sigma)
-        monkeypatch.setattr(SegmentPath, "locate", lambda _, pictures, *__, at=place: Identified(pictures, at, []))
+        monkeypatch.setattr(SegmentPath, "locate", lambda _, images, *__, at=place: Identified(images, at, []))
         segmenting = LandmarkPipeline(scene().rig_calibrated, scene().map, PipelineConfig(path="segment"))
         results.append(segmenting.process(v.left, v.right, 0, v.prior))
     assert results[0].fix is not None
@@ -328,17 +328,17 @@ def test_looking_at_the_sky() -> None:
     assert result.report.outcome != "internal"
 
 
-def test_thermal_pictures_of_16_bit() -> None:
-    """Grey, 16 bit, a map without colours: seeds divide the picture."""
+def test_thermal_images_of_16_bit() -> None:
+    """Grey, 16 bit, a map without colours: seeds divide the image."""
     v = view()
     marks = [msgspec.structs.replace(m, colour_bgr=None) for m in scene().map]
     grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint16) * 40 + 20_000 for image in (v.left, v.right)]
     result = pipeline(LandmarkMap.from_landmarks(scene().map.origin, marks)).process(grey[0], grey[1], 0, v.prior)
     assert_not_confidently_wrong(result, v)
-    assert result.report.outcome not in {"no_picture", "internal"}
+    assert result.report.outcome not in {"no_image", "internal"}
 
 
-def test_same_pictures_same_fix() -> None:
+def test_same_images_same_fix() -> None:
     v = view()
     a, b = (pipeline().process(v.left, v.right, 0, v.prior) for _ in range(2))
     assert a.fix is not None

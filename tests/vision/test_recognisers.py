@@ -14,7 +14,7 @@ from vision.ground.peak import PeakConfig
 from vision.ground.registration import RegistrationConfig
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
-from vision.recognisers import MapPicture, RecogniserConfig, Recognisers
+from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
 SECOND = 1_000_000_000
 SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
@@ -22,12 +22,12 @@ NOTHING = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [])
 
 
 @pytest.fixture(scope="module")
-def known() -> MapPicture:
-    return MapPicture.of(scene.map_picture(scene.drawing(1), sigma_m=0.5))
+def known() -> MapImage:
+    return MapImage.of(scene.map_image(scene.drawing(1), sigma_m=0.5))
 
 
 def _seen(seed: int, sigma: Array = SIGMA, on: float = 0.0) -> tuple[Array, Prior, Image, Image]:
-    """Place, prior, left picture, and what the right camera sees; on: so many m farther north, the prior off by the same."""
+    """Place, prior, left image, and what the right camera sees; on: so many m farther north, the prior off by the same."""
     rng = np.random.default_rng(seed)
     p_n, R_nb, prior = scene.flight(rng, sigma)
     step = np.array([on, 0.0, 0.0])
@@ -37,7 +37,7 @@ def _seen(seed: int, sigma: Array = SIGMA, on: float = 0.0) -> tuple[Array, Prio
     return p_n, prior, left, right
 
 
-def test_a_good_prior_gets_a_registration(known: MapPicture) -> None:
+def test_a_good_prior_gets_a_registration(known: MapImage) -> None:
     p_n, prior, left, right = _seen(1)
     result = Recognisers(scene.RIG, NOTHING, known).process(left, right, 7, prior)
     assert result.fix is not None
@@ -53,7 +53,7 @@ def test_a_good_prior_gets_a_registration(known: MapPicture) -> None:
     assert result.report.candidates / result.report.regions == pytest.approx(result.fix.similarity)
 
 
-def test_a_wide_prior_gets_features(known: MapPicture) -> None:
+def test_a_wide_prior_gets_features(known: MapImage) -> None:
     p_n, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.2]))
     result = Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, prior)
     assert result.fix is not None
@@ -61,7 +61,7 @@ def test_a_wide_prior_gets_features(known: MapPicture) -> None:
     assert np.linalg.norm(result.fix.p_n - p_n) < 2.0
 
 
-def test_the_right_camera_alone(known: MapPicture) -> None:
+def test_the_right_camera_alone(known: MapImage) -> None:
     p_n, prior, _, right = _seen(3)
     fixes = [Recognisers(scene.RIG, NOTHING, known).process(left, right, 7, prior).fix for left in (None, np.zeros_like(right))]
     for fix in fixes:
@@ -69,23 +69,23 @@ def test_the_right_camera_alone(known: MapPicture) -> None:
         assert np.linalg.norm(fix.p_n - p_n) < 1.0, "taken for the left camera it would be off by more in its own frame"
 
 
-def test_no_picture_or_no_prior_is_the_pipelines_word(known: MapPicture) -> None:
+def test_no_image_or_no_prior_is_the_pipelines_word(known: MapImage) -> None:
     _, prior, left, _ = _seen(4)
     both = Recognisers(scene.RIG, NOTHING, known)
-    assert both.process(None, None, 7, prior).report.outcome == "no_picture"
-    assert both.process(np.zeros_like(left), None, 7, prior).report.outcome == "no_picture"
+    assert both.process(None, None, 7, prior).report.outcome == "no_image"
+    assert both.process(np.zeros_like(left), None, 7, prior).report.outcome == "no_image"
     lost = Prior(prior.p_n * np.nan, prior.q_nb_wxyz, prior.covariance)
     assert both.process(left, None, 7, lost).report.outcome == "no_prior"
     assert Recognisers(scene.RIG, NOTHING).process(left, None, 7, prior).report.outcome == "no_landmark_near"
 
 
-def test_a_place_outside_the_picture_is_said(known: MapPicture) -> None:
+def test_a_place_outside_the_image_is_said(known: MapImage) -> None:
     _, prior, left, _ = _seen(5)
     far = Prior(prior.p_n + np.array([2000.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
     assert Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, far).report.outcome == "outside"
 
 
-def test_defects_do_not_end_the_flight(known: MapPicture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_defects_do_not_end_the_flight(known: MapImage, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise RuntimeError("broken")
 
@@ -96,13 +96,13 @@ def test_defects_do_not_end_the_flight(known: MapPicture, monkeypatch: pytest.Mo
 
 
 def _unsure() -> RecogniserConfig:
-    """One picture is never enough, and features and the peak never are."""
+    """One image is never enough, and features and the peak never are."""
     return RecogniserConfig(
         registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6), peak=PeakConfig(deviations=1e9)
     )
 
 
-def test_features_come_in_where_registration_is_not_sure(known: MapPicture) -> None:
+def test_features_come_in_where_registration_is_not_sure(known: MapImage) -> None:
     p_n, prior, left, _ = _seen(1)
     config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
     result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
@@ -111,7 +111,7 @@ def test_features_come_in_where_registration_is_not_sure(known: MapPicture) -> N
     assert np.linalg.norm(result.fix.p_n - p_n) < 2.0
 
 
-def test_a_likely_place_waits_for_a_picture_that_says_the_same(known: MapPicture) -> None:
+def test_a_likely_place_waits_for_an_image_that_says_the_same(known: MapImage) -> None:
     """Of the same view it is no confirmation, however often it comes."""
     waiting = Recognisers(scene.RIG, NOTHING, known, _unsure())
     results = []
@@ -123,7 +123,7 @@ def test_a_likely_place_waits_for_a_picture_that_says_the_same(known: MapPicture
 
 
 @pytest.mark.parametrize(("seconds", "moved"), [(20.0, 0.0), (-1.0, 0.0), (1.0, 6.0)])
-def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapPicture, seconds: float, moved: float) -> None:
+def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapImage, seconds: float, moved: float) -> None:
     _, prior, left, _ = _seen(1)
     waiting = Recognisers(scene.RIG, NOTHING, known, _unsure())
     waiting.process(left, None, 20 * SECOND, prior)
@@ -132,7 +132,7 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapPicture, 
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
 
 
-def test_a_prior_that_excludes_the_place_is_accepted(known: MapPicture) -> None:
+def test_a_prior_that_excludes_the_place_is_accepted(known: MapImage) -> None:
     """Heading known to 2 degrees and 40 off: features still match, and the pose is rejected."""
     _, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.03]))
     turned = so3.multiply(so3.from_euler(0.0, 0.0, 0.7), prior.q_nb_wxyz)
@@ -140,10 +140,10 @@ def test_a_prior_that_excludes_the_place_is_accepted(known: MapPicture) -> None:
     assert result.fix is None
 
 
-def test_the_same_requests_give_the_same_bytes(known: MapPicture) -> None:
+def test_the_same_requests_give_the_same_bytes(known: MapImage) -> None:
     answers = []
     for _ in range(2):
-        again = Recognisers(scene.RIG, NOTHING, MapPicture(known.picture, FeatureMap.of(known.picture)), _unsure())
+        again = Recognisers(scene.RIG, NOTHING, MapImage(known.image, FeatureMap.of(known.image)), _unsure())
         results = [again.process(_seen(s)[2], None, s * SECOND, _seen(s)[1]) for s in (1, 2, 3)]
         answers.append([(msgspec.json.encode(r.report), r.fix.covariance.tobytes() if r.fix else b"") for r in results])
     assert answers[0] == answers[1]

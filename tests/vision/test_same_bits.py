@@ -20,13 +20,13 @@ from vision.pose.observation import distance_from_roof
 from vision.outline.edge_search import search
 
 rng = np.random.default_rng(1)
-picture = rng.integers(60, 100, (480, 640, 3), dtype=np.uint8)
+image = rng.integers(60, 100, (480, 640, 3), dtype=np.uint8)
 along, side = np.linspace(-25.0, 25.0, 20), 31.3
 px, normal, edge = [], [], []
 for roof in range(4):
     centre = 100.0 + 130.0 * np.array([roof, 0.5 * roof])
     u, v = (centre - 30.0).astype(int)
-    picture[v : v + 60, u : u + 60] = rng.integers(140, 200, 3, dtype=np.uint8) + rng.integers(0, 20, (60, 60, 3), dtype=np.uint8)
+    image[v : v + 60, u : u + 60] = rng.integers(140, 200, 3, dtype=np.uint8) + rng.integers(0, 20, (60, 60, 3), dtype=np.uint8)
     for k, n in enumerate(np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])):
         px.append(centre + side * n + along[:, None] * n[::-1])
         normal.append(np.tile(n, (20, 1)))
@@ -34,7 +34,7 @@ for roof in range(4):
 nothing_beside = np.full((32, 2), -1e3)
 edge = np.array(edge)
 distance, usable, hidden = distance_from_roof(
-    picture, np.concatenate(px), np.concatenate(normal), np.ones(320, np.bool_), edge, np.zeros(16, np.int64),
+    image, np.concatenate(px), np.concatenate(normal), np.ones(320, np.bool_), edge, np.zeros(16, np.int64),
     np.ones(16, np.bool_), np.arange(16) // 4, np.full(16, -1), nothing_beside, 16,
 )
 offsets = search(distance, edge, 16, 1.0, usable & ~hidden)

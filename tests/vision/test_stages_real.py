@@ -1,4 +1,4 @@
-"""The stages on recorded pictures, skipped where there are none."""
+"""The stages on recorded images, skipped where there are none."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from vision.describe.regions import Limits, find_regions
 from vision.describe.segment import segment_seeds
 from vision.describe.survey import Settings, Survey, grey, segment_regions, survey
 from vision.image import enhance
-from vision.image.check import picture_flaw
+from vision.image.check import image_flaw
 from vision.image.rectify import rectification
 
 
@@ -87,22 +87,22 @@ def test_flat_things_stand_where_their_true_disparity_says(landfix_data: Path) -
     assert checked >= 4
 
 
-def test_thermal_pictures_have_regions(landfix_data: Path) -> None:
+def test_thermal_images_have_regions(landfix_data: Path) -> None:
     """Nadir thermal frames: cars and people are warm spots; seeds find regions in all of them."""
     for path in sorted((landfix_data / "images/thermal_nadir_hituav").glob("*.jpg")):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         assert image is not None
-        assert picture_flaw(image) is None
+        assert image_flaw(image) is None
         stretched = enhance.stretch(image)
         assert len(find_regions(stretched, segment_seeds(enhance.median(stretched, 5)))) >= 3
 
 
-def test_sixteen_bit_satellite_picture(landfix_data: Path) -> None:
+def test_sixteen_bit_satellite_image(landfix_data: Path) -> None:
     """16-bit panchromatic, values 54 to 6615: a stretch brings contrast, seeds find building-sized regions on footprints."""
     image = cv2.imread(str(landfix_data / "images/spacenet_atlanta_footprints/sample_geotiff.tif"), cv2.IMREAD_UNCHANGED)
     assert image is not None
     assert image.dtype == np.uint16
-    assert picture_flaw(image) is None
+    assert image_flaw(image) is None
     stretched = enhance.stretch(image)
     assert stretched.std() > 40
     regions = find_regions(stretched, segment_seeds(enhance.median(stretched, 5)), Limits(most=60))

@@ -193,20 +193,20 @@ def _sharpen(planes: NDArray[np.uint8], outline: Array, normals: Array) -> tuple
     for i in range(outline.shape[0]):
         nu, nv = normals[i]
         moved[i, 0], moved[i, 1] = outline[i, 0] + 0.5 * nu, outline[i, 1] + 0.5 * nv
-        inside_picture = True
+        inside_image = True
         for k in range(steps):
             s = 0.5 - _REACH + k * _STEP
             u, v = outline[i, 0] + s * nu, outline[i, 1] + s * nv
             a, b = int(np.floor(u)), int(np.floor(v))
             if a < 0 or b < 0 or a + 1 >= width or b + 1 >= height:
-                inside_picture = False
+                inside_image = False
                 break
             fu, fv = u - a, v - b
             for c in range(channels):
                 top = (1.0 - fu) * planes[b, a, c] + fu * planes[b, a + 1, c]
                 low = (1.0 - fu) * planes[b + 1, a, c] + fu * planes[b + 1, a + 1, c]
                 profile[k, c] = (1.0 - fv) * top + fv * low
-        if not inside_picture:
+        if not inside_image:
             continue
         contrast = 0.0
         change[:] = 0.0

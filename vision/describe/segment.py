@@ -28,7 +28,7 @@ Labels: TypeAlias = NDArray[np.uint8]
 
 _BINS = 64  # per channel of the table, and of lightness in a histogram: steps of 4 levels
 _HUES = 90  # of hue in a histogram: steps of 4 degrees
-_REDUCED = 8  # times smaller than the picture: where the level around is taken
+_REDUCED = 8  # times smaller than the image: where the level around is taken
 _LIGHT = 128  # codes: 0..89 a hue, 128..191 a lightness
 
 
@@ -142,7 +142,7 @@ def segment_intensity(image: NDArray[np.uint8], intensity: Intensity | None = No
 
         |f - b| > t,    b = median over a window,    t = max(sigmas 1.4826 median |f - b|, least)
 
-    For pictures (H, W) whose polarity nobody knows: at night a roof is colder than the ground it stands on or, heated, warmer;
+    For images (H, W) whose polarity nobody knows: at night a roof is colder than the ground it stands on or, heated, warmer;
     and the ground itself is warm here and cold there, so no threshold serves the whole image.
     """
     i = intensity or Intensity()

@@ -56,7 +56,7 @@ def survey(left: Image, right: Image, rectification: Rectification, settings: Se
     """What the pair shows, or why it cannot be used. left, right: as the cameras took them, uint8 or uint16, grey or BGR."""
     settings = settings or Settings()
     for name, image in (("left", left), ("right", right)):
-        if flaw := check.picture_flaw(image):
+        if flaw := check.image_flaw(image):
             return f"{name} image: {flaw}"
     if flaw := check.pair_flaw(left, right):
         return flaw

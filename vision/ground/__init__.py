@@ -1,4 +1,4 @@
-"""The map's picture: position by registration with an orthophoto and by features.
+"""The map's image: position by registration with an orthophoto and by features.
 
 Begin with `registration`. May import pose and what is below it.
 """

@@ -1,4 +1,4 @@
-"""Position by features of a georeferenced picture: SIFT and FLANN, and a pose that explains the matches.
+"""Position by features of a georeferenced image: SIFT and FLANN, and a pose that explains the matches.
 
     keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from models.camera import StereoRig
 from models.messages import Array
-from vision.ground.picture import GroundPicture, pyramid
+from vision.ground.image import GroundImage, pyramid
 from vision.ground.view import make_grid
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
@@ -51,22 +51,22 @@ class FeatureConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class FeatureMap:
-    """Keypoints of a map's picture: points (N, 3) in n, descriptors (N, 128)."""
+    """Keypoints of a map's image: points (N, 3) in n, descriptors (N, 128)."""
 
-    picture: GroundPicture
+    image: GroundImage
     x_n: Array
     descriptors: NDArray[np.float32]
 
     @classmethod
-    def of(cls, picture: GroundPicture, config: FeatureConfig | None = None) -> "FeatureMap":
+    def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "FeatureMap":
         """The keypoints of an image; takes about a second for each million pixels."""
         config = config or FeatureConfig()
         level = 0
-        while level < len(picture.pyramid) - 1 and max(picture.pyramid[level].shape) > config.longest_map:
+        while level < len(image.pyramid) - 1 and max(image.pyramid[level].shape) > config.longest_map:
             level += 1
-        px, descriptors = _keypoints(picture.pyramid[level], config.most_in_map)
-        place = px * 2.0**level @ picture.affine[:, :2].T + picture.affine[:, 2]
-        return cls(picture, picture.points(place), descriptors)
+        px, descriptors = _keypoints(image.pyramid[level], config.most_in_map)
+        place = px * 2.0**level @ image.affine[:, :2].T + image.affine[:, 2]
+        return cls(image, image.points(place), descriptors)
 
     def near(self, place_n: Array, radius_m: float) -> NDArray[np.intp]:
         """Rows of the keypoints within a circle about a place (2,)."""
@@ -95,15 +95,15 @@ def recognise(
 ) -> Recognised | NotRecognised:
     """Where the left camera of the rig took the image. The same images give the same answer, to the bit."""
     config = config or FeatureConfig()
-    picture = known.picture
+    map_image = known.image
     camera = rig.left, *rig.camera_pose(prior.p_n, prior.R_nb)
-    grid = make_grid(camera, picture, _GRID)
+    grid = make_grid(camera, map_image, _GRID)
     if grid is None:
         return NotRecognised("no_ground", "the camera does not look at the ground")
     sigma = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:2, :2])[-1]))
     rows = known.near(grid.centre, 0.6 * grid.q * math.hypot(*grid.shape) + _REACH_SIGMA * sigma)
     levels = pyramid(image)
-    level = min(max(int(math.log2(max(picture.pixel_m / grid.camera_m, 1.0))), 0), len(levels) - 1)  # no finer than the map
+    level = min(max(int(math.log2(max(map_image.pixel_m / grid.camera_m, 1.0))), 0), len(levels) - 1)  # no finer than the map
     if len(rows) < config.least:
         return NotRecognised("no_features", f"{len(rows)} in the map about there")
     px, descriptors = _keypoints(levels[level], config.most)
@@ -116,15 +116,15 @@ def recognise(
     agree = _ransac(rig, px, x_n, config.inlier_px * 2.0**level)
     if len(agree) < _FEWEST:
         return NotRecognised("few_inliers", f"{len(agree)} of {len(mine)} matches")
-    sigma_px = _FEATURE_PX * math.hypot(2.0**level, picture.pixel_m / grid.camera_m)
+    sigma_px = _FEATURE_PX * math.hypot(2.0**level, map_image.pixel_m / grid.camera_m)
     pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
     for _ in range(2):  # to the matches that agreed, then to all that do
-        points = _points(rig, pose, px[agree], x_n[agree], sigma_px, picture)
-        fit = fit_points(rig, points, pose, prior, picture.shared_sigma, _POINTS)
+        points = _points(rig, pose, px[agree], x_n[agree], sigma_px, map_image)
+        fit = fit_points(rig, points, pose, prior, map_image.shared_sigma, _POINTS)
         if isinstance(fit, str):
             return NotRecognised("no_pose", f"{fit}, of {len(mine)} matches")
         pose, best = (fit.estimate.joint_p_n, fit.estimate.joint_R_nb), _judged(fit, points, len(mine), rig, config)
-        agree = np.flatnonzero(_distances(rig, pose, px, x_n, sigma_px, picture) < _GATE)
+        agree = np.flatnonzero(_distances(rig, pose, px, x_n, sigma_px, map_image) < _GATE)
     assert best is not None
     return best
 
@@ -184,20 +184,20 @@ def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
 
 
 def _distances(
-    rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, picture: GroundPicture
+    rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage
 ) -> Array:
     """Squared Mahalanobis distance (N,) of the matches from a pose; inf behind the camera."""
     p_nc, R_nc = rig.camera_pose(*pose)
     off = px - rig.left.project((x_n - p_nc) @ R_nc)
     seen = np.isfinite(off).all(axis=1)
     result = np.full(len(px), np.inf)
-    R = _points(rig, pose, px[seen], x_n[seen], sigma_px, picture).R
+    R = _points(rig, pose, px[seen], x_n[seen], sigma_px, map_image).R
     result[seen] = np.einsum("ni,nij,nj->n", off[seen], np.linalg.inv(R), off[seen])
     return result
 
 
-def _points(rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, picture: GroundPicture) -> Points:
+def _points(rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage) -> Points:
     """R = sigma^2 I + (unevenness du/dd)^2: what stands on the ground leans over."""
     p_nc, R_nc = rig.camera_pose(*pose)
-    lean = picture.heights.unevenness_m * (rig.left.project_jacobian((x_n - p_nc) @ R_nc) @ R_nc.T)[:, :, 2]
+    lean = map_image.heights.unevenness_m * (rig.left.project_jacobian((x_n - p_nc) @ R_nc) @ R_nc.T)[:, :, 2]
     return Points(x_n, px, sigma_px**2 * np.eye(2) + lean[:, :, None] * lean[:, None, :])

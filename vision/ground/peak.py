@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 
 from models.camera import StereoRig
-from vision.ground.picture import GroundPicture
+from vision.ground.image import GroundImage
 from vision.ground.registration import Peak
 from vision.identify.identify import Prior
 from vision.pose.point_pose import PointConfig, Points, fit_points
@@ -52,7 +52,7 @@ def peak_flaw(peak: Peak, config: PeakConfig) -> str:
 
 
 def fit_peak(
-    rig: StereoRig, prior: Prior, picture: GroundPicture, peak: Peak, config: PeakConfig | None = None
+    rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
     """The pose by the prior and the place of the peak, or why there is none; measured along two directions only."""
     config = config or PeakConfig()
@@ -64,8 +64,8 @@ def fit_peak(
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     x_c = ((peak.seen_n - p_nc) @ R_nc)[None]
     J = (rig.left.project_jacobian(x_c)[0] @ R_nc.T)[:, :2]
-    point = Points(picture.points(peak.shown_n[None]), rig.left.project(x_c), (J @ C @ J.T)[None])
-    horizontal, height, slope = picture.shared_sigma
-    moved = config.moved * picture.heights.unevenness_m * (1.0 - rho) ** 4
+    point = Points(map_image.points(peak.shown_n[None]), rig.left.project(x_c), (J @ C @ J.T)[None])
+    horizontal, height, slope = map_image.shared_sigma
+    moved = config.moved * map_image.heights.unevenness_m * (1.0 - rho) ** 4
     found = fit_points(rig, point, (prior.p_n, prior.R_nb), prior, (math.hypot(horizontal, moved), height, slope), _POINT)
     return found if isinstance(found, str) else found.estimate

@@ -29,7 +29,7 @@ from scipy.special import betainc
 from models.camera import StereoRig
 from models.messages import Array
 from vision.describe.correspond import sobel
-from vision.ground.picture import Float, GroundPicture, pyramid
+from vision.ground.image import Float, GroundImage, pyramid
 from vision.ground.view import Camera, Grid, Mask, camera_view, make_grid, map_view
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
@@ -140,21 +140,21 @@ class _Matched:
 
 
 def register(
-    rig: StereoRig, image: Image, prior: Prior, picture: GroundPicture, config: RegistrationConfig | None = None
+    rig: StereoRig, image: Image, prior: Prior, map_image: GroundImage, config: RegistrationConfig | None = None
 ) -> Registered | NotRegistered:
     """Where the left camera of the rig took the image. The result is likely or sure by its own is_likely, is_sure."""
     config = config or RegistrationConfig()
     levels = pyramid(image)
-    place = _search(rig, levels, prior, picture, config)
+    place = _search(rig, levels, prior, map_image, config)
     if isinstance(place, NotRegistered):
         return place
     pose = place.p_n, place.R_nb
     fit, matched = None, _Matched.none()
     for points, reach in zip(config.fine, config.search, strict=True):
-        matched = _blocks(rig, levels, pose, picture, (points, reach, config.block))
+        matched = _blocks(rig, levels, pose, map_image, (points, reach, config.block))
         if len(matched.points.px) < _POINTS.least:
             return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a place", place)
-        found = fit_points(rig, matched.points, pose, prior, picture.shared_sigma, _POINTS)
+        found = fit_points(rig, matched.points, pose, prior, map_image.shared_sigma, _POINTS)
         if isinstance(found, str):
             return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}", place)
         fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
@@ -186,14 +186,14 @@ def shift_of_ground(arm_n: Array) -> Array:
 
 
 def _search(
-    rig: StereoRig, levels: tuple[Image, ...], prior: Prior, picture: GroundPicture, config: RegistrationConfig
+    rig: StereoRig, levels: tuple[Image, ...], prior: Prior, map_image: GroundImage, config: RegistrationConfig
 ) -> Peak | NotRegistered:
     """The place, heading and height where the image's structure is most like the map's."""
     camera: Camera = (rig.left, *rig.camera_pose(prior.p_n, prior.R_nb))
-    grid = make_grid(camera, picture, config.coarse)
+    grid = make_grid(camera, map_image, config.coarse)
     if grid is None:
         return NotRegistered("no_ground", "the camera does not look at the ground")
-    ground = picture.points(grid.centre[None])[0]
+    ground = map_image.points(grid.centre[None])[0]
     J = shift_of_ground(ground - prior.p_n)
     to_grid = grid.axes.T / grid.q
     covariance = to_grid @ J @ prior.covariance @ J.T @ to_grid.T
@@ -204,16 +204,16 @@ def _search(
         return NotRegistered("prior_too_wide", f"{reach * grid.q:.0f} m each way, {number} headings and heights")
     yaws, scales = (step * np.arange(-n, n + 1.0) for n in counts)
     turns = [(float(yaw), 1.0 + float(scale)) for yaw, scale in product(yaws, scales) if scale > -0.5]
-    view, seen = camera_view(levels, camera, grid, picture)
+    view, seen = camera_view(levels, camera, grid, map_image)
     mask = cv2.erode(seen.astype(np.float32), np.ones((5, 5)), borderValue=1.0).astype(np.float32)
-    known = map_view(picture, grid, reach)[1]
+    known = map_view(map_image, grid, reach)[1]
     if mask.mean() < 0.2 or known.mean() < 0.5:
         return NotRegistered("outside", f"the map's image shows {known.mean():.0%} of where the camera may look")
     template = structure(view)
     if not template[mask > 0.0].std() > _PLAIN:
         return NotRegistered("no_structure", "the image shows nothing that could be compared")
     inside = _ellipse(covariance, reach, config.reach_sigma)
-    scores = np.stack([_correlation(structure(map_view(picture, grid.turned(*t), reach)[0]), template, mask) for t in turns])
+    scores = np.stack([_correlation(structure(map_view(map_image, grid.turned(*t), reach)[0]), template, mask) for t in turns])
     return _stands_out(np.where(inside, scores, -1.0), inside, turns, grid, ground, prior)
 
 
@@ -295,15 +295,15 @@ def _curvature(rho: Float, i: int, j: int) -> tuple[Array, Array] | None:
 
 
 def _blocks(
-    rig: StereoRig, levels: tuple[Image, ...], pose: tuple[Array, Array], picture: GroundPicture, sizes: tuple[int, int, int]
+    rig: StereoRig, levels: tuple[Image, ...], pose: tuple[Array, Array], map_image: GroundImage, sizes: tuple[int, int, int]
 ) -> _Matched:
     """Blocks of the image, each shifted over the map; sizes: points along the image, of the search, to a block's side."""
     most, reach, side = sizes
     camera: Camera = (rig.left, *rig.camera_pose(*pose))
-    grid = make_grid(camera, picture, most)
+    grid = make_grid(camera, map_image, most)
     if grid is None:
         return _Matched.none()
-    (view, seen), (ground, known) = camera_view(levels, camera, grid, picture), map_view(picture, grid, reach)
+    (view, seen), (ground, known) = camera_view(levels, camera, grid, map_image), map_view(map_image, grid, reach)
     template, image = structure(view), structure(ground)
     rows, columns = (range(n % side // 2, n - side + 1, side) for n in grid.shape)
     found, tried = [], 0
@@ -313,7 +313,7 @@ def _blocks(
             tried += 1
             if peak := _peak(image[around], block):
                 found.append(((x + 0.5 * (side - 1), y + 0.5 * (side - 1)), peak[0] - reach, peak[1]))
-    return _Matched(_as_points(camera, grid, picture, found), tried, grid.q / grid.camera_m) if found else _Matched.none()
+    return _Matched(_as_points(camera, grid, map_image, found), tried, grid.q / grid.camera_m) if found else _Matched.none()
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
@@ -332,16 +332,16 @@ def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
 
 
 def _as_points(
-    camera: Camera, grid: Grid, picture: GroundPicture, found: list[tuple[tuple[float, float], Array, Array]]
+    camera: Camera, grid: Grid, map_image: GroundImage, found: list[tuple[tuple[float, float], Array, Array]]
 ) -> Points:
     """Blocks: their middles in the grid, shifts and covariances -> points of the map and pixels of the camera.
 
     R = J C J^T + (unevenness du/dd)^2: what stands on the ground leans over.
     """
     (model, p_nc, R_nc), (at, shift, covariance) = camera, map(np.array, zip(*found, strict=True))
-    x_c = (picture.points(grid.place(at)) - p_nc) @ R_nc
+    x_c = (map_image.points(grid.place(at)) - p_nc) @ R_nc
     by_n = model.project_jacobian(x_c) @ R_nc.T
     J = by_n[:, :, :2] @ grid.axes * grid.q
-    lean = picture.heights.unevenness_m * by_n[:, :, 2]
+    lean = map_image.heights.unevenness_m * by_n[:, :, 2]
     R = J @ covariance @ J.transpose(0, 2, 1) + lean[:, :, None] * lean[:, None, :]
-    return Points(picture.points(grid.place(at + shift)), model.project(x_c), R)
+    return Points(map_image.points(grid.place(at + shift)), model.project(x_c), R)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from models.camera import CameraModel
 from models.messages import Array
-from vision.ground.picture import Float, GroundPicture, sample
+from vision.ground.image import Float, GroundImage, sample
 from vision.image.rectify import Image
 
 Mask = NDArray[np.bool_]
@@ -50,13 +50,13 @@ class Grid:
         return Grid(self.centre, np.array([[c, -s], [s, c]]) @ self.axes, self.q * scale, self.shape, self.camera_m)
 
 
-def make_grid(camera: Camera, picture: GroundPicture, most: int, finest_m: float = 0.0) -> Grid | None:
+def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float = 0.0) -> Grid | None:
     """A grid over what the camera sees of the ground, at most `most` points long; None where it looks at the sky.
 
     Its points are no closer than the pixels of image and camera are.
     """
     model, _, R_nc = camera
-    places = _footprint(camera, picture)
+    places = _footprint(camera, map_image)
     right = R_nc[:2, 0]
     if places is None or np.linalg.norm(right) < _STEEPEST:
         return None
@@ -66,18 +66,18 @@ def make_grid(camera: Camera, picture: GroundPicture, most: int, finest_m: float
     low, high = along.min(axis=0), along.max(axis=0)
     size = high - low
     camera_m = float(np.sqrt(size[0] * size[1] / (model.width * model.height)))
-    q = max(float(size.max()) / most, camera_m, picture.pixel_m, finest_m)
+    q = max(float(size.max()) / most, camera_m, map_image.pixel_m, finest_m)
     columns, rows = np.maximum(size / q, _LEAST).astype(int).tolist()
     return Grid(axes @ (0.5 * (low + high)), axes, q, (rows, columns), camera_m)
 
 
-def _footprint(camera: Camera, picture: GroundPicture) -> Array | None:
+def _footprint(camera: Camera, map_image: GroundImage) -> Array | None:
     """Places (N, 2) that a raster of the camera's pixels shows."""
     model, p_nc, R_nc = camera
     u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip((model.width, model.height), _RASTER, strict=True)))
     rays = model.ray(np.column_stack((u.ravel(), v.ravel()))) @ R_nc.T
     rays = rays[rays[:, 2] > _STEEPEST]
-    ground = float(picture.heights.at(p_nc[None, :2])[0])
+    ground = float(map_image.heights.at(p_nc[None, :2])[0])
     places = None
     for _ in range(3):  # the ground's height where it is seen
         if len(rays) < _RASTER[0] or not ground - p_nc[2] > 0.0:
@@ -85,21 +85,21 @@ def _footprint(camera: Camera, picture: GroundPicture) -> Array | None:
         reach = (ground - p_nc[2]) / rays[:, 2]
         near = reach < _FARTHEST * reach.min()
         places = p_nc[:2] + rays[near, :2] * reach[near, None]
-        ground = float(np.mean(picture.heights.at(places)))
+        ground = float(np.mean(map_image.heights.at(places)))
     return places
 
 
-def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, picture: GroundPicture) -> tuple[Float, Mask]:
+def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, map_image: GroundImage) -> tuple[Float, Mask]:
     """Grey values (h, w) of the camera's image (pyramid `levels`), and where it shows the ground."""
     model, p_nc, R_nc = camera
-    px = model.project((picture.points(grid.places().reshape(-1, 2)) - p_nc) @ R_nc)
+    px = model.project((map_image.points(grid.places().reshape(-1, 2)) - p_nc) @ R_nc)
     values = sample(levels, px.reshape(*grid.shape, 2), grid.q / grid.camera_m)
     return values, model.contains(px, _BORDER_PX).reshape(grid.shape)
 
 
-def map_view(picture: GroundPicture, grid: Grid, margin: int) -> tuple[Float, Mask]:
+def map_view(map_image: GroundImage, grid: Grid, margin: int) -> tuple[Float, Mask]:
     """Grey values of the georeferenced image, margin points larger on each side, and where there are any."""
     places = grid.places(margin)
     flat = places.reshape(-1, 2)
-    values = sample(picture.pyramid, picture.to_pixels(flat).reshape(places.shape), grid.q / picture.pixel_m)
-    return values, picture.contains(flat).reshape(places.shape[:2])
+    values = sample(map_image.pyramid, map_image.to_pixels(flat).reshape(places.shape), grid.q / map_image.pixel_m)
+    return values, map_image.contains(flat).reshape(places.shape[:2])

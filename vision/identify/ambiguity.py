@@ -1,4 +1,4 @@
-"""Other poses that show the same picture: half or quarter a turn about a symmetric landmark, and the mirrored tilt of a flat one.
+"""Other poses that show the same image: half or quarter a turn about a symmetric landmark, and the mirrored tilt of a flat one.
 
     turn:       p' = c + Z (p - c),  R' = Z R,            Z = exp(pi e_d) or exp(+-pi/2 e_d), c the landmarks' middle
     mirror:     the same, then half a turn about the line of sight, R' = exp(pi u') Z R,  u' = Z u

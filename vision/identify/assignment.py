@@ -53,7 +53,7 @@ class Expected:
 
     x_c (J, 3) and A (J, 3, 7): position in the camera's frame at the prior, and its change with x;  radius_m of the landmark
     log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
-    view: (4,) x/z and y/z limits of the picture: left, right, top, bottom
+    view: (4,) x/z and y/z limits of the image: left, right, top, bottom
     place_c (M, 3): of the regions (NaN: remembered from an earlier image)
     """
 

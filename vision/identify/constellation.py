@@ -4,7 +4,7 @@
 
 Between two images without a fix the prior moves by dead reckoning, so its error stays nearly the same: the image taken then
 and the one taken now are one larger image. Each object stands in it once, with its newest measurement. The weights of
-hypotheses are not multiplied from image to picture: the same object, measured again with the same errors of the map, would be
+hypotheses are not multiplied from image to image: the same object, measured again with the same errors of the map, would be
 counted as new evidence each time.
 """
 

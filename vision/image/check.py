@@ -20,7 +20,7 @@ _LOST_PART = 0.04  # of the rows, one after the other without any change: a deco
 _STEP = 12  # every twelfth pixel is used
 
 
-def picture_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
+def image_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
     """Why an image cannot be used: format, size, black, white, flat, saturated, torn; None if it can.
 
     image (H, W) or (H, W, 3), uint8 or uint16; a camera says what H and W must be.

@@ -1,4 +1,4 @@
-"""Pictures for the coarse search: reduced, without lens distortion, and how they change from pixel to pixel.
+"""Images for the coarse search: reduced, without lens distortion, and how they change from pixel to pixel.
 
     u_s = (u + 1/2) / s - 1/2                         (pixel of the image reduced s times, pixel centres at integers)
 
@@ -30,24 +30,24 @@ _SAMPLE = 5000  # pixels, about, that tell the typical gradient
 
 
 class Level:
-    """A image reduced `size` times as a camera without distortion would have taken it, and its field."""
+    """An image reduced `size` times as a camera without distortion would have taken it, and its field."""
 
-    def __init__(self, size: int, camera: CameraModel, picture: Image, unseen: Mask) -> None:
+    def __init__(self, size: int, camera: CameraModel, image: Image, unseen: Mask) -> None:
         self.size, self.camera, self._unseen = size, camera, unseen
-        self._picture = np.ascontiguousarray(picture if picture.ndim == 3 else picture[:, :, None])
-        height, width = picture.shape[:2]
+        self._image = np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
+        height, width = image.shape[:2]
         self._field = np.empty((height, width, 8), dtype=np.float32)
         self._made = np.zeros((-(-height // _TILE), -(-width // _TILE)), dtype=np.bool_)
 
     def typical(self) -> float:
         """Median length of the gradient, of some thousand pixels."""
         step = max(2, math.isqrt(self._made.size * _TILE**2 // _SAMPLE))
-        return float(np.median(_lengths(self._picture, self._unseen, step)))
+        return float(np.median(_lengths(self._image, self._unseen, step)))
 
     def whole(self) -> Field:
         """All of the field."""
         for y, x in np.argwhere(~self._made):
-            _fill(self._field, self._picture, self._unseen, y * _TILE, x * _TILE)
+            _fill(self._field, self._image, self._unseen, y * _TILE, x * _TILE)
         self._made[:] = True
         return self._field
 
@@ -58,13 +58,13 @@ class Level:
 
     def around(self, boxes: Indices) -> Field:
         """The field in boxes (N, 4) of pixels: from and to, with both, in u, then in v."""
-        _make(self._field, self._made, self._picture, self._unseen, boxes)
+        _make(self._field, self._made, self._image, self._unseen, boxes)
         return self._field
 
 
-def levels(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
-    """One level for each size, sizes rising and each a multiple of the one before. picture: uint8, grey or BGR."""
-    made, reduced, before = [], picture, 1
+def levels(image: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
+    """One level for each size, sizes rising and each a multiple of the one before. image: uint8, grey or BGR."""
+    made, reduced, before = [], image, 1
     for size in sizes:
         shape = (camera.width // size, camera.height // size)
         reduced = cv2.resize(reduced, shape, interpolation=cv2.INTER_AREA) if size > before else reduced
@@ -96,7 +96,7 @@ def _reached(camera: Array, width: int, height: int, aimed: Array, su: tuple[flo
 
 
 @njit(cache=True)
-def _make(field: Field, made: Mask, picture: Image, unseen: Mask, boxes: Indices) -> None:
+def _make(field: Field, made: Mask, image: Image, unseen: Mask, boxes: Indices) -> None:
     """Make the tiles that boxes (N, 4) touch."""
     rows, columns = field.shape[0], field.shape[1]
     for left, right, top, bottom in boxes:
@@ -106,20 +106,20 @@ def _make(field: Field, made: Mask, picture: Image, unseen: Mask, boxes: Indices
             for x in range(max(left, 0) // _TILE, min(right, columns - 1) // _TILE + 1):
                 if not made[y, x]:
                     made[y, x] = True
-                    _fill(field, picture, unseen, y * _TILE, x * _TILE)
+                    _fill(field, image, unseen, y * _TILE, x * _TILE)
 
 
 @njit(cache=True)
-def _fill(field: Field, picture: Image, unseen: Mask, top: int, left: int) -> None:
+def _fill(field: Field, image: Image, unseen: Mask, top: int, left: int) -> None:
     """The field of one tile."""
-    rows, columns, channels = picture.shape
+    rows, columns, channels = image.shape
     for y in range(top, min(top + _TILE, rows)):
         above, below = _beside(y, rows)
         for x in range(left, min(left + _TILE, columns)):
             before, after = _beside(x, columns)
             square = np.float32(0.0)
             for c in range(3):
-                du, dv = gradient(picture, above, y, below, before, x, after, c) if c < channels else (_NONE, _NONE)
+                du, dv = gradient(image, above, y, below, before, x, after, c) if c < channels else (_NONE, _NONE)
                 field[y, x, c], field[y, x, 3 + c] = du, dv
                 square += du * du + dv * dv
             field[y, x, 6] = _UNSEEN if unseen[y, x] else np.sqrt(square)
@@ -133,19 +133,19 @@ def _beside(at: int, size: int) -> tuple[int, int]:
 
 @njit(cache=True)
 def gradient(
-    picture: Image, above: int, y: int, below: int, before: int, x: int, after: int, c: int
+    image: Image, above: int, y: int, below: int, before: int, x: int, after: int, c: int
 ) -> tuple[np.float32, np.float32]:
     """Sobel's derivatives of one channel at a pixel."""
-    nw, n, ne = np.int32(picture[above, before, c]), np.int32(picture[above, x, c]), np.int32(picture[above, after, c])
-    w, e = np.int32(picture[y, before, c]), np.int32(picture[y, after, c])
-    sw, s, se = np.int32(picture[below, before, c]), np.int32(picture[below, x, c]), np.int32(picture[below, after, c])
+    nw, n, ne = np.int32(image[above, before, c]), np.int32(image[above, x, c]), np.int32(image[above, after, c])
+    w, e = np.int32(image[y, before, c]), np.int32(image[y, after, c])
+    sw, s, se = np.int32(image[below, before, c]), np.int32(image[below, x, c]), np.int32(image[below, after, c])
     return _SOBEL * np.float32(ne + 2 * e + se - nw - 2 * w - sw), _SOBEL * np.float32(sw + 2 * s + se - nw - 2 * n - ne)
 
 
 @njit(cache=True)
-def _lengths(picture: Image, unseen: Mask, step: int) -> Plane:
+def _lengths(image: Image, unseen: Mask, step: int) -> Plane:
     """Length of the gradient at every step-th pixel of every step-th row."""
-    rows, columns, channels = picture.shape
+    rows, columns, channels = image.shape
     lengths = np.empty(((rows + step - 1) // step, (columns + step - 1) // step), dtype=np.float32)
     for y in range(0, rows, step):
         above, below = _beside(y, rows)
@@ -153,7 +153,7 @@ def _lengths(picture: Image, unseen: Mask, step: int) -> Plane:
             before, after = _beside(x, columns)
             square = np.float32(0.0)
             for c in range(channels):
-                du, dv = gradient(picture, above, y, below, before, x, after, c)
+                du, dv = gradient(image, above, y, below, before, x, after, c)
                 square += du * du + dv * dv
             lengths[y // step, x // step] = _UNSEEN if unseen[y, x] else np.sqrt(square)
     return lengths

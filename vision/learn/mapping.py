@@ -208,7 +208,7 @@ class Mapper:
         self._prior = np.diag([0.0, 0.0, self.config.roof_sigma_m**-2])
 
     def add(self, looks: Sequence[Look]) -> None:
-        """The looks of one picture: each belongs to a thing seen before, or is the first of a new one."""
+        """The looks of one image: each belongs to a thing seen before, or is the first of a new one."""
         chosen = self._associated(looks)
         for one, k in zip(looks, chosen, strict=True):
             if k < 0:

@@ -20,7 +20,7 @@ from vision.image.rectify import Image, Maps, Mask, Rectification, rectification
 from vision.odometry.corners import corners
 from vision.odometry.motion import Geometry, Motion, Plane, Solution, solve
 from vision.odometry.tracks import coarse_columns, stereo, temporal
-from vision.records.pictures import usable
+from vision.records.images import usable
 
 _MEAN, _SPREAD, _MOST_GAIN = 128.0, 45.0, 10.0  # grey levels of a normalised image
 _EVERY: Final = 4  # px: of these alone mean and spread are computed
@@ -120,15 +120,15 @@ class StereoOdometry:
 
     def frame(self, left: Image | None, right: Image | None) -> Frame | str:
         """A raw pair as step() takes it, or what is wrong with it."""
-        pictures = usable(left, None if self._raw.one_camera else right, self._raw)
-        if isinstance(pictures, str):
-            return pictures
-        if pictures.left is None:
-            return pictures.remark.removesuffix("; ")
+        images = usable(left, None if self._raw.one_camera else right, self._raw)
+        if isinstance(images, str):
+            return images
+        if images.left is None:
+            return images.remark.removesuffix("; ")
         maps = self._rectification
         return Frame(
-            _normalised(pictures.left, maps.left),
-            None if pictures.right is None else _normalised(pictures.right, maps.right),
+            _normalised(images.left, maps.left),
+            None if images.right is None else _normalised(images.right, maps.right),
         )
 
     def step(self, first: Frame, second: Frame, prediction: Prediction) -> Step:

@@ -56,17 +56,17 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
     lines: of the same points in each image; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
     opened: (K, E) px^2, further variance of the offsets.
     """
-    c, pictures, edges = config, len(lines), len(kind)
+    c, images, edges = config, len(lines), len(kind)
     scatter = np.array([_scatter(one.square, one.points, c.edge_points, c.least_px) for one in lines])
     inflation = _inflation(lines, edge, scatter, config)
     floors, shares = (c.offset_px, c.tilt_px), (c.offset_share, c.tilt_share)
     common = [
         _common(s, kind, o, floors, shares, (c.base_px, c.upright_px, c.spot_px)) for s, o in zip(scatter, opened, strict=True)
     ]
-    covariance = np.zeros((edges, pictures, 2, pictures, 2))
+    covariance = np.zeros((edges, images, 2, images, 2))
     for k, one in enumerate(lines):
         covariance[:, k, :, k] = _filled(inflation * scatter[k] ** 2, one.unit, common[k])
-    if pictures == 2:
+    if images == 2:
         rho, shared = _correlation(lines[0], lines[1], edge, scatter, config), _shared(lines[0].gain, lines[1].gain, edge, edges)
         both = c.both * np.sqrt(common[0] * common[1])
         between = _filled(inflation * rho * scatter[0] * scatter[1], shared, both)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _CLIPPED = 253.0  # grey values from here on may have been cut off by the sensor
@@ -23,13 +23,13 @@ _ALIKE, _DARKER = 0.96, 0.8  # the same colour (cosine), in a shadow
 
 
 @njit(cache=True)
-def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float, width: int, usable: Mask) -> Array:
-    """Values (N, 2 half + 1, C) of picture (H, W, C) at px + s normal, s = -half step ... half step; bilinear.
+def profiles(image: Image, px: Array, normal: Array, half: int, step: float, width: int, usable: Mask) -> Array:
+    """Values (N, 2 half + 1, C) of image (H, W, C) at px + s normal, s = -half step ... half step; bilinear.
 
     px, normal: (N, 2); width: neighbours along the edge, 1 px apart, that are averaged. usable (N,) is cleared where a profile
     leaves the image.
     """
-    rows, columns, channels = picture.shape
+    rows, columns, channels = image.shape
     n, size = px.shape[0], 2 * half + 1
     values = np.zeros((n, size, channels), dtype=np.float64)
     for i in range(n):
@@ -52,10 +52,10 @@ def profiles(picture: Picture, px: Array, normal: Array, half: int, step: float,
                 w00, w01, w10, w11 = (1.0 - fv) * (1.0 - fu), (1.0 - fv) * fu, fv * (1.0 - fu), fv * fu
                 for c in range(channels):
                     values[i, j, c] += (
-                        w00 * picture[row, column, c]
-                        + w01 * picture[row, column + 1, c]
-                        + w10 * picture[row + 1, column, c]
-                        + w11 * picture[row + 1, column + 1, c]
+                        w00 * image[row, column, c]
+                        + w01 * image[row, column + 1, c]
+                        + w10 * image[row + 1, column, c]
+                        + w11 * image[row + 1, column + 1, c]
                     )
             for c in range(channels):
                 values[i, j, c] /= width

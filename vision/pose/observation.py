@@ -85,7 +85,7 @@ class Look:
 
     @property
     def numbers(self) -> int:
-        """Directions that are measured, over all pictures: a small landmark has two, an edge the one across it."""
+        """Directions that are measured, over all images: a small landmark has two, an edge the one across it."""
         return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
 
     def off(self, line: Array) -> Array:
@@ -228,10 +228,10 @@ def _regressors(tau: Array, normal: Array, of_spot: Mask) -> Array:
 
 @njit(cache=True)
 def _dependence(
-    A: Array, picture: int, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array,
+    A: Array, image: int, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array,
     map_column: Indices, bc: Array, rc: Array, own_root: Array, own_skipped: int,
 ) -> None:  # fmt: skip
-    """Fill A (E, K, 2, 6 + P) of one picture: by the pose, by errors of map and rig in units of their standard deviations.
+    """Fill A (E, K, 2, 6 + P) of one image: by the pose, by errors of map and rig in units of their standard deviations.
 
     rows (N, 18 + M), own (N, 4 + n): Derivatives of the points, gain (N, 2): from points to lines; map_column (L M,): where in P
     errors of the map stand, -1: exact; then follow those of camera on body, right against left camera, left and right camera.
@@ -241,29 +241,29 @@ def _dependence(
     for e in range(len(A)):
         for i in range(2):
             for m in range(POSE):
-                A[e, picture, i, m] = by_line[e, i, m]
+                A[e, image, i, m] = by_line[e, i, m]
             for m in range(errors):
                 column = map_column[landmark[e] * errors + m]
                 if column >= 0:
-                    A[e, picture, i, POSE + column] = by_line[e, i, MAPPED_FROM + m] * map_sigma[landmark[e], m]
+                    A[e, image, i, POSE + column] = by_line[e, i, MAPPED_FROM + m] * map_sigma[landmark[e], m]
     at = POSE
     for m in range(len(map_column)):
         at += map_column[m] >= 0
     for part in range(3):  # camera on body, right against left camera, this camera's own
         root, first = (bc, 6) if part == 0 else ((rc, 12) if part == 1 else (own_root, 0))
         at += own_skipped if part == 2 else 0
-        _through(by_own if part == 2 else by_line, first, root, A, picture, at)
+        _through(by_own if part == 2 else by_line, first, root, A, image, at)
         at += root.shape[1]
 
 
 @njit(cache=True)
-def _through(rows: Array, first: int, root: Array, A: Array, picture: int, at: int) -> None:
+def _through(rows: Array, first: int, root: Array, A: Array, image: int, at: int) -> None:
     """A (E, image, 2, at ...) = rows (E, 2, first ...) root (n, r)."""
     for e in range(len(A)):
         for i in range(2):
             for j in range(root.shape[1]):
                 for k in range(root.shape[0]):
-                    A[e, picture, i, at + j] += rows[e, i, first + k] * root[k, j]
+                    A[e, image, i, at + j] += rows[e, i, first + k] * root[k, j]
 
 
 def _sigmas(mark: Landmark) -> tuple[float, ...]:

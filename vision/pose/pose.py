@@ -67,7 +67,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class NoPose:
     """Why there is no pose."""
 
-    reason: str  # no_picture | too_few_edges | not_found | residual | diverged | ambiguous
+    reason: str  # no_image | too_few_edges | not_found | residual | diverged | ambiguous
     detail: str = ""
 
 
@@ -183,7 +183,7 @@ def estimate_pose(
     config = config or PoseConfig()
     scene = Scene(rig, views, landmarks)
     if not landmarks or all(image is None for image in scene.images):
-        return NoPose("no_picture" if landmarks else "too_few_edges")
+        return NoPose("no_image" if landmarks else "too_few_edges")
     try:
         return _decided(scene, start, prior, shift_m, config, landmarks)
     except np.linalg.LinAlgError as error:
@@ -281,16 +281,16 @@ def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
 
 def _system(seen: Look, R: Array, *more: Array) -> System:
     """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
-    edges, pictures = seen.found.shape
-    rows = 2 * pictures
+    edges, images = seen.found.shape
+    rows = 2 * images
     A = (np.concatenate((seen.A, *more), axis=3) if more else seen.A).reshape(edges, rows, -1)
     return System.of(seen.line.reshape(edges, rows), A, R.reshape(edges, rows, rows), np.repeat(seen.found, 2, axis=1))
 
 
 def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     """With a rough covariance, edges reweighted."""
-    edges, pictures = seen.found.shape
-    R = np.zeros((edges, pictures, 2, pictures, 2))
+    edges, images = seen.found.shape
+    R = np.zeros((edges, images, 2, images, 2))
     for k, line in enumerate(seen.lines):
         variance = common_px**2
         R[:, k, :, k] = 0.5 * variance * line.unit  # variance (unit / 2 + diag(1, 1/2)) + diag(opened, 0)

@@ -44,7 +44,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class EdgeView:
-    """Samples in one picture: px (N, 2), unit normal (N, 2), row_c (N, 3) = n . du/dx_camera, x_c (N, 3) in this camera."""
+    """Samples in one image: px (N, 2), unit normal (N, 2), row_c (N, 3) = n . du/dx_camera, x_c (N, 3) in this camera."""
 
     px: Array
     normal: Array

@@ -110,7 +110,7 @@ class Search:
         self.map_sigma = np.array([mark.sigma_m for mark in landmarks])
         self.information = motion.prior.information
 
-    def candidates(self, picture: Image) -> list[Candidate]:
+    def candidates(self, image: Image) -> list[Candidate]:
         """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
         sizes = self._sizes()
         size = sizes[-1]
@@ -118,7 +118,7 @@ class Search:
         stages = [
             Stage(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
             for level, each in zip(
-                levels(picture, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
+                levels(image, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
             )
         ]
         fine, middle, wide = stages[0], stages[len(stages) // 2], stages[-1]

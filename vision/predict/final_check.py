@@ -53,7 +53,7 @@ _REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is 
 class Recheck:
     """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
 
-    pictures: the same of each image that is there.
+    images: the same of each image that is there.
     stands (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
     covered: share of all roofs in view that something covers, or where there is no roof, in every image.
     apart: (du, dv) of right against left image, px, and its standard deviation; None where too little is in both.
@@ -61,7 +61,7 @@ class Recheck:
 
     share: Array
     stands: Array
-    pictures: tuple[float, ...]
+    images: tuple[float, ...]
     covered: float
     apart: tuple[float, float, float] | None
 
@@ -102,13 +102,13 @@ def recheck(
     for k, ((eye, _), one) in enumerate(zip(shown, seen, strict=True)):
         slack = _OF_MAP * eye.camera.fx * outline_sigma
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
-    pictures = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
+    images = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
     stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), np.where(spot, int(Kind.SPOT), edges.kind))
     found, given = found.sum(axis=0), given.sum(axis=0)
     share, small = np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), np.unique(edges.landmark[spot])
     stands[small] = spots_missed(stands[small], share[small])
-    return Recheck(share, stands, pictures, float(hidden.sum() / max(asked.sum(), 1)), apart)
+    return Recheck(share, stands, images, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
 def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:

@@ -28,7 +28,7 @@ from vision.predict.coarse_search import Candidate
 from vision.predict.final_check import Recheck, recheck
 from vision.predict.motion import straight
 from vision.predict.verify import Fitted, VerifyConfig, place_odds
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.records.reports import pose_flaw
 
 Views = tuple[Image | None, Image | None]
@@ -78,25 +78,25 @@ class Fitter:
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(
-        self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
+        self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
     ) -> Fitted | str:
         """The fit from a position, or why there is none; among: landmarks (L,) that may take part, all by default."""
         first = [k for k in sorted(self._most_seen(place)) if among is None or among[k]]
-        return self._settled(marks, place, _start(pictures, place, first, first), prior)
+        return self._settled(marks, place, _start(images, place, first, first), prior)
 
-    def fit_one(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:
+    def fit_one(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:
         """The likeliest fit from one landmark of those with most votes, where all of them together give none."""
         asked = self._most_seen(place)
-        tried = [self._settled(marks, place, _start(pictures, place, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]]
+        tried = [self._settled(marks, place, _start(images, place, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]]
         fits = [one for one in tried if isinstance(one, Fitted)]
         return max(fits, key=lambda one: one.odds, default=None)
 
-    def joined(self, pictures: Pictures, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
+    def joined(self, images: Images, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
         """The fit from that position with all landmarks seen that stand where it says; itself where it has them already.
 
         More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
         """
-        views: Views = (pictures.left, None if fitted.remark else pictures.right)
+        views: Views = (images.left, None if fitted.remark else images.right)
         fit, shift_m = fitted.pose, place.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m
         more, known = [], fit
@@ -151,7 +151,7 @@ class Fitter:
                 kept = float(place.length[chosen].sum() / place.length[self._answering(place, chosen, asked)].sum())
                 middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
                 odds = self._odds(views, marks, place, chosen, fit, seen, prior)
-                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.pictures), middles, odds)
+                return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.images), middles, odds)
         return f"{remark}the landmarks do not agree"
 
     def _estimated(
@@ -215,8 +215,8 @@ class Fitter:
                 return f"rows differ by {dv:+.1f} px: wrong calibration, or images not taken together"
             if abs(du) > limit:
                 return f"disparities are off by {du:+.1f} px: swapped, moved, or not taken together"
-        if len(seen.pictures) == 2 and min(seen.pictures) < _LEAST_SHARE * max(seen.pictures):
-            return f"{seen.pictures[0]:.0%} of the outlines found in the left image, {seen.pictures[1]:.0%} in the right one"
+        if len(seen.images) == 2 and min(seen.images) < _LEAST_SHARE * max(seen.images):
+            return f"{seen.images[0]:.0%} of the outlines found in the left image, {seen.images[1]:.0%} in the right one"
         return ""
 
     def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
@@ -226,8 +226,8 @@ class Fitter:
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
 
 
-def _start(pictures: Pictures, place: Candidate, chosen: list[int], asked: list[int]) -> _Start:
-    return _Start(place.pose, place.shift_m, chosen, asked, (pictures.left, pictures.right))
+def _start(images: Images, place: Candidate, chosen: list[int], asked: list[int]) -> _Start:
+    return _Start(place.pose, place.shift_m, chosen, asked, (images.left, images.right))
 
 
 def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:

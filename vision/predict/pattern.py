@@ -28,7 +28,7 @@ from vision.predict.coarse_search import CoarseConfig, limit_px
 from vision.predict.edge_points import chromas, voters
 from vision.predict.joint_score import Summit, joint_score, summit
 from vision.predict.motion import Motion
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.records.reports import Result, fix_of, pose_flaw
 
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
@@ -45,15 +45,15 @@ _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no res
 
 
 def judged(
-    result: Result, rig: StereoRig, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig
+    result: Result, rig: StereoRig, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig
 ) -> Result:
     """What predict and verify says, beside the pattern of all outlines."""
-    eye = eyes(rig)[int(pictures.only_right)]
-    best = best_shift(eye, pictures, marks, move, config) if _only_shifts(eye, move, config) else None
+    eye = eyes(rig)[int(images.only_right)]
+    best = best_shift(eye, images, marks, move, config) if _only_shifts(eye, move, config) else None
     if best is None:
         return result
     if result.pose is None:
-        return _as_fix(result, one_eyed(rig, right=pictures.only_right), marks, move, best) if best.ratio >= SURE else result
+        return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best) if best.ratio >= SURE else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
     if off_px > _APART_PX:
@@ -69,11 +69,11 @@ def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
 
 
-def best_shift(eye: Eye, pictures: Pictures, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
+def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
     """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the image."""
-    picture = pictures.right if pictures.only_right else pictures.left
-    assert picture is not None
-    level = levels(picture, eye.camera, (1,))[0]
+    image = images.right if images.only_right else images.left
+    assert image is not None
+    level = levels(image, eye.camera, (1,))[0]
     reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
     straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
     seen = voters(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)

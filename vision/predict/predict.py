@@ -31,7 +31,7 @@ from vision.predict.coarse_search import Candidate, CoarseConfig, Search, limit_
 from vision.predict.fit import Fitter
 from vision.predict.motion import Motion, motion, roofs_in_view, straight
 from vision.predict.verify import Evidence, Fitted, Grade, VerifyConfig, Waiting
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.records.reports import RegionReport, Result, fix_of, report_of
 
 Indices = NDArray[np.int64]
@@ -69,7 +69,7 @@ class _Decided(NamedTuple):
 
 
 class PredictPath:
-    """Pictures of one rig, looked at where the prior says."""
+    """Images of one rig, looked at where the prior says."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
         """gone: share of the map assumed to stand no longer; alone: whether one landmark alone may be a fix."""
@@ -78,115 +78,113 @@ class PredictPath:
         self._waiting = Waiting(config.verify)
         self._alone = alone
 
-    def moves(self, pictures: Pictures, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
+    def moves(self, images: Images, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
         """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
-        eye = self._eye(pictures)
+        eye = self._eye(images)
         marks = _in_view(eye, near, prior, self._limit_px(eye), self._config.most_voting)
         move = motion(eye, marks, prior) if marks else None
         return None if move is None else (marks, move)
 
-    def narrow(self, pictures: Pictures, move: Motion, share: float = _BEYOND) -> bool:
+    def narrow(self, images: Images, move: Motion, share: float = _BEYOND) -> bool:
         """Whether 3 sigma of the shift lie within `share` of the search's limit, and those of the turn within its own."""
         c, sigmas = self._config.coarse, self._config.coarse.sigmas
         shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
-        return shift <= share * self._limit_px(self._eye(pictures)) and turn <= 1.2 * math.radians(c.turn_deg)
+        return shift <= share * self._limit_px(self._eye(images)) and turn <= 1.2 * math.radians(c.turn_deg)
 
-    def locate(self, pictures: Pictures, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
+    def locate(self, images: Images, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
         """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
-        eye, candidates = self._eye(pictures), self._candidates(pictures, marks, move)
-        found = self._decide(pictures, marks, candidates, prior)
+        eye, candidates = self._eye(images), self._candidates(images, marks, move)
+        found = self._decide(images, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
         found = self._confirmed(found, marks, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
             said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
                 self._waiting.nothing(t_ns)
-            report = report_of(t_ns, found.outcome, f"{pictures.remark}predicted: {found.detail}", said)
+            report = report_of(t_ns, found.outcome, f"{images.remark}predicted: {found.detail}", said)
             return Result(None, report, tuple(said))
         self._waiting.fixed(found.fitted, t_ns, prior)
         fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
         said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
         used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
-        detail = f"{pictures.remark}{found.fitted.remark}predicted: {used}"
+        detail = f"{images.remark}{found.fitted.remark}predicted: {used}"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
 
-    def stands_out(self, pictures: Pictures, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
+    def stands_out(self, images: Images, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
         """Whether a position is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
 
         One that would not be accepted by itself is not.
         """
         if len(steps) > _MOST_STEPS:
             return False
-        eye, v = self._eye(pictures), self._config.verify
+        eye, v = self._eye(images), self._config.verify
         p_0, q_0 = np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float)
         R_nb, q_nb = here.joint_R_nb, so3.from_matrix(here.joint_R_nb)
         beside = [here.joint_p_n + step for step in (np.zeros(3), *steps)]
         shown = [_in_view(eye, near, Prior(p_n, q_nb, prior.covariance), 0.0, self._config.most_voting) for p_n in beside]
         marks = list({mark.id: mark for some in shown for mark in some}.values())
         places = [Candidate.as_mapped(eye, marks, (p_n, R_nb), difference(p_n, R_nb, p_0, q_0)) for p_n in beside]
-        fits = [self._fit_at(pictures, marks, place, prior) for place in places]
+        fits = [self._fit_at(images, marks, place, prior) for place in places]
         first, likeliest = fits[0], verify.decided(fits, v)
         if isinstance(first, str) or isinstance(likeliest, str):
             return False
         return first.odds >= v.odds and verify.same_place(likeliest, first, v)
 
-    def _fit_at(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+    def _fit_at(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a position, of one landmark where all of them together give none."""
-        fitted = self._fitter.fit(pictures, marks, place, prior)
-        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(pictures, marks, place, prior) or fitted
+        fitted = self._fitter.fit(images, marks, place, prior)
+        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(images, marks, place, prior) or fitted
 
-    def _candidates(self, pictures: Pictures, marks: list[Landmark], move: Motion) -> list[Candidate]:
+    def _candidates(self, images: Images, marks: list[Landmark], move: Motion) -> list[Candidate]:
         """Places where the outlines may lie, best first."""
-        picture = pictures.right if pictures.only_right else pictures.left
-        assert picture is not None
-        return Search(self._eye(pictures), marks, move, self._config.coarse).candidates(picture)
+        image = images.right if images.only_right else images.left
+        assert image is not None
+        return Search(self._eye(images), marks, move, self._config.coarse).candidates(image)
 
-    def _fit(self, pictures: Pictures, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+    def _fit(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a position; small landmarks are searched once more where the large ones put them.
 
         A prior that is off in tilt puts what is at the image's border many pixels off, farther than a small landmark is large:
         something else would be found in its place.
         """
-        eye, voted = self._eye(pictures), self._trusted(place)
+        eye, voted = self._eye(images), self._trusted(place)
         large = voted & ~small_landmarks.small(marks, eye, place.pose)
         mixed = 0 < large.sum() < voted.sum()
-        known = self._fitter.fit(pictures, marks, place, prior, large) if mixed else ""
+        known = self._fitter.fit(images, marks, place, prior, large) if mixed else ""
         if isinstance(known, str):
-            return self._fitter.fit(pictures, marks, place, prior)
+            return self._fitter.fit(images, marks, place, prior)
         p_n, R_nb = known.pose.joint_p_n, known.pose.joint_R_nb
         move = motion(eye, marks, Prior(p_n, so3.from_matrix(R_nb), known.pose.joint_covariance))
-        for again in self._candidates(pictures, marks, move)[:1] if move else ():
-            every = self._fitter.fit(pictures, marks, again, prior)
+        for again in self._candidates(images, marks, move)[:1] if move else ():
+            every = self._fitter.fit(images, marks, again, prior)
             if isinstance(every, Fitted) and len(every.used) > len(known.used):
                 return every
         return known
 
-    def _decide(
-        self, pictures: Pictures, marks: list[Landmark], candidates: list[Candidate], prior: Prior
-    ) -> _Decided | _Refused:
+    def _decide(self, images: Images, marks: list[Landmark], candidates: list[Candidate], prior: Prior) -> _Decided | _Refused:
         """The one position that is left of those that were searched out, best first: by its votes, and by its fit."""
         if not candidates:
             return _Refused("not_found", "nothing of the outlines in view")
         v, best = self._config.verify, candidates[0]
-        evidence = Evidence.of(candidates, self._trusted(best), self._eye(pictures).camera.width)
+        evidence = Evidence.of(candidates, self._trusted(best), self._eye(images).camera.width)
         if flaw := verify.flaw(evidence, v):
             return _Refused("not_found", flaw)
         likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
         places = candidates[:likely]
-        tried = [self._fit(pictures, marks, place, prior) for place in places]
+        tried = [self._fit(images, marks, place, prior) for place in places]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
             places = [*places, *nearer_and_farther(marks, best, self._trusted(best), prior)]
-            tried += [self._fit(pictures, marks, place, prior) for place in places[likely:]]
+            tried += [self._fit(images, marks, place, prior) for place in places[likely:]]
             outcome = verify.decided(tried, v)
         if not any(isinstance(one, Fitted) for one in tried):
-            tried = [self._fitter.fit_one(pictures, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]
+            tried = [self._fitter.fit_one(images, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]
             outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
         at = next(k for k, one in enumerate(tried) if isinstance(one, Fitted) and one.pose is outcome.pose)
-        outcome = self._fitter.joined(pictures, marks, places[at], outcome, prior)
+        outcome = self._fitter.joined(images, marks, places[at], outcome, prior)
         grade, reason = verify.grade(evidence, outcome, v)
         voted = any(isinstance(one, Fitted) and verify.same_place(one, outcome, v) for one in tried[:likely])
         if grade == "sure" and at >= likely and not voted:
@@ -211,8 +209,8 @@ class PredictPath:
         """Landmarks (L,) that count as seen."""
         return np.asarray(place.support > self._config.verify.landmark_share * np.maximum(place.length, 1.0))
 
-    def _eye(self, pictures: Pictures) -> Eye:
-        return eyes(self._rig)[int(pictures.only_right)]
+    def _eye(self, images: Images) -> Eye:
+        return eyes(self._rig)[int(images.only_right)]
 
     def _limit_px(self, eye: Eye) -> float:
         return limit_px(eye.camera, self._config.coarse)
@@ -220,7 +218,7 @@ class PredictPath:
 
 def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
     """A position where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is
-    in the picture: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
+    in the image: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """

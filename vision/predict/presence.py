@@ -38,12 +38,12 @@ _LEAST_POINTS = 2.0  # that have a direction in common
 
 
 @njit(cache=True)
-def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, edges: int, usable: Mask) -> Array:
-    """Sum of u_i of every edge, channel by channel, and the number of its points (E, C + 1), in a picture (H, W, C).
+def across(image: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, edges: int, usable: Mask) -> Array:
+    """Sum of u_i of every edge, channel by channel, and the number of its points (E, C + 1), in an image (H, W, C).
 
     px, normal (N, 2) of the points, edge (N,) theirs; those that are not usable or not in the image do not count.
     """
-    rows, columns, channels = picture.shape
+    rows, columns, channels = image.shape
     total, g = np.zeros((edges, channels + 1)), np.empty(channels)
     for i in range(len(px)):
         if not usable[i]:
@@ -53,9 +53,9 @@ def across(picture: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, 
             continue
         square = 0.0
         for c in range(channels):
-            nw, n, ne = float(picture[y - 1, x - 1, c]), float(picture[y - 1, x, c]), float(picture[y - 1, x + 1, c])
-            w, e = float(picture[y, x - 1, c]), float(picture[y, x + 1, c])
-            sw, s, se = float(picture[y + 1, x - 1, c]), float(picture[y + 1, x, c]), float(picture[y + 1, x + 1, c])
+            nw, n, ne = float(image[y - 1, x - 1, c]), float(image[y - 1, x, c]), float(image[y - 1, x + 1, c])
+            w, e = float(image[y, x - 1, c]), float(image[y, x + 1, c])
+            sw, s, se = float(image[y + 1, x - 1, c]), float(image[y + 1, x, c]), float(image[y + 1, x + 1, c])
             du, dv = ne + 2.0 * e + se - nw - 2.0 * w - sw, sw + 2.0 * s + se - nw - 2.0 * n - ne
             g[c] = du * normal[i, 0] + dv * normal[i, 1]
             square += du * du + dv * dv
@@ -83,11 +83,11 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
             h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
         else:
             h, q = (_HIDDEN, _ELSEWHERE) if kind[e] == _ROOF else (_WALL_HIDDEN, _WALL_ELSEWHERE)
-        points, pictures, square = 0.0, 0, 0.0
+        points, images, square = 0.0, 0, 0.0
         for k in range(len(sums)):
             points += sums[k, e, channels]
-            pictures += sums[k, e, channels] != 0.0
-        n = points / max(pictures, 1)
+            images += sums[k, e, channels] != 0.0
+        n = points / max(images, 1)
         if n >= _LEAST_POINTS:
             for c in range(channels):
                 total = 0.0

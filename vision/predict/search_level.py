@@ -72,7 +72,7 @@ class Stage:
         return self.voters.middles(len(self.free))
 
     def own_radius(self) -> float:
-        """px of the picture: of the largest landmark, as Motion.radius of all."""
+        """px of the image: of the largest landmark, as Motion.radius of all."""
         assert self.voters is not None
         mark, pose = self.voters.mark_of_point, self._motion.pose(np.zeros(6))
         r = _seen(self.aimed(pose)) - _seen(self.middles(pose))[mark]

@@ -1,4 +1,4 @@
-"""What became of a pair of pictures: the fix, or why there is none, and one line for each region or landmark."""
+"""What became of a pair of images: the fix, or why there is none, and one line for each region or landmark."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

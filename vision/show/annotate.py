@@ -1,4 +1,4 @@
-"""The left picture with what was measured written beside each region."""
+"""The left image with what was measured written beside each region."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ _SHIFT = 4  # OpenCV draws in sixteenths of a pixel
 
 
 def annotate(image: Image, measured: Sequence[Measured], unmeasured: Sequence[Unmeasured] = ()) -> NDArray[np.uint8]:
-    """BGR picture, twice as large where it is small: outlines, numbers as in the table, width x length and distance."""
+    """BGR image, twice as large where it is small: outlines, numbers as in the table, width x length and distance."""
     scale = 1 if image.shape[1] > 1000 else 2
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)

@@ -1,6 +1,6 @@
-"""The map drawn into a picture from an estimated pose, and how far its outlines lie from the edges that are seen there.
+"""The map drawn into an image from an estimated pose, and how far its outlines lie from the edges that are seen there.
 
-The augmented-reality test as a number: outlines of a true map, projected from a true pose, cover the picture's own edges; what is
+The augmented-reality test as a number: outlines of a true map, projected from a true pose, cover the image's own edges; what is
 left between them, along the normals of the outlines, is the residual in pixels.
 """
 
@@ -18,7 +18,7 @@ from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.outline.visibility import Kind, hidden, visible_edges
 
-Picture = NDArray[np.uint8]
+Canvas = NDArray[np.uint8]
 Bgr = tuple[int, int, int]
 
 IDENTIFIED: Bgr = (90, 230, 80)  # green
@@ -61,9 +61,9 @@ class Residuals:
 
 
 def outline_residuals(
-    picture: Picture, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark], reach_px: float = _REACH_PX
+    image: Canvas, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark], reach_px: float = _REACH_PX
 ) -> list[Residuals]:
-    """Residuals of the roof outlines of those landmarks that are in view, in a picture (H, W) or (H, W, 3).
+    """Residuals of the roof outlines of those landmarks that are in view, in an image (H, W) or (H, W, 3).
 
     Edges are looked for as far as reach_px from the outline: further than the pose may be wrong, and no further.
     """
@@ -80,12 +80,12 @@ def outline_residuals(
     usable &= np.arange(edges.px.shape[1]) % stride[:, None] == 0
     owner = np.repeat(edges.landmark[:, None], edges.px.shape[1], axis=1)[usable]
     px, normal = edges.px[usable], normal[usable]
-    offset = _edge_offsets(picture, px, normal, reach_px)
+    offset = _edge_offsets(image, px, normal, reach_px)
     return [Residuals(landmarks[i].id, px[owner == i], normal[owner == i], offset[owner == i]) for i in np.unique(owner).tolist()]
 
 
-def _edge_offsets(picture: Picture, px: Array, normal: Array, reach_px: float) -> Array:
-    """Where along the normals (N, 2) the picture changes most, px from the points (N, 2); NaN where it hardly changes.
+def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> Array:
+    """Where along the normals (N, 2) the image changes most, px from the points (N, 2); NaN where it hardly changes.
 
     The slope is that of all channels together, averaged over three neighbours along the edge; a parabola gives its summit.
     """
@@ -95,7 +95,7 @@ def _edge_offsets(picture: Picture, px: Array, normal: Array, reach_px: float) -
     if len(px) == 0:
         return np.empty(0)
     u, v = np.moveaxis(places.reshape(len(px), -1, 2), 2, 0).astype(np.float32)
-    values = cv2.remap(picture.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = cv2.remap(image.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     profile = values.reshape(len(px), 3, len(s), -1).mean(axis=1)
     slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2.0 * _STEP_PX)
     at = s[1:-1]
@@ -126,7 +126,7 @@ def expected_px(camera: CameraModel, p_n: Array, p_nc: Array, R_nc: Array, covar
 
 
 def draw_overlay(
-    picture: Picture,
+    image: Canvas,
     camera: CameraModel,
     p_nc: Array,
     R_nc: Array,
@@ -134,13 +134,13 @@ def draw_overlay(
     identified: Collection[str] = (),
     residuals: Sequence[Residuals] = (),
     caption: Sequence[str] = (),
-) -> Picture:
-    """A copy (H, W, 3) of the picture with the landmarks' visible edges and names; identified ones (by id) stand out.
+) -> Canvas:
+    """A copy (H, W, 3) of the image with the landmarks' visible edges and names; identified ones (by id) stand out.
 
     Landmarks whose roofs are not below the camera are left out. residuals are drawn as strokes ten times their length, their
     spread beside the name; caption: lines at the lower left.
     """
-    canvas: Picture = np.array(picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2), order="C")
+    canvas: Canvas = np.array(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), order="C")
     scale = max(1.0, min(canvas.shape[:2]) / 480.0)
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
     lines = _lines(camera, p_nc, R_nc, landmarks)
@@ -159,8 +159,8 @@ def draw_overlay(
     return canvas
 
 
-def add_strip(canvas: Picture, parts: Sequence[str]) -> Picture:
-    """The picture (H, W, 3) with a dark strip of text below, its parts spread evenly; height and width become even for videos."""
+def add_strip(canvas: Canvas, parts: Sequence[str]) -> Canvas:
+    """The image (H, W, 3) with a dark strip of text below, its parts spread evenly; height and width become even for videos."""
     height, width = canvas.shape[:2]
     size = max(11, round(14 * max(1.0, min(height, width) / 480.0)))
     while size > 8 and sum(_text_size(part, size)[0] for part in parts) > 0.95 * width:
@@ -175,7 +175,7 @@ def add_strip(canvas: Picture, parts: Sequence[str]) -> Picture:
 
 
 def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[Landmark]:
-    """Those of the landmarks whose bounding sphere may reach into the picture."""
+    """Those of the landmarks whose bounding sphere may reach into the image."""
     corners = np.array(
         [[0.0, 0.0], [camera.width - 1.0, 0.0], [0.0, camera.height - 1.0], [camera.width - 1.0, camera.height - 1.0]]
     )
@@ -217,7 +217,7 @@ def _edges(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
-    """Per landmark its visible edges in the picture: kind and points (P, 2), cut where they are hidden or out of sight."""
+    """Per landmark its visible edges in the image: kind and points (P, 2), cut where they are hidden or out of sight."""
     lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
     for landmark, kind, px, shown in zip(*_edges(camera, p_nc, R_nc, landmarks), strict=True):
         breaks = np.flatnonzero(~shown)
@@ -227,7 +227,7 @@ def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
     return lines
 
 
-def _draw_lines(canvas: Picture, lines: list[tuple[Kind, Array]], colour: Bgr, width: float) -> None:
+def _draw_lines(canvas: Canvas, lines: list[tuple[Kind, Array]], colour: Bgr, width: float) -> None:
     """Light on dark, so that it shows on any ground; the roof is thicker than the sides."""
     for under in (True, False):
         for kind, px in lines:
@@ -235,7 +235,7 @@ def _draw_lines(canvas: Picture, lines: list[tuple[Kind, Array]], colour: Bgr, w
             cv2.polylines(canvas, [_fixed(px)], False, _DARK if under else colour, thick, cv2.LINE_AA, _SHIFT)
 
 
-def _draw_residuals(canvas: Picture, residual: Residuals, scale: float) -> None:
+def _draw_residuals(canvas: Canvas, residual: Residuals, scale: float) -> None:
     found = np.abs(np.nan_to_num(residual.offset_px)) * _MAGNIFIED > 2.0 * scale  # shorter ones would hide the outline
     start = residual.px[found]
     end = start + _MAGNIFIED * residual.offset_px[found, None] * residual.normal[found]
@@ -259,7 +259,7 @@ def _text_size(text: str, size: int) -> tuple[int, int]:
     return width, round(1.25 * size)
 
 
-def _write(canvas: Picture, text: str, left: int, top: int, size: int, colour: Bgr) -> None:
+def _write(canvas: Canvas, text: str, left: int, top: int, size: int, colour: Bgr) -> None:
     """Text on a darkened ground whose upper left corner is (left, top)."""
     width, height = _text_size(text, size)
     pad = max(2, size // 4)
@@ -268,7 +268,7 @@ def _write(canvas: Picture, text: str, left: int, top: int, size: int, colour: B
     cv2.putText(canvas, text, (left, top + size), colour, _font(), size, 500)
 
 
-def _draw_caption(canvas: Picture, caption: Sequence[str], scale: float) -> list[tuple[int, int, int, int]]:
+def _draw_caption(canvas: Canvas, caption: Sequence[str], scale: float) -> list[tuple[int, int, int, int]]:
     """The lines at the lower left; returns the boxes (left, top, right, bottom) they take."""
     size = round(14 * scale)
     boxes = []
@@ -281,7 +281,7 @@ def _draw_caption(canvas: Picture, caption: Sequence[str], scale: float) -> list
 
 
 def _draw_name(
-    canvas: Picture, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
+    canvas: Canvas, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
 ) -> None:
     """At the middle of the roof as far as it is in view, beside it where the name would hide it, else above or under it; left out
     where there is no room.

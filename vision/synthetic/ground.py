@@ -69,8 +69,8 @@ class Ground:
         )
 
     @classmethod
-    def of_picture(cls, image: NDArray[np.uint8], metres_per_px: float, detail_contrast: float = 0.0) -> Self:
-        """A picture (H, W, 3) taken from above, its middle square mirrored on all sides, north up."""
+    def of_image(cls, image: NDArray[np.uint8], metres_per_px: float, detail_contrast: float = 0.0) -> Self:
+        """An image (H, W, 3) taken from above, its middle square mirrored on all sides, north up."""
         side = min(image.shape[:2])
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         size = 1 << (side - 1).bit_length()

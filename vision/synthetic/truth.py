@@ -1,4 +1,4 @@
-"""What of each landmark is to be seen in a picture: corners, stretches of roof edge, sides, and how much is hidden or cut.
+"""What of each landmark is to be seen in an image: corners, stretches of roof edge, sides, and how much is hidden or cut.
 
 A point is hidden where the line of sight to it passes through a solid: its part between a solid's roof and base, drawn on the
 map, meets the outline. Computed from the prisms alone, independently of the renderer's order of painting.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def mono_command(
     sources: Annotated[
-        list[str], typer.Argument(metavar="IMAGES...", help="Pictures, folders, patterns, a video, a log, or camera:0.")
+        list[str], typer.Argument(metavar="IMAGES...", help="Images, folders, patterns, a video, a log, or camera:0.")
     ],
     out: options.OutFile,
     board: options.BoardSize = "9x6",
@@ -29,7 +29,7 @@ def mono_command(
     lens: options.LensOption = options.LensChoice.FIVE,
     mount: Mount = "",
     mount_sigma: MountSigma = "0.02,1",
-    topic: Annotated[str, typer.Option(help="In a log: the pictures' topic.")] = "/left/image",
+    topic: Annotated[str, typer.Option(help="In a log: the images' topic.")] = "/left/image",
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
@@ -48,8 +48,8 @@ def mono_command(
     """
     from calib.cameras import mono
     from calib.files import formats
-    from calib.report import page, pictures, verdict
-    from estimator.commands.common.picture_source import files_of
+    from calib.report import page, plots, verdict
+    from estimator.commands.common.image_source import files_of
     from estimator.commands.common.views import gather
     from models.camera import StereoRig
 
@@ -63,7 +63,7 @@ def mono_command(
         written = formats.save_camera(out, result.camera)
     else:
         written = formats.save_mounted(out, StereoRig.of_one(result.camera, *placed))
-    written += page.write(report_file or out, f"Camera {out.name}", judged, tables, pictures.mono_figure(result))
+    written += page.write(report_file or out, f"Camera {out.name}", judged, tables, plots.mono_figure(result))
     facts = {
         "rms_px": result.solution.rms, "held_out_rms_px": result.held_out.rms, "held_out_beyond": result.held_out.beyond,
         "camera": _camera(result.camera),
@@ -72,8 +72,8 @@ def mono_command(
 
 
 def stereo_command(
-    left: Annotated[list[str], typer.Option(help="Left pictures: pattern, folder, video, log or camera:0; may be repeated.")],
-    right: Annotated[list[str], typer.Option(help="Right pictures, taken at the same time.")],
+    left: Annotated[list[str], typer.Option(help="Left images: pattern, folder, video, log or camera:0; may be repeated.")],
+    right: Annotated[list[str], typer.Option(help="Right images, taken at the same time.")],
     out: options.OutFile,
     board: options.BoardSize = "9x6",
     square_mm: options.SquareMm = 25.0,
@@ -82,8 +82,8 @@ def stereo_command(
     lens: options.LensOption = options.LensChoice.FIVE,
     mount: Mount = "",
     mount_sigma: MountSigma = "0.02,1",
-    left_topic: Annotated[str, typer.Option(help="In a log: topic of the left pictures.")] = "/left/image",
-    right_topic: Annotated[str, typer.Option(help="In a log: topic of the right pictures.")] = "/right/image",
+    left_topic: Annotated[str, typer.Option(help="In a log: topic of the left images.")] = "/left/image",
+    right_topic: Annotated[str, typer.Option(help="In a log: topic of the right images.")] = "/right/image",
     report_file: options.ReportFile = None,
     json: Json = False,
 ) -> None:
@@ -101,8 +101,8 @@ def stereo_command(
     """
     from calib.cameras import mono, stereo
     from calib.files import formats
-    from calib.report import page, pictures, verdict
-    from estimator.commands.common.picture_source import files_of
+    from calib.report import page, plots, verdict
+    from estimator.commands.common.image_source import files_of
     from estimator.commands.common.views import gather_pairs
 
     options.check_outputs(report_file or out, out, *map(Path, files_of([*left, *right])))
@@ -113,7 +113,7 @@ def stereo_command(
     judged, tables = verdict.of_stereo(result), [*page.stereo_tables(result), page.dropped(unused)]
     rig = _placed(result.rig, placed)
     written = formats.save_rig(out, rig)
-    written += page.write(report_file or out, f"Stereo rig {out.name}", judged, tables, pictures.stereo_figure(result))
+    written += page.write(report_file or out, f"Stereo rig {out.name}", judged, tables, plots.stereo_figure(result))
     facts = _stereo_facts(result, rig) if json else None
     options.tell(judged, tables[:2], [*result.dropped, *unused], written, facts)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from estimator.config import Config
 
 _NOISE = ("density", "density_sigma", "white_from_s", "instability", "instability_sigma", "walk", "walk_sigma")
-_MOST_PICTURES = 6000  # five minutes at 20 Hz
+_MOST_IMAGES = 6000  # five minutes at 20 Hz
 _LEAST_SOUND = 0.99  # of the IMU's samples must be finite; the few others are left out
 
 Log = Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log of the IMU; other recordings: landfix import first.")]
@@ -69,7 +69,7 @@ def camera_imu_command(
     square_mm: options.SquareMm = 25.0,
     marker_mm: options.MarkerMm = 0.0,
     dictionary: options.Dictionary = "DICT_5X5_1000",
-    topic: Annotated[str, typer.Option(help="Topic of the left pictures.")] = "/left/image",
+    topic: Annotated[str, typer.Option(help="Topic of the left images.")] = "/left/image",
     config: ConfigFile = None,
     report_file: options.ReportFile = None,
     json: Json = False,
@@ -98,7 +98,7 @@ def camera_imu_command(
     stereo, pattern, settings = formats.load_rig(rig), options.board_of(board, square_mm, marker_mm, dictionary), _config(config)
     with progress("calibrate") as update:
         recording = _recording(log, settings, lambda f: update(0.05 * f))
-        views, unused = gather([str(log)], topic, pattern, lambda f: update(0.05 + 0.55 * f), _MOST_PICTURES)
+        views, unused = gather([str(log)], topic, pattern, lambda f: update(0.05 + 0.55 * f), _MOST_IMAGES)
         options.check_size(stereo.left, views[0][1])
         stamps = np.array([key for key, _ in views], dtype=np.int64)
         result = camera_imu.calibrate(
@@ -110,7 +110,7 @@ def camera_imu_command(
     )
     written = formats.save_rig(out, placed)
     written += report.write(report_file or out, f"Camera on IMU {out.name}", judged, tables, imu_report.camera_imu_figure(result))
-    without = [Dropped(f"{len(unused)} pictures", "no whole board in view, or blurred")] if unused else []
+    without = [Dropped(f"{len(unused)} images", "no whole board in view, or blurred")] if unused else []
     options.tell(judged, tables, without, written, _camera_imu_facts(result) if json else None)
 
 
@@ -184,5 +184,5 @@ def _camera_imu_facts(result: "CameraImu") -> dict[str, Any]:
     return {
         "R_bc": result.R_bc.tolist(), "p_bc_m": result.p_bc.tolist(), "time_offset_s": result.time_offset_s,
         "covariance": result.covariance.tolist(), "mean_square": result.mean_square, "residual_px": result.residual_px,
-        "pictures": result.pictures,
+        "images": result.images,
     }  # fmt: skip

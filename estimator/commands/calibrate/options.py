@@ -112,5 +112,5 @@ def check_size(camera: "CameraModel", view: "View") -> None:
 
     if (view.width, view.height) != (camera.width, camera.height):
         raise CalibrationError(
-            f"the pictures are {view.width} x {view.height}, the rig was calibrated for {camera.width} x {camera.height}"
+            f"the images are {view.width} x {view.height}, the rig was calibrated for {camera.width} x {camera.height}"
         )

@@ -1,4 +1,4 @@
-"""Views of a board out of pictures, and pairs out of the views of two cameras."""
+"""Views of a board out of images, and pairs out of the views of two cameras."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,17 +7,17 @@ from calib.cameras.mono import Dropped
 from calib.cameras.selection import FEWEST
 from calib.cameras.stereo import Pair
 from calib.errors import CalibrationError
-from estimator.commands.common.picture_source import MOST_FRAMES, Picture, is_live, live, pictures
+from estimator.commands.common.image_source import MOST_FRAMES, SourceImage, is_live, live, read_images
 from vision.image.rectify import Image
 
 Keyed = tuple[int, View]
 
 _SAME_TIME_NS = 5_000_000
-_HINTS = 2  # pictures searched for a board of another size
+_HINTS = 2  # images searched for a board of another size
 
 
 class _Gathered:
-    """The views of a board in the pictures so far, and the pictures that show none."""
+    """The views of a board in the images so far, and the images that show none."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
@@ -26,18 +26,18 @@ class _Gathered:
         self._without: list[Image] = []
         self._shown: list[Image] = []
 
-    def add(self, picture: Picture) -> None:
-        """Look for the board in one more picture."""
-        if picture.fault:
-            self._unused.append(Dropped(picture.name, picture.fault))
+    def add(self, image: SourceImage) -> None:
+        """Look for the board in one more image."""
+        if image.fault:
+            self._unused.append(Dropped(image.name, image.fault))
             return
-        found = find(picture.image, self._board, picture.name)
+        found = find(image.image, self._board, image.name)
         if isinstance(found, View):
-            self._views.append((picture.key, found))
-            self._shown += [picture.image] * (len(self._shown) < _HINTS)
+            self._views.append((image.key, found))
+            self._shown += [image.image] * (len(self._shown) < _HINTS)
         else:
-            self._unused.append(Dropped(picture.name, found.value))
-            self._without += [picture.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
+            self._unused.append(Dropped(image.name, found.value))
+            self._without += [image.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
 
     def checked(self) -> tuple[list[Keyed], list[Dropped]]:
         """Views with their keys, and what was not used. Raises CalibrationError where they are too few or of a larger board."""
@@ -51,23 +51,23 @@ class _Gathered:
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
-    """The views of the board with their keys, and the pictures that show none. Raises CalibrationError where too few do."""
+    """The views of the board with their keys, and the images that show none. Raises CalibrationError where too few do."""
     gathered = _Gathered(board)
-    for picture in pictures(sources, topic, most):
-        gathered.add(picture)
-        progress(picture.done)
+    for image in read_images(sources, topic, most):
+        gathered.add(image)
+        progress(image.done)
     return gathered.checked()
 
 
 def gather_pairs(
     left: Sequence[str], right: Sequence[str], topics: tuple[str, str], board: Board, progress: Callable[[float], None]
 ) -> tuple[list[Pair], list[Dropped]]:
-    """The pairs of views, and the pictures without one; two live cameras take their pictures together."""
+    """The pairs of views, and the images without one; two live cameras take their images together."""
     if [is_live(s) for s in (*left, *right)] == [True, True]:
         sides = _Gathered(board), _Gathered(board)
         for taken in live([*left, *right]):
-            for side, picture in zip(sides, taken, strict=True):
-                side.add(picture)
+            for side, image in zip(sides, taken, strict=True):
+                side.add(image)
             progress(taken[0].done)
         (left_views, left_unused), (right_views, right_unused) = (side.checked() for side in sides)
     else:
@@ -81,9 +81,7 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     """Views of the same key, or nearest in time; and those without a partner. Raises CalibrationError where there are none."""
     keys = dict(right)
     if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
-        raise CalibrationError(
-            "the pictures of one camera carry the same number twice; number them 01, 02, ... as their partners"
-        )
+        raise CalibrationError("the images of one camera carry the same number twice; number them 01, 02, ... as their partners")
     stamps = any(key > 10**15 for key in keys)
     pairs, unpaired = [], []
     for key, view in left:
@@ -96,17 +94,17 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
     if not pairs:
         raise CalibrationError(
             f"{len(left)} left and {len(right)} right views, but no pair among them: "
-            "pictures taken together must carry the same number, or stamps within 5 ms"
+            "images taken together must carry the same number, or stamps within 5 ms"
         )
     return pairs, unpaired
 
 
 def _check_whole(board: Board, shown: Sequence[Image]) -> None:
-    """Refuse a board that is a part of a larger one, the same in all of these pictures: which part, nobody knows."""
+    """Refuse a board that is a part of a larger one, the same in all of these images: which part, nobody knows."""
     size = size_around(shown[0], board) if shown else None
     if size is not None and all(size_around(image, board) == size for image in shown[1:]):
         raise CalibrationError(
-            f"the pictures show a board of {size[0]}x{size[1]} inner corners, not {board.columns}x{board.rows}: is --board right?"
+            f"the images show a board of {size[0]}x{size[1]} inner corners, not {board.columns}x{board.rows}: is --board right?"
         )
 
 
@@ -118,14 +116,12 @@ def _why_few(board: Board, views: int, unused: Sequence[Dropped], sizes: Sequenc
         return f"{unused[0].name}: {unused[0].reason}"
     if blurred > len(unused) / 2 or Why.BLURRED in sizes:
         many = f"{blurred} of {total}" if blurred else "the"
-        return f"{many} pictures are blurred: hold the board still, focus, give more light"
+        return f"{many} images are blurred: hold the board still, focus, give more light"
     if seen and not views:
-        return f"no {size} board in {total} pictures, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
+        return f"no {size} board in {total} images, but one of {seen[0][0]}x{seen[0][1]} inner corners: is --board right?"
     if not views:
-        return (
-            f"no {size} board found in {total} pictures: the whole board with a white border must be seen, sharp and evenly lit"
-        )
+        return f"no {size} board found in {total} images: the whole board with a white border must be seen, sharp and evenly lit"
     return (
-        f"{views} usable views of the board in {total} pictures, at least {FEWEST} are needed (20 are good): take more pictures, "
+        f"{views} usable views of the board in {total} images, at least {FEWEST} are needed (20 are good): take more images, "
         "the whole board in each, tilted 20-45 degrees each way"
     )

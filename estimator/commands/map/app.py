@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from models.maps.table import Alike, Finding, MapReport
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
-_PICTURES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
+_IMAGES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
 app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, learn, show, check.", rich_markup_mode=None)
@@ -49,7 +49,7 @@ def build(
     ] = "",
     colour_from: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE", help="Orthophoto from which features without a colour take it: GeoTIFF or world file."),
+        typer.Option(metavar="IMAGE", help="Orthophoto from which features without a colour take it: GeoTIFF or world file."),
     ] = None,
     picture_epsg: Annotated[
         int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
@@ -63,7 +63,7 @@ def build(
     """Make a map from polygons, or from an orthophoto.
 
     Reads GeoJSON in WGS 84 or UTM, with OpenStreetMap's properties or our own (docs/map.md), and writes a GeoJSON that any map
-    program opens, with size, width, length and fill ratio of every landmark. Of a georeferenced picture (GeoTIFF, or PNG, JPEG,
+    program opens, with size, width, length and fill ratio of every landmark. Of a georeferenced image (GeoTIFF, or PNG, JPEG,
     TIFF with a world file) it takes the regions that segmentation finds.
 
     \b
@@ -77,14 +77,14 @@ def build(
     from estimator.commands.map.options import colours
     from estimator.map_files import orthophoto
     from estimator.map_files.store import load
-    from estimator.tools.maps import from_picture
+    from estimator.tools.maps import from_image
     from estimator.tools.maps.ambiguity import marked
     from models.maps.landmarks import LandmarkMap
     from models.maps.table import Defaults
 
-    is_picture = source.suffix.lower() in _PICTURES
-    if pick and not is_picture:
-        raise typer.BadParameter("--pick wants a picture as IN")
+    is_image = source.suffix.lower() in _IMAGES
+    if pick and not is_image:
+        raise typer.BadParameter("--pick wants an image as IN")
     wanted = colours(pick)
     defaults = Defaults(
         height_m=height_m,
@@ -93,16 +93,16 @@ def build(
         common_sigma_m=_common(common_sigma_m),
     )
     with progress(f"build {source.name}") as report:
-        if is_picture:
-            regions = from_picture.landmarks(orthophoto.load(source, picture_epsg), wanted, least_m2, sigma_m)
+        if is_image:
+            regions = from_image.landmarks(orthophoto.load(source, picture_epsg), wanted, least_m2, sigma_m)
             the_map = LandmarkMap.from_geojson(regions, defaults)
         else:
             the_map = load(source, defaults)
         report(0.5)
         if colour_from is not None:
-            picture = orthophoto.load(colour_from, picture_epsg)
-            the_map = orthophoto.coloured(the_map, picture)
-            if picture.is_grey:
+            image = orthophoto.load(colour_from, picture_epsg)
+            the_map = orthophoto.coloured(the_map, image)
+            if image.is_grey:
                 note(f"{colour_from} is grey, and so are the colours taken from it")
         report(0.8)
         alike = marked(the_map)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Flight with GNSS, IMU and pictures.")],
+    source: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Flight with GNSS, IMU and images.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
     out: Out,
     config: ConfigFile = None,
@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Learn a map by flying.
 
-    Poses come from the log's GNSS and IMU, smoothed; what the pictures show is measured from them, and what is seen at the same
+    Poses come from the log's GNSS and IMU, smoothed; what the images show is measured from them, and what is seen at the same
     place again and again becomes a landmark, with the standard deviation it deserves. Look at the map before you trust it.
 
     \b
@@ -72,10 +72,10 @@ def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:
     horizontal, vertical = summary.common_sigma_m
     rows = [
         ("landmarks", str(summary.landmarks)),
-        ("pictures looked at", str(summary.pictures)),
+        ("images looked at", str(summary.images)),
         ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if given else ", where the log begins")),
         ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
-        *((f"skipped: {reason}", f"{count} pictures") for reason, count in summary.skipped.items()),
+        *((f"skipped: {reason}", f"{count} images") for reason, count in summary.skipped.items()),
         *((f"left out: {reason}", f"{count} things") for reason, count in summary.left_out.items()),
     ]
     print_table(f"{out}", rows)

@@ -27,7 +27,7 @@ def quarter_turns(path: Path) -> int:
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
             flag = photo.getexif().get(_ORIENTATION, 1)
-    except Exception:  # what Pillow cannot read has no flag; whether it is a picture, OpenCV says
+    except Exception:  # what Pillow cannot read has no flag; whether it is an image, OpenCV says
         return 0
     if flag in range(9) and flag not in (0, *_QUARTERS):
         raise CalibrationError(f"{path}: EXIF orientation {flag} is mirrored: save it as the camera saw it")

@@ -15,7 +15,7 @@ import typer
 
 from calib.errors import CalibrationError
 from calib.files.formats import BodyPose, load_cameras
-from estimator.commands.common import picture_source
+from estimator.commands.common import image_source
 from estimator.commands.photo import fitted
 from estimator.commands.photo.camera import camera_of
 from estimator.commands.photo.pose import DOWN, prior_of
@@ -94,12 +94,12 @@ def check(given: Given) -> None:
 
 def take(given: Given, frame: Origin, ground_d: Callable[[float, float], float]) -> Shots:
     """Rig, images and priors. ground_d(north, east): down of the map's ground there. Raises CalibrationError, BadParameter."""
-    files = [Path(name) for name in picture_source.files_of([str(path) for path in given.files])]
+    files = [Path(name) for name in image_source.files_of([str(path) for path in given.files])]
     if given.rig is not None and given.prior:
         rig = load_cameras(given.rig, given.mount)
         if not rig.one_camera:
             return _of_rig(rig, files, given, frame)
-    videos = [path for path in files if picture_source.is_video(path)]
+    videos = [path for path in files if image_source.is_video(path)]
     if videos and (given.rig is None or not given.prior):
         raise CalibrationError(f"{videos[0]}: a video has no tags: give --rig with --mount, and --prior")
     if len(given.prior) > 1 and (videos or len(given.prior) != len(files)):
@@ -128,7 +128,7 @@ def _of_rig(rig: StereoRig, files: list[Path], given: Given, frame: Origin) -> S
         raise typer.BadParameter(f"--prior given {len(given.prior)} times for 1 photos: give one for all, or one for each")
     cameras = rig.left, rig.right
     images = [
-        fitted.fitted(path, picture_source.picture(path), camera, 0)[0] for path, camera in zip(files, cameras, strict=False)
+        fitted.fitted(path, image_source.read_image(path), camera, 0)[0] for path, camera in zip(files, cameras, strict=False)
     ]
     prior = _prior(given.prior[0], given.prior_sigma, frame)
     shot = Shot(str(files[0]), 0, images[0], images[1] if len(images) == 2 else None, prior)
@@ -218,9 +218,9 @@ def _photos(rig: StereoRig, files: list[Path], turns: list[int], priors: list[Pr
         if taken is not None and before is not None and abs(taken - before) > _ONE_FLIGHT_S:
             t_ns += _OTHER_FLIGHT_NS
         before = taken
-        for picture in picture_source.pictures([str(path)], "", _MOST_FRAMES):
-            if picture.fault:
-                raise CalibrationError(f"{path}: {picture.fault}")
-            name = picture.name if picture_source.is_video(path) else str(path)
-            yield Shot(name, t_ns, fitted.fitted(path, picture.image, rig.left, turn)[0], None, prior)
+        for image in image_source.read_images([str(path)], "", _MOST_FRAMES):
+            if image.fault:
+                raise CalibrationError(f"{path}: {image.fault}")
+            name = image.name if image_source.is_video(path) else str(path)
+            yield Shot(name, t_ns, fitted.fitted(path, image.image, rig.left, turn)[0], None, prior)
             t_ns += _APART_NS

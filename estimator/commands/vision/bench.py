@@ -33,7 +33,7 @@ def recognition(
         list[str] | None, typer.Option("--experiment", help="accuracy, size, partial or description; repeat for more.")
     ] = None,
     roofs: Annotated[list[str] | None, typer.Option("--roof", help="painted or pale. Default: both.")] = None,
-    pairs: Annotated[int, typer.Option(min=1, max=100, help="Of pictures, half a second apart, for who is silent so long.")] = 3,
+    pairs: Annotated[int, typer.Option(min=1, max=100, help="Of images, half a second apart, for who is silent so long.")] = 3,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the table.")] = None,
     json: Json = False,
@@ -85,7 +85,7 @@ def _print(result: "Recognition") -> None:
         rows = [_cells(r) for r in result.rows if r.experiment == experiment]
         print_table(f"\n{TITLES[experiment]}: {result.samples} samples each", rows, header)
     note("pairs: recognised with so many at most; sure: < ... of its answers are wrong, 95 % sure; ms: one core, a pair")
-    note(f"key points of a picture: median {result.key_points_p50:.0f}, least {result.key_points_least}")
+    note(f"key points of an image: median {result.key_points_p50:.0f}, least {result.key_points_least}")
 
 
 def _cells(row: "Row") -> "list[str | Text]":

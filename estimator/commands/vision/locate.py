@@ -12,14 +12,14 @@ from estimator.commands.common.mount import Mount, MountSigma, mount_of
 
 if TYPE_CHECKING:
     from estimator.commands.photo.shots import Shot, Shots
-    from estimator.map_files.picture_file import PictureFile
+    from estimator.map_files.image_file import ImageFile
     from models.camera import StereoRig
     from models.maps.landmarks import LandmarkMap
     from models.messages import Array, LandmarkFix
     from vision.identify.identify import Prior
     from vision.image.rectify import Image
     from vision.pipeline import Result
-    from vision.recognisers import MapPicture
+    from vision.recognisers import MapImage
 
 
 _AROUND_M, _NEAREST = 300.0, 20  # landmarks that tell how high the ground is
@@ -59,7 +59,7 @@ def command(
         int | None, typer.Option(min=320, max=20_000, help="Photos are scaled to it [px]; 800 where tags tell of the camera.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="Orthophoto or satellite picture: GeoTIFF, or with a world file.")
+        Path | None, typer.Option(metavar="IMAGE", help="Orthophoto or satellite image: GeoTIFF, or with a world file.")
     ] = None,
     picture_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of its horizontal position, per axis.")] = 1.0,
     picture_height_m: Annotated[
@@ -67,7 +67,7 @@ def command(
     ] = None,
     picture_height_sigma_m: Annotated[float, typer.Option(min=0, help="Standard deviation of the height of its ground.")] = 2.0,
     picture_heights: Annotated[
-        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or picture with a world file: heights above the ellipsoid [m].")
+        Path | None, typer.Option(metavar="RASTER", help="GeoTIFF or image with a world file: heights above the ellipsoid [m].")
     ] = None,
     picture_epsg: Annotated[
         int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
@@ -75,7 +75,7 @@ def command(
     within_m: Annotated[
         float | None, typer.Option("--within", metavar="M", help="Fail unless the position is known to so many metres (95 %).")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, the map drawn into it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
     """Say where the vehicle is: a fix from photos of a drone, a video, one image, or a stereo pair.
@@ -99,10 +99,10 @@ def command(
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
       landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
-      landfix locate left.png --rig rig.yaml --image ortho.tif --image-height-m 455 --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from estimator.commands.photo.shots import Given, check, take
-    from estimator.map_files.picture_file import PictureFile
+    from estimator.map_files.image_file import ImageFile
 
     given = Given(files, rig_file, mount_of(mount, mount_sigma), prior or [], prior_sigma, height_m, width)
     check(given)
@@ -112,12 +112,12 @@ def command(
         raise typer.BadParameter("a map is needed: --map, --picture, or both")
     known = None
     if picture is not None:
-        known = PictureFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
-    landmarks, map_picture = _map(map_file, known)
-    shots = take(given, landmarks.frame, lambda north, east: _ground_d(landmarks, map_picture, north, east))
+        known = ImageFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
+    landmarks, map_image = _map(map_file, known)
+    shots = take(given, landmarks.frame, lambda north, east: _ground_d(landmarks, map_image, north, east))
     for remark in shots.remarks:
         note(remark)
-    results = _results(rig_file, shots, landmarks, map_picture)
+    results = _results(rig_file, shots, landmarks, map_image)
     shot, result = next((one for one in reversed(results) if one[1].fix is not None), results[-1])
     start = shot.prior
     if out is not None:
@@ -140,13 +140,13 @@ def command(
 
 
 def _results(
-    rig_file: Path | None, shots: "Shots", landmarks: "LandmarkMap", map_picture: "MapPicture | None"
+    rig_file: Path | None, shots: "Shots", landmarks: "LandmarkMap", map_image: "MapImage | None"
 ) -> "list[tuple[Shot, Result]]":
     """What is found in each image, one after the other, as a later one may confirm an earlier one."""
     from vision.recognisers import Recognisers
 
     try:
-        recognisers = Recognisers(shots.rig, landmarks, map_picture)
+        recognisers = Recognisers(shots.rig, landmarks, map_image)
     except ValueError as error:
         raise LocateError(f"{rig_file or 'camera'}: {error}") from None
     results = []
@@ -157,9 +157,9 @@ def _results(
     return results
 
 
-def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkMap, MapPicture | None]":
+def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap, MapImage | None]":
     """Landmarks, none without a file of them, and the map's image in the same frame."""
-    from estimator.map_files import picture as picture_store
+    from estimator.map_files import image as image_store
     from estimator.map_files import store as map_store
     from models.maps.landmarks import LandmarkMap
 
@@ -169,18 +169,18 @@ def _map(map_file: Path | None, known: "PictureFile | None") -> "tuple[LandmarkM
             raise LocateError(f"{map_file}: no usable landmark (landfix map check says why)")
     else:
         assert known is not None
-        landmarks = LandmarkMap.from_landmarks(picture_store.origin(known), [])
-    return landmarks, picture_store.load(known, landmarks.origin) if known else None
+        landmarks = LandmarkMap.from_landmarks(image_store.origin(known), [])
+    return landmarks, image_store.load(known, landmarks.origin) if known else None
 
 
-def _ground_d(landmarks: "LandmarkMap", known: "MapPicture | None", north: float, east: float) -> float:
+def _ground_d(landmarks: "LandmarkMap", known: "MapImage | None", north: float, east: float) -> float:
     """Down of the map's ground at a place: of the landmarks near there, else of the image's ground, else the origin's."""
     import numpy as np
 
     rows = landmarks.rows_near(north, east, _AROUND_M)[:_NEAREST]
     if len(rows):
         return float(np.median(landmarks.columns.base_d[rows]))
-    return 0.0 if known is None else float(known.picture.heights.at(np.array([[north, east]]))[0])
+    return 0.0 if known is None else float(known.image.heights.at(np.array([[north, east]]))[0])
 
 
 def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
@@ -289,7 +289,7 @@ def _print(answer: dict[str, Any], result: "Result") -> None:
             for r in result.regions
         ]
         print_table("Regions", rows, ("landmark", "state", "similarity", "why"))
-    for title, pose in (("The pictures alone", answer["fix"]), ("With the prior", answer["with_prior"])):
+    for title, pose in (("The images alone", answer["fix"]), ("With the prior", answer["with_prior"])):
         if pose is not None:
             print_table(title, _pose_rows(pose))
     if result.fix is not None:
@@ -317,7 +317,7 @@ def _write_overlay(
     from vision.describe.survey import to_8_bit
     from vision.show.overlay import draw_overlay, outline_residuals
 
-    picture = to_8_bit(image)
+    canvas = to_8_bit(image)
     p_n, R_nb = (prior.p_n, prior.R_nb) if result.fix is None else _joint(prior, result.fix)[:2]
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     near = landmarks.near(float(p_nc[0]), float(p_nc[1]), 300.0)
@@ -325,9 +325,9 @@ def _write_overlay(
     caption = [f"{result.report.outcome}: {result.report.detail}" if result.fix is None else result.report.detail]
     if result.fix is None:
         caption.append("drawn from the prior")
-    residuals = outline_residuals(picture, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
-    drawn = draw_overlay(picture, rig.left, p_nc, R_nc, near, used, residuals, caption)
+    residuals = outline_residuals(canvas, rig.left, p_nc, R_nc, [m for m in near if m.id in used]) if used else []
+    drawn = draw_overlay(canvas, rig.left, p_nc, R_nc, near, used, residuals, caption)
     done, png = cv2.imencode(".png", drawn)
     if not done:
-        raise LocateError(f"{path}: the picture could not be encoded")
+        raise LocateError(f"{path}: the image could not be encoded")
     path.write_bytes(png.tobytes())

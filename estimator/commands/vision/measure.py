@@ -26,8 +26,8 @@ _HUES = ("red", "orange", "yellow", "lime", "green", "teal", "cyan", "azure", "b
 
 
 def command(
-    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
-    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right picture, taken at the same time.")],
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left image: PNG, JPEG, TIFF; 8 or 16 bit, colour or grey.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, taken at the same time.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
     colours: Annotated[
         list[str] | None, typer.Option("--colour", metavar="R,G,B", help="A colour to look for, 0..255; repeat for more.")
@@ -40,7 +40,7 @@ def command(
     nearest_m: Annotated[float, typer.Option("--nearest", metavar="M", min=0.1, help="Nothing is nearer than this.")] = 4.0,
     most: Annotated[int, typer.Option(min=1, max=200, help="Most regions, the largest first.")] = 20,
     least_px: Annotated[int, typer.Option(min=9, help="Fewest pixels of a region.")] = 60,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left picture, regions marked.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, regions marked.")] = None,
     json: Json = False,
 ) -> None:
     """Measure the regions of a stereo pair, in metres.
@@ -56,7 +56,7 @@ def command(
       landfix measure left.tif right.tif --rig rig.yaml --json
     """
     from calib.files.formats import load_rig
-    from estimator.commands.common.picture_source import picture
+    from estimator.commands.common.image_source import read_image
     from vision.describe.correspond import Search
     from vision.describe.regions import Limits
     from vision.describe.segment import Tolerance
@@ -70,7 +70,7 @@ def command(
         limits=Limits(most=most, least_px=least_px),
         search=Search(nearest_m=nearest_m),
     )
-    images = [picture(path) for path in (left, right)]
+    images = [read_image(path) for path in (left, right)]
     found = survey(images[0], images[1], _rectified(rig_file, rig), settings)
     if isinstance(found, str):
         raise MeasureError(found)
@@ -122,7 +122,7 @@ def _print(found: "Survey") -> None:
     else:
         note("no region could be measured")
     if any(m.region.touches_border for m in found.measured):
-        note("> cut off by the picture: at least so large")
+        note("> cut off by the image: at least so large")
     for reason, count in Counter(u.reason.partition(":")[0] for u in found.unmeasured).most_common():
         note(f"{count} not measured: {reason}")
 
@@ -182,5 +182,5 @@ def _write(path: Path, found: "Survey") -> None:
 
     done, png = cv2.imencode(".png", annotate(found.left, found.measured, found.unmeasured))
     if not done:
-        raise MeasureError(f"{path}: the picture could not be encoded")
+        raise MeasureError(f"{path}: the image could not be encoded")
     path.write_bytes(png.tobytes())

@@ -15,15 +15,15 @@ _MOST_ROWS = 20
 
 
 def command(
-    log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log with pictures and an estimate.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Log with images and an estimate.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="VIDEO", help=".mp4, .webm or .avi; none: no video.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Residual over time [default: beside the video].")] = None,
     config: ConfigFile = None,
     rig: Annotated[Path | None, typer.Option(metavar="RIG", help="Calibration of the cameras [default: the log's].")] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map [default: the log's].")] = None,
-    right: Annotated[bool, typer.Option("--right/--left", help="Which camera's pictures.")] = False,
+    right: Annotated[bool, typer.Option("--right/--left", help="Which camera's images.")] = False,
     everything: Annotated[bool, typer.Option("--all", help="Measure all landmarks in view, not just those of fixes.")] = False,
-    every: Annotated[int, typer.Option(metavar="N", min=1, help="Only every N-th picture.")] = 1,
+    every: Annotated[int, typer.Option(metavar="N", min=1, help="Only every N-th image.")] = 1,
     start_s: Annotated[float, typer.Option("--start", metavar="SECONDS", min=0, help="Start time in the log.")] = 0.0,
     seconds: Annotated[float, typer.Option(metavar="SECONDS", min=0, help="Duration.")] = float("inf"),
     json: Json = False,
@@ -63,11 +63,11 @@ def _print(result: "OverlayResult") -> None:
     left_out = f"; {result.without_estimate} have no estimate" if result.without_estimate else ""
     left_out += f"; {result.unreadable} cannot be read" if result.unreadable else ""
     rows = [
-        ("all pictures", *_cells(result.residual_px)),
+        ("all images", *_cells(result.residual_px)),
         ("of which vision made a fix", *_cells(result.with_fix_px)),
         ("without a fix", *_cells(result.without_fix_px)),
     ]
-    title = f"{result.log}: {result.pictures} pictures{left_out}\nreprojection residual in px, {result.measured}"
+    title = f"{result.log}: {result.images} images{left_out}\nreprojection residual in px, {result.measured}"
     print_table(title, rows, ("", "seen in", "median", "95 %", "largest"))
     if result.ratio is not None:
         typer.echo(f"residual / expected from the covariance, median: {result.ratio:.2f}\n")

@@ -28,6 +28,7 @@ from estimator.sources.source import Aid, Phase
 from models import imu, so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array, Reason
+from models.state import X
 
 NEVER = -(2**62)
 NO_POSITION = "waiting for a position"
@@ -90,6 +91,7 @@ class Alignment:
         self.given_up = 0  # how often a filter was
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
+        self.apart: dict[str, Array] = {}  # (3,) m: of absolute sources that persist in disagreeing with it, by topic
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.last_absolute_ns = NEVER
 
@@ -187,6 +189,9 @@ class Alignment:
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
                 self._note_variance(aid, seen, LARGEST if persists else _LARGEST_ALIGNING)
+            disagrees = seen.distance2 * self.variance_factor.value > limit
+            if persists or not disagrees:
+                self._note_apart(aid, z, disagrees=disagrees)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if self.hypotheses is None:
             return
@@ -208,8 +213,21 @@ class Alignment:
             return
         self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
         if self.contradiction.is_shown:
-            self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
-            self.contradiction, self.given_up = NO_CONTRADICTION, self.given_up + 1
+            self._begin_again()
+            self.given_up += 1
+
+    def _begin_again(self) -> None:
+        """What there is rests on readings that are wrong."""
+        self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
+        self.contradiction, self.apart = NO_CONTRADICTION, {}
+
+    def _note_apart(self, aid: Aid, z: Measurement, *, disagrees: bool) -> None:
+        """Until one of two absolute sources is decided for, the covariance that is published covers both."""
+        assert self.hypotheses is not None
+        if disagrees and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
+            self.apart = {**self.apart, aid.topic: z.z_n - self.hypotheses.lead.x[X.P]}
+        elif aid.topic in self.apart:
+            self.apart = {topic: off for topic, off in self.apart.items() if topic != aid.topic}
 
     def _note_variance(self, aid: Aid, seen: Innovation, largest: float = LARGEST) -> None:
         """One more innovation of an absolute source, of the leading filter."""

@@ -60,17 +60,17 @@ class Log(Protocol):
         ...
 
     def put_image(self, arrival: Arrival) -> None:
-        """A picture; the oldest ones go first when the disk is slow."""
+        """An image; the oldest ones go first when the disk is slow."""
         ...
 
 
 class Screen(Protocol):
-    """Where pictures for people are shown, if anybody watches."""
+    """Where images for people are shown, if anybody watches."""
 
     def watched(self) -> bool:
         """Whether somebody subscribes now; asked before anything is drawn."""
         ...
 
-    def show(self, picture: Encoded) -> None:
+    def show(self, image: Encoded) -> None:
         """Send it. Called by one thread, must not block, and must not raise."""
         ...

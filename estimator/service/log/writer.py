@@ -1,7 +1,7 @@
 """The log's own thread: what the loop hands over is written, flushed every 50 ms, rotated, and never waited for.
 
 A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
-replay makes again, are left out first, pictures from the oldest on, and inputs only when memory is at stake. When the disk is
+replay makes again, are left out first, images from the oldest on, and inputs only when memory is at stake. When the disk is
 full the flight goes on, the log says so, and begins again in a new file as soon as there is space. Where somebody deletes, moves
 or replaces the file, a new one begins within a second, and the state counts it.
 """
@@ -50,8 +50,8 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sync_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: between writes that outlive a power cut; 0: left to the system")
     ] = 5.0
-    images: Annotated[bool, Meta(description="whether pictures are recorded")] = True
-    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: pictures that may wait for the disk")] = 64.0
+    images: Annotated[bool, Meta(description="whether images are recorded")] = True
+    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: images that may wait for the disk")] = 64.0
 
 
 class LogState(NamedTuple):
@@ -121,7 +121,7 @@ class LogWriter:
         self._queue.append(_Item(*encoded, log_time_ns))
 
     def put_image(self, arrival: Arrival) -> None:
-        """Keep a picture; the oldest make room."""
+        """Keep an image; the oldest make room."""
         if not self._config.images or not is_known(arrival.schema):
             return
         with self._image_lock:
@@ -133,7 +133,7 @@ class LogWriter:
 
     @property
     def waiting_bytes(self) -> int:
-        """What waits for the disk, pictures apart."""
+        """What waits for the disk, images apart."""
         return self._put_bytes - self._taken_bytes
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.frontend.odometry import OdometrySight
 from estimator.frontend.processor import Sight
 from estimator.frontend.requests import Pair, Shot
-from logs.wire.pictures import Picture, encode_picture
+from logs.wire.images import Pixels, encode_image
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array, OdometryRequest, VisionRequest
@@ -69,17 +69,17 @@ def warm_up_odometry() -> None:
         odometry.look(request, *pairs)
 
 
-def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Picture:
+def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Pixels:
     """Roofs on grainy ground, as a camera at p_nc (3,) with axes R_nc (3, 3) sees them."""
     grain = np.random.default_rng(0).normal(_GROUND, _GRAIN, (camera.height, camera.width, 3))
-    picture = np.clip(grain, 0.0, 255.0).astype(np.uint8)
+    image = np.clip(grain, 0.0, 255.0).astype(np.uint8)
     for mark in marks:
         corners_n = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
         px = camera.project((corners_n - p_nc) @ R_nc)
-        cv2.fillPoly(picture, [np.round(px).astype(np.int32)], mark.colour_bgr or (0, 0, 0))
-    return cv2.GaussianBlur(picture, (3, 3), 0).astype(np.uint8)
+        cv2.fillPoly(image, [np.round(px).astype(np.int32)], mark.colour_bgr or (0, 0, 0))
+    return cv2.GaussianBlur(image, (3, 3), 0).astype(np.uint8)
 
 
-def _shot(t_ns: int, picture: Picture, is_jpeg: bool) -> Shot:
-    _, schema, data = encode_picture(t_ns, picture, "", jpeg_quality=90 if is_jpeg else None)
+def _shot(t_ns: int, image: Pixels, is_jpeg: bool) -> Shot:
+    _, schema, data = encode_image(t_ns, image, "", jpeg_quality=90 if is_jpeg else None)
     return Shot("", schema, data, t_ns, t_ns, t_ns)

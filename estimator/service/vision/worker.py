@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
 from estimator.frontend.workers import SPAWNED
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files.image_file import ImageFile
 from estimator.publish import Pace
 from estimator.service.base.clock import SECOND_NS, Clock, Stamps
 from estimator.service.base.ports import Arrival, Screen
@@ -46,7 +46,7 @@ class Compiling(NamedTuple):
     seconds: float = 0.0
 
 
-def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, picture: PictureFile | None) -> None:
+def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None) -> None:
     """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
     why it cannot see.
 
@@ -57,7 +57,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     def load() -> tuple[int, Callable[[Any], Any]]:
         from estimator.frontend.files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
-        sight = load_sight(rig_file, map_file, origin, picture)
+        sight = load_sight(rig_file, map_file, origin, image)
 
         def answer(asked: Any) -> Any:
             if isinstance(asked, str):
@@ -141,7 +141,7 @@ class VisionWorker:
         self._thread.start()
 
     def put(self, arrival: Arrival) -> None:
-        """A image; the oldest that waits is dropped when there are too many."""
+        """An image; the oldest that waits is dropped when there are too many."""
         topic, schema, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
@@ -168,8 +168,8 @@ class VisionWorker:
             "pairs": self._pairs,
             "answers": self._answers,
             "fixes": self._fixes,
-            "dropped_pictures": self._dropped,
-            "pictures_of_unknown_time": self._unplaced,
+            "dropped_images": self._dropped,
+            "images_of_unknown_time": self._unplaced,
             "overlays": self._drawn,
             "restarts": self._run,
             "compiling": self._compiling,
@@ -244,10 +244,10 @@ class VisionWorker:
         if drawn is None:
             self._restart("does not draw")
             return
-        (picture,) = drawn
-        if picture is not None:
+        (image,) = drawn
+        if image is not None:
             self._drawn += 1
-            screen.show(picture)
+            screen.show(image)
 
     @staticmethod
     def _target() -> Callable[..., None]:

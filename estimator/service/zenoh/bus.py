@@ -101,17 +101,17 @@ class ZenohScreen:
             return self._sender.watched()
         return False
 
-    def show(self, picture: Encoded) -> None:
+    def show(self, image: Encoded) -> None:
         """Send it."""
         with contextlib.suppress(zenoh.ZError):
-            self._sender.put(picture.data, self._clock.now_ns())
+            self._sender.put(image.data, self._clock.now_ns())
 
 
 class ZenohBus:
     """An Outbox of ports.py that feeds an Inbox. Raises BusError or ConfigError when it cannot be opened."""
 
     def __init__(self, config: ZenohConfig, folder: Path, clock: Clock, inputs: Mapping[str, str], images: Sequence[str]) -> None:
-        """inputs: topic -> type of what is subscribed to; images: topics of pictures, raw or compressed."""
+        """inputs: topic -> type of what is subscribed to; images: topics of images, raw or compressed."""
         self._config, self._clock, self._images = config, clock, frozenset(images)
         self._topics = list(inputs.items()) + [(i, s) for i in images for s in (schemas.COMPRESSED_IMAGE, schemas.IMAGE)]
         self._kept: list[Any] = []
@@ -140,7 +140,7 @@ class ZenohBus:
                     self._kept.append(live.declare_token(token))
 
     def screen(self, topic: str, schema: str) -> ZenohScreen:
-        """Where pictures of a topic are shown."""
+        """Where images of a topic are shown."""
         return ZenohScreen(self.session, self._config, self._clock, topic, schema)
 
     def serve(self, name: str, content: Callable[[], bytes | None], media_type: str) -> None:
@@ -195,7 +195,7 @@ class ZenohBus:
         return receive
 
     def _subscribed(self, topic: str, schema: str) -> list[str]:
-        """Keys of an input. A plain key does not say its type, so pictures on it are taken for compressed ones."""
+        """Keys of an input. A plain key does not say its type, so images on it are taken for compressed ones."""
         plain = self._config.ros2dds and schema != schemas.IMAGE
         return [keys.rmw_key(self._config.domain, topic, schema)] * self._config.rmw + [keys.plain_key(topic)] * plain
 

@@ -61,8 +61,8 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     node: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", description="our name in the ROS graph")] = "landfix"
     rmw: Annotated[bool, Meta(description="keys of rmw_zenoh: ROS 2 Jazzy and newer")] = True
     ros2dds: Annotated[bool, Meta(description="plain keys beside them, for zenoh-bridge-ros2dds")] = False
-    largest_kb: Annotated[int, Meta(ge=1, le=1_000_000, description="kB: a larger message, pictures apart, is refused")] = 64
-    largest_image_mb: Annotated[int, Meta(ge=1, le=200, description="MB: a larger picture is refused")] = 32
+    largest_kb: Annotated[int, Meta(ge=1, le=1_000_000, description="kB: a larger message, images apart, is refused")] = 64
+    largest_image_mb: Annotated[int, Meta(ge=1, le=200, description="MB: a larger image is refused")] = 32
     security: SecurityConfig = SecurityConfig()
 
 

@@ -1,7 +1,7 @@
 """What in a map can be taken for something else near by: landmarks that look alike, and places where all around looks the same.
 
 A landmark i with a look-alike j is ambiguous by itself. The place is ambiguous as well where a shift t = l_j - l_i takes what
-else is in view to look-alikes too: then no number of landmarks in one picture decides, only the prior does.
+else is in view to look-alikes too: then no number of landmarks in one image decides, only the prior does.
 """
 
 import numpy as np
@@ -17,8 +17,8 @@ from vision.identify.similarity import normalised, similarity
 RADIUS_M, SIMILAR = 50.0, 0.9  # what counts as near and as alike, by default
 MOST_PAIRS = 20_000_000
 _OTHER_COLOUR = 100.0  # distance in BGR; lighting alone changes a colour by less
-_IN_VIEW_M = 50.0  # to each side: what one picture shows
-_SAME_SHIFT_M = 2.0  # to each side: map errors, and what a picture's scale leaves open
+_IN_VIEW_M = 50.0  # to each side: what one image shows
+_SAME_SHIFT_M = 2.0  # to each side: map errors, and what an image's scale leaves open
 _SHARE = 0.7  # of what is in view
 _COLUMNS = [polygon.SIZE, polygon.WIDTH, polygon.LENGTH, polygon.FILL]
 

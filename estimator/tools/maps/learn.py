@@ -1,6 +1,6 @@
-"""A map learned by flying: pictures of a log with good GNSS, each at its smoothed pose, become landmarks with their covariance.
+"""A map learned by flying: images of a log with good GNSS, each at its smoothed pose, become landmarks with their covariance.
 
-The log is read twice: its sensors for the poses, then its pictures.
+The log is read twice: its sensors for the poses, then its images.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ from estimator.config import Config
 from estimator.filter.smoother import Smoothed, smooth
 from estimator.frontend.requests import Pair, Pairing, Shot, prior_at
 from logs.store.reader import LogReader
-from logs.wire.pictures import PictureError, decode_picture
+from logs.wire.images import ImageError, decode_image
 from logs.wire.stamps import stamp_of
 from models.camera import StereoRig
 from models.frames import Origin
@@ -32,7 +32,7 @@ from vision.learn.tracks import KeepConfig, learned
 _OLDEST_NS = 200_000_000  # a pose further from the exposure says nothing of it
 _STANDING_S = 2.0  # of the log's beginning, when the vehicle stands on the ground
 _LOWEST_M = 10.0  # above ground: below it little is seen, and what stands on four wheels is large
-_DARK = 0.35  # of the picture's median: shadows, which move with the sun
+_DARK = 0.35  # of the image's median: shadows, which move with the sun
 _READ, _SMOOTHED = 0.1, 0.4  # of the work
 
 
@@ -43,7 +43,7 @@ class LearnError(ValueError):
 class LearnConfig(msgspec.Struct, frozen=True):
     """How a map is learned. most_hz: pairs looked at; most_sigma_m: of a pose, horizontally; ground_alt_m: None: where it began.
 
-    colours_bgr: to look for; none: whatever colours a picture has.
+    colours_bgr: to look for; none: whatever colours an image has.
     """
 
     most_hz: float = 2.0
@@ -56,14 +56,14 @@ class LearnConfig(msgspec.Struct, frozen=True):
 
 
 class LearnSummary(msgspec.Struct, frozen=True):
-    """What was learned. pictures: looked at; skipped, left_out: pictures and things that were not used, by reason;
+    """What was learned. images: looked at; skipped, left_out: images and things that were not used, by reason;
 
-    seen: in how many pictures each landmark; common_sigma_m: horizontal and vertical error of the map as a whole, which no
+    seen: in how many images each landmark; common_sigma_m: horizontal and vertical error of the map as a whole, which no
     landmark's own sigma contains.
     """
 
     landmarks: int
-    pictures: int
+    images: int
     skipped: dict[str, int]
     left_out: dict[str, int]
     seen: dict[str, int]
@@ -86,25 +86,25 @@ def learn(
         raise LearnError(f"{log}: no pose comes out of its sensors (landfix doctor says what the log lacks)")
     origin = Origin(*smoothed.place)
     ground_d = _ground(messages, origin, how)
-    mapper, skipped, pictures = Mapper(ground_d, how.mapping), Counter[str](), 0
+    mapper, skipped, images = Mapper(ground_d, how.mapping), Counter[str](), 0
     for pair, done in _pairs(log, config, how, rig):
         progress(_SMOOTHED + (1.0 - _SMOOTHED) * done)
-        looks = _look(pair, pictures, smoothed, rectified, ground_d, how)
+        looks = _look(pair, images, smoothed, rectified, ground_d, how)
         if isinstance(looks, str):
             skipped[looks] += 1
         else:
             mapper.add(looks)
-            pictures += 1
-    if not pictures:
+            images += 1
+    if not images:
         reasons = ", ".join(f"{count} x {reason}" for reason, count in skipped.most_common()) or "there is none"
-        raise LearnError(f"{log}: no picture could be used: {reasons}")
+        raise LearnError(f"{log}: no image could be used: {reasons}")
     found = learned(mapper, ground_d, how.keep)
     common = float(np.sqrt(0.5 * np.trace(found.common[:2, :2]))), float(np.sqrt(found.common[2, 2]))
     the_map = LandmarkMap.from_landmarks(origin.lla, found.landmarks, common)
     seen = {mark.id: count for mark, count in zip(found.landmarks, found.seen, strict=True)}
     ground_alt = origin.to_geodetic((0.0, 0.0, ground_d))[2]
     return the_map, LearnSummary(
-        len(the_map), pictures, dict(skipped), found.left_out, seen, round(ground_alt, 2), common, torn
+        len(the_map), images, dict(skipped), found.left_out, seen, round(ground_alt, 2), common, torn
     )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
 
 
 def _pairs(log: Path, config: Config, how: LearnConfig, rig: StereoRig) -> Iterator[tuple[Pair, float]]:
-    """Pairs of pictures, and how much of the log is read."""
+    """Pairs of images, and how much of the log is read."""
     sides = {**dict.fromkeys(config.inputs.left_image, "left"), **dict.fromkeys(config.inputs.right_image, "right")}
     pairing = Pairing(msgspec.structs.replace(config.vision, most_hz=how.most_hz))
     offset_ns = round(rig.time_offset_s * 1e9)
@@ -161,10 +161,10 @@ def _look(
     if ground_d - pose.p_n[2] < _LOWEST_M:
         return f"lower than {_LOWEST_M:g} m above the ground"
     if pair.left is None or pair.right is None:
-        return "one picture without the other"
+        return "one image without the other"
     try:
-        left, right = (decode_picture(shot.schema, shot.data) for shot in (pair.left, pair.right))
-    except PictureError as error:
+        left, right = (decode_image(shot.schema, shot.data) for shot in (pair.left, pair.right))
+    except ImageError as error:
         return str(error)
     limits = Limits(least_px=how.least_px)
     seen = survey(left, right, rectified, Settings(tuple(how.colours_bgr), limits=limits))

@@ -8,14 +8,14 @@ import numpy as np
 
 from estimator.strict_toml import ConfigError
 from estimator.tools.overlay.files import Scenery, scenery
-from estimator.tools.overlay.sheet import draw_from, find_pictures, spread
+from estimator.tools.overlay.sheet import draw_from, find_images, spread
 from logs.evaluation.evidence import Evidence
 from logs.report.gather import FIX_TOPIC, Gathered, Look
 from logs.report.page import Illustrations, Shot
 from logs.report.write import Illustrate
-from logs.wire.pictures import Picture
+from logs.wire.images import Pixels
 from models.maps.landmarks import Landmark
-from models.messages import AidStatus, PictureName, Reason
+from models.messages import AidStatus, ImageName, Reason
 
 _FIXES, _REFUSALS = 6, 6  # images of each
 _WIDTH_PX: Final = 640
@@ -28,7 +28,7 @@ class _Choice(NamedTuple):
 
     t_ns: int
     look: Look
-    picture: PictureName
+    image: ImageName
     aid: AidStatus | None
 
 
@@ -40,8 +40,8 @@ def illustrations(log: Path, config: Path | None = None, rig: Path | None = None
         around, note = _scenery(log, evidence, config, rig, map_file)
         if not chosen:
             return Illustrations(_landmarks(around, evidence), (), note)
-        pictures, _ = find_pictures(log, {choice.picture for choice in chosen})
-        shots = [_shot(choice, pictures[choice.picture], around) for choice in chosen if choice.picture in pictures]
+        images, _ = find_images(log, {choice.image for choice in chosen})
+        shots = [_shot(choice, images[choice.image], around) for choice in chosen if choice.image in images]
         return Illustrations(_landmarks(around, evidence), shots, note)
 
     return illustrate
@@ -84,10 +84,10 @@ def _refusal(choice: _Choice) -> str:
     return choice.aid.reason if choice.aid and choice.aid.reason not in {Reason.FUSED, Reason.ALIGNING} else ""
 
 
-def _shot(choice: _Choice, picture: Picture, around: Scenery | None) -> Shot:
+def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
     look = choice.look
     pose = look.fix or look.request
-    canvas = picture if picture.dtype == np.uint8 else cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
+    canvas = image if image.dtype == np.uint8 else cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
     if around is not None and pose is not None:
         canvas = draw_from(pose, canvas, around.rig, around.landmarks, look.fix.landmarks if look.fix else ())
     if canvas.shape[1] > _WIDTH_PX:

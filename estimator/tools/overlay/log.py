@@ -15,16 +15,16 @@ from logs.evaluation.trajectory import decode, interpolate
 from logs.store.reader import Attachment, LogError, LogReader, Record
 from logs.wire import axes, schemas
 from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
-from logs.wire.pictures import PictureError, decode_picture
+from logs.wire.images import ImageError, decode_image
 from logs.wire.stamps import stamp_of
 from models import so3
-from models.messages import LandmarkFix, PictureName, vec3
+from models.messages import ImageName, LandmarkFix, vec3
 from models.radius import horizontal_radius
 from vision.image.rectify import Image
 
 FIX_TOPIC: Final = "/landfix/fix"
 HEALTH_TOPIC: Final = "/landfix/health"
-_PICTURES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
+_IMAGES: Final = (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
 _PROGRESS_EVERY: Final = 2000  # records
 _SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, and a turn of 10 rad/s^2 is off by 0.1 px
 
@@ -40,7 +40,7 @@ class Flight:
     path: Path
     odometry: list[tuple[bytes, int]] = field(default_factory=list)
     stamps_ns: dict[str, list[int]] = field(default_factory=dict)
-    exposures_ns: dict[PictureName, int] = field(default_factory=dict)
+    exposures_ns: dict[ImageName, int] = field(default_factory=dict)
     identified: dict[int, frozenset[str]] = field(default_factory=dict)
     modes: list[tuple[int, str]] = field(default_factory=list)
     attachments: list[Attachment] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Flight:
             if not 0 <= stamp_ns - self._kept_ns < _SPACING_NS:
                 self.odometry.append((record.data, record.log_time_ns))
                 self._kept_ns = stamp_ns
-        elif record.schema in _PICTURES:
+        elif record.schema in _IMAGES:
             self.stamps_ns.setdefault(record.topic, []).append(stamp_of(record.data) or 0)
         elif record.topic == VISION_REQUEST_TOPIC:
             request = decode_vision_request(record.data, record.log_time_ns)
@@ -80,8 +80,8 @@ class Flight:
             )
         found = [topic for topic in topics if topic in self.stamps_ns]
         if not found:
-            others = f"; it holds pictures on {', '.join(sorted(self.stamps_ns))}" if self.stamps_ns else ""
-            raise LogError(f"{self.path}: holds no pictures on {', '.join(topics)}{others}")
+            others = f"; it holds images on {', '.join(sorted(self.stamps_ns))}" if self.stamps_ns else ""
+            raise LogError(f"{self.path}: holds no images on {', '.join(topics)}{others}")
         return found[0]
 
 
@@ -105,7 +105,7 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
     """
     offset_ns, exposures = round(time_offset_s * 1e9), []
     for stamp_ns in flight.stamps_ns[topic]:
-        exposures.append(flight.exposures_ns.get(PictureName(topic, stamp_ns), stamp_ns + offset_ns))
+        exposures.append(flight.exposures_ns.get(ImageName(topic, stamp_ns), stamp_ns + offset_ns))
         offset_ns = exposures[-1] - stamp_ns
     estimate = decode(schemas.ODOMETRY, [data for data, _ in flight.odometry], [arrived for _, arrived in flight.odometry])
     at, covered = interpolate(estimate, np.array(exposures, np.int64), LONGEST_STEP_NS)
@@ -124,15 +124,15 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
     return found
 
 
-def pictures(flight: Flight, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, Image | None]]:
+def images(flight: Flight, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, Image | None]]:
     """Number and pixels of the wanted images of a topic, one after the other; None for one that cannot be read."""
     last = max(wanted, default=-1)
     with LogReader(flight.path) as reader:
-        for number, record in enumerate(record for record in reader if record.topic == topic and record.schema in _PICTURES):
+        for number, record in enumerate(record for record in reader if record.topic == topic and record.schema in _IMAGES):
             if number > last:
                 return
             if number in wanted:
                 try:
-                    yield number, decode_picture(record.schema, record.data)
-                except PictureError:
+                    yield number, decode_image(record.schema, record.data)
+                except ImageError:
                     yield number, None

@@ -10,15 +10,14 @@ import numpy as np
 
 from logs.store.reader import LogReader
 from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
-from logs.wire.pictures import Picture, PictureError, decode_picture
+from logs.wire.images import ImageError, Pixels, decode_image
 from logs.wire.stamps import stamp_of
 from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
-from models.messages import LandmarkFix, PictureName, VisionRequest
+from models.messages import ImageName, LandmarkFix, VisionRequest
 from vision.describe.survey import to_8_bit
-from vision.show.overlay import Picture as Canvas
-from vision.show.overlay import draw_overlay, outline_residuals
+from vision.show.overlay import Canvas, draw_overlay, outline_residuals
 
 _FIX = "/landfix/fix"
 _REACH_M = 200.0
@@ -31,15 +30,15 @@ class Shown(NamedTuple):
     """A fix and the left image that it came from."""
 
     fix: LandmarkFix
-    picture: PictureName
+    image: ImageName
 
 
 def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, count: int = 4) -> int:
     """Draws `count` fixes, spread over the flight, into the PNG `out`; returns how many there were to draw."""
     shown = spread(_fixes(log), count)
     if shown:
-        pictures, start_ns = find_pictures(log, {s.picture for s in shown})
-        drawn = [_draw(s.fix, pictures[s.picture], rig, landmarks, start_ns) for s in shown if s.picture in pictures]
+        images, start_ns = find_images(log, {s.image for s in shown})
+        drawn = [_draw(s.fix, images[s.image], rig, landmarks, start_ns) for s in shown if s.image in images]
         whole = len(drawn) - len(drawn) % _COLUMNS
         rows: list[Canvas] = [np.hstack(drawn[k : k + _COLUMNS]) for k in range(0, whole, _COLUMNS)]
         cv2.imwrite(str(out), np.vstack(rows) if rows else drawn[0])
@@ -48,7 +47,7 @@ def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, co
 
 def _fixes(log: Path) -> list[Shown]:
     """The fixes of the log whose left image is named by their request."""
-    asked: dict[int, PictureName] = {}
+    asked: dict[int, ImageName] = {}
     found: list[Shown] = []
     with LogReader(log) as reader:
         for record in reader:
@@ -69,41 +68,41 @@ def spread(rows: Sequence[T], count: int) -> list[T]:
     return [rows[row] for row in np.unique(chosen).tolist()]
 
 
-def find_pictures(log: Path, wanted: set[PictureName]) -> tuple[dict[PictureName, Picture], int]:
+def find_images(log: Path, wanted: set[ImageName]) -> tuple[dict[ImageName, Pixels], int]:
     """The images, and when the log begins."""
-    pictures: dict[PictureName, Picture] = {}
+    images: dict[ImageName, Pixels] = {}
     missing = set(wanted)
     start_ns = 0
     with LogReader(log) as reader:
         for record in reader:
             start_ns = start_ns or record.log_time_ns
-            name = PictureName(record.topic, stamp_of(record.data) or 0)
+            name = ImageName(record.topic, stamp_of(record.data) or 0)
             if name in missing:
                 missing.remove(name)
-                with suppress(PictureError):
-                    pictures[name] = decode_picture(record.schema, record.data)
+                with suppress(ImageError):
+                    images[name] = decode_image(record.schema, record.data)
             if not missing:
                 break
-    return pictures, start_ns
+    return images, start_ns
 
 
-def _draw(fix: LandmarkFix, picture: Picture, rig: StereoRig, landmarks: LandmarkMap, start_ns: int) -> Canvas:
+def _draw(fix: LandmarkFix, image: Pixels, rig: StereoRig, landmarks: LandmarkMap, start_ns: int) -> Canvas:
     """The image with the map drawn in."""
     many = "landmark" if len(fix.landmarks) == 1 else "landmarks"
     caption = [f"{(fix.t_ns - start_ns) * 1e-9:.1f} s: {len(fix.landmarks)} {many}, fit {fix.residual_px:.2f} px"]
-    return draw_from(fix, picture, rig, landmarks, fix.landmarks, caption)
+    return draw_from(fix, image, rig, landmarks, fix.landmarks, caption)
 
 
 def draw_from(
     pose: LandmarkFix | VisionRequest,
-    picture: Picture,
+    image: Pixels,
     rig: StereoRig,
     landmarks: LandmarkMap,
     identified: Collection[str] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
     """The left image with the map drawn in as it would be seen from a pose; residuals of the landmarks identified."""
-    canvas = np.asarray(to_8_bit(picture), np.uint8)
+    canvas = np.asarray(to_8_bit(image), np.uint8)
     p_nc, R_nc = rig.camera_pose(np.array(pose.p_n), so3.matrix(so3.normalise(np.array(pose.q_nb_wxyz))))
     near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)
     residuals = outline_residuals(canvas, rig.left, p_nc, R_nc, [mark for mark in near if mark.id in identified])

@@ -13,11 +13,11 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from estimator.frontend.residuals import Moment, Overlay, OverlayResult, Summary, View
 from estimator.tools.overlay.files import Scenery
-from estimator.tools.overlay.log import Flight, pictures, views
+from estimator.tools.overlay.log import Flight, images, views
 from logs.evaluation.plots import BLACK, BLUE, GREEN, ORANGE
 from logs.store.reader import LogError, check_output
 from vision.image.rectify import Image
-from vision.show.overlay import Picture
+from vision.show.overlay import Canvas
 
 _CODECS: Final = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # what OpenCV's own FFmpeg can always write
 _PLOTS: Final = (".png", ".svg", ".pdf")
@@ -25,7 +25,7 @@ _SLOWEST, _FASTEST = 1.0, 60.0  # images a second
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """Which pictures: every n-th from start_s on, for seconds; right: the right camera's; everything: measure all landmarks."""
+    """Which images: every n-th from start_s on, for seconds; right: the right camera's; everything: measure all landmarks."""
 
     every: int = 1
     start_s: float = 0.0
@@ -52,7 +52,7 @@ class _Video:
         if self._writer is not None:
             self._writer.release()  # the file is whole
 
-    def write(self, canvas: Picture) -> None:
+    def write(self, canvas: Canvas) -> None:
         """Add an image."""
         if self._path is None:
             return
@@ -80,20 +80,20 @@ def make(
     start_ns = min((view.t_ns for view in seen_from if view), default=0)
     wanted = {k: view for k, view in enumerate(seen_from) if view and _chosen(choice, k, (view.t_ns - start_ns) * 1e-9)}
     if not wanted:
-        raise LogError(f"{flight.path}: of {len(seen_from)} pictures none is chosen, or none has an estimate at its exposure")
+        raise LogError(f"{flight.path}: of {len(seen_from)} images none is chosen, or none has an estimate at its exposure")
     measured = None if choice.everything or not flight.used else flight.used
     overlay = Overlay(scenery.rig, scenery.landmarks, start_ns, choice.right)
     moments: list[Moment] = []
     with _Video(video, _rate_hz(wanted)) as film:
-        for done, (number, picture) in enumerate(pictures(flight, topic, wanted)):
+        for done, (number, image) in enumerate(images(flight, topic, wanted)):
             progress(done / len(wanted))
-            if picture is not None:
-                _check_size(flight.path, picture, overlay)
-                frame = overlay.frame(picture, wanted[number], measured, draw=video is not None)
+            if image is not None:
+                _check_size(flight.path, image, overlay)
+                frame = overlay.frame(image, wanted[number], measured, draw=video is not None)
                 moments.append(frame.moment)
                 film.write(frame.canvas)
     if not moments:
-        raise LogError(f"{flight.path}: none of the {len(wanted)} pictures can be read")
+        raise LogError(f"{flight.path}: none of the {len(wanted)} images can be read")
     if plot:
         draw(moments).savefig(plot)
     summary = Summary.of(moments)
@@ -101,7 +101,7 @@ def make(
         log=str(flight.path),
         video=str(video or ""),
         plot=str(plot or ""),
-        pictures=len(moments),
+        images=len(moments),
         without_estimate=seen_from.count(None),
         unreadable=len(wanted) - len(moments),
         measured="landmarks that a fix identified" if measured else "all landmarks in view",
@@ -121,11 +121,11 @@ def _check_plot(path: Path) -> None:
     check_output(path)
 
 
-def _check_size(log: Path, picture: Image, overlay: Overlay) -> None:
+def _check_size(log: Path, image: Image, overlay: Overlay) -> None:
     """Raises LogError where the images are not the calibrated camera's."""
-    if picture.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
+    if image.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
         raise LogError(
-            f"{log}: pictures of {picture.shape[1]} x {picture.shape[0]}, a calibration for "
+            f"{log}: images of {image.shape[1]} x {image.shape[0]}, a calibration for "
             f"{overlay.camera.width} x {overlay.camera.height}: not the same camera"
         )
 
@@ -135,7 +135,7 @@ def _chosen(choice: Choice, number: int, t_s: float) -> bool:
 
 
 def _rate_hz(wanted: dict[int, View]) -> float:
-    """Pictures a second, as they were taken."""
+    """Images a second, as they were taken."""
     t_ns = [view.t_ns for view in wanted.values()]
     step_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 1.0
     return float(np.clip(1.0 / max(step_s, 1e-9), _SLOWEST, _FASTEST))

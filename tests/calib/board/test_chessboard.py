@@ -59,7 +59,7 @@ def test_curved_edges_do_not_pull_the_corners() -> None:
 
 @pytest.mark.parametrize(("columns", "rows", "most_px"), [(9, 6, 0.02), (5, 4, 0.031)])
 def test_light_that_falls_off_does_not_pull_the_corners(columns: int, rows: int, most_px: float) -> None:
-    """A quarter of the light in the picture's corners: taken for even, corners are off by 0.029 and 0.037 px, not by 0.016.
+    """A quarter of the light in the image's corners: taken for even, corners are off by 0.029 and 0.037 px, not by 0.016.
 
     The smaller board has bright squares for a plane only.
     """
@@ -68,13 +68,13 @@ def test_light_that_falls_off_does_not_pull_the_corners(columns: int, rows: int,
     light = 1.0 - 0.75 * ((u - 320.0) ** 2 + (v - 240.0) ** 2) / (320.0**2 + 240.0**2)
     errors = []
     for pose in views.poses([(CAMERA, IDENTITY)], board, 6, rng):
-        picture = np.rint(painter.paint(pose, rng, noise=0.0) * light).astype(np.uint8)
-        errors.append(view_of(picture, board).px - CAMERA.project(pose.of(board.points)))
+        image = np.rint(painter.paint(pose, rng, noise=0.0) * light).astype(np.uint8)
+        errors.append(view_of(image, board).px - CAMERA.project(pose.of(board.points)))
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < most_px
 
 
 def test_corners_at_the_border_are_as_good_as_others() -> None:
-    """The window of the refinement ends where the picture does: continued beyond, it pulls a corner by up to half a pixel."""
+    """The window of the refinement ends where the image does: continued beyond, it pulls a corner by up to half a pixel."""
     painter = views.Painter(CAMERA, BOARD)
     pose = Pose(so3.matrix(so3.quat_exp(np.array([0.05, -0.04, 0.03]))), np.array([-0.1, -0.004, 0.25]))
     truth = CAMERA.project(pose.of(BOARD.points))
@@ -113,7 +113,7 @@ def test_any_size(size: tuple[int, int]) -> None:
     assert len(view_of(image, board).px) == size[0] * size[1]
 
 
-def test_colour_and_sixteen_bits_and_large_pictures_are_taken() -> None:
+def test_colour_and_sixteen_bits_and_large_images_are_taken() -> None:
     pose = Pose(np.eye(3), np.array([0.0, 0.0, 0.5]) - BOARD.points.mean(axis=0))
     image = views.Painter(CAMERA, BOARD).paint(pose, np.random.default_rng(0))
     plain = view_of(image).px
@@ -138,8 +138,8 @@ def test_charuco_corners_carry_their_identity_though_a_part_is_hidden() -> None:
     np.testing.assert_allclose(step / np.linalg.norm(step), (1.0, 0.0), atol=0.01)
 
 
-def test_blurred_empty_and_other_boards_are_distinguished(pictures: list[Grey]) -> None:
-    sharp = next(p for p in pictures if isinstance(find(p, BOARD), View))
+def test_blurred_empty_and_other_boards_are_distinguished(images: list[Grey]) -> None:
+    sharp = next(p for p in images if isinstance(find(p, BOARD), View))
     near = Pose(np.eye(3), np.array([0.0, 0.0, 0.25]) - BOARD.points.mean(axis=0))
     image = views.Painter(SMALL, BOARD).paint(near, np.random.default_rng(0))
     assert find(cv2.GaussianBlur(image, (0, 0), 4.0), BOARD) is Why.BLURRED

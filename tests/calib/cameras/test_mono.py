@@ -143,7 +143,7 @@ def test_twenty_views_that_differ_are_chosen() -> None:
 
 def test_too_few_alike_and_mixed_views_are_refused() -> None:
     views = simulated_views(8)
-    with pytest.raises(CalibrationError, match=r"4 usable views.*take more pictures"):
+    with pytest.raises(CalibrationError, match=r"4 usable views.*take more images"):
         mono.calibrate(views[:4], BOARD)
     alike = [View(str(k), 640, 480, v.ids, v.px + 0.3 * k, 2.0) for k, v in enumerate([views[0]] * 9)]
     with pytest.raises(CalibrationError, match="all alike"):
@@ -154,7 +154,7 @@ def test_too_few_alike_and_mixed_views_are_refused() -> None:
 
 
 def test_a_board_never_tilted_is_not_called_good() -> None:
-    """Boards parallel to the picture leave the focal length open: either refused or not good."""
+    """Boards parallel to the image leave the focal length open: either refused or not good."""
     rng, views = np.random.default_rng(6), []
     for k in range(12):
         pose = IDENTITY._replace(t=rng.uniform((-0.15, -0.1, 0.45), (-0.05, -0.02, 0.7)))
@@ -169,8 +169,8 @@ def test_a_board_never_tilted_is_not_called_good() -> None:
         assert "tilt the board" in judged.text
 
 
-def test_real_pictures_are_at_or_below_the_reference(chessboards: Path) -> None:
-    """README of the pictures: 0.195 px left, 0.207 px right, f 532.83 and 537.45 px."""
+def test_real_images_are_at_or_below_the_reference(chessboards: Path) -> None:
+    """README of the images: 0.195 px left, 0.207 px right, f 532.83 and 537.45 px."""
     for side, reference, f in (("left", 0.195, 532.83), ("right", 0.207, 537.45)):
         views = [find(np.asarray(cv2.imread(str(p))), BOARD, p.name) for p in sorted(chessboards.glob(f"{side}*.jpg"))]
         assert all(isinstance(v, View) for v in views)

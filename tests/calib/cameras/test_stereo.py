@@ -84,7 +84,7 @@ def test_swapped_and_stacked_cameras_are_refused_with_what_to_do() -> None:
         stereo.calibrate(simulated_pairs(8, rig=stacked), BOARD)
 
 
-def test_a_board_that_looks_the_same_upside_down_is_turned_where_one_picture_read_it_from_the_other_end() -> None:
+def test_a_board_that_looks_the_same_upside_down_is_turned_where_one_image_read_it_from_the_other_end() -> None:
     alike = Board(8, 6, 0.025)
     pairs = simulated_pairs(8, board=alike)
     first = pairs[0].right
@@ -136,7 +136,7 @@ def test_a_pair_not_taken_together_is_dropped() -> None:
 
 
 def test_real_pairs_are_at_or_below_the_reference(chessboards: Path) -> None:
-    """README of the pictures: stereo 0.217 px, rectified row error 0.171 px, left out 0.173 px, square 25.011 mm, 83.21 mm."""
+    """README of the images: stereo 0.217 px, rectified row error 0.171 px, left out 0.173 px, square 25.011 mm, 83.21 mm."""
     sides = []
     for side in ("left", "right"):
         views = [find(np.asarray(cv2.imread(str(p))), BOARD, p.name) for p in sorted(chessboards.glob(f"{side}*.jpg"))]

@@ -170,10 +170,10 @@ def test_a_bad_file_is_one_clear_line(tmp_path: Path, name: str) -> None:
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
-    (tmp_path / "picture.png").write_bytes(b"\x89PNG\xff\xfe")
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\xff\xfe")
     for path, expected in (
         (tmp_path / "nowhere.yaml", "no such file"),
-        (tmp_path / "picture.png", "no text file"),
+        (tmp_path / "image.png", "no text file"),
         (tmp_path, "no text"),
     ):
         with pytest.raises(CalibrationError, match=expected):

@@ -112,7 +112,7 @@ def test_the_simulated_imu_leads_along_the_simulated_path() -> None:
 
 
 def test_the_filters_derivatives_are_those_of_its_residual() -> None:
-    """One picture at once after a state known to be off: the update must undo the error, first order."""
+    """One image at once after a state known to be off: the update must undo the error, first order."""
     rng = np.random.default_rng(4)
     R_bc, p_bc, R_no = (so3.matrix(so3.quat_exp(rng.normal(0.0, 0.8, 3))) for _ in range(3))
     p_bc = rng.normal(0.0, 0.1, 3)
@@ -145,11 +145,11 @@ def test_motion_without_information_is_refused_with_what_to_do() -> None:
     )
     with pytest.raises(CalibrationError, match="one axis only"):
         camera_imu.calibrate(one_axis, stamps, views, BOARD, CAMERA, EUROC_NOISE)
-    with pytest.raises(CalibrationError, match="10 pictures show the board"):
+    with pytest.raises(CalibrationError, match="10 images show the board"):
         camera_imu.calibrate(imu, stamps[:10], views[:10], BOARD, CAMERA, EUROC_NOISE)
 
 
-def test_pictures_with_corners_confused_are_left_out() -> None:
+def test_images_with_corners_confused_are_left_out() -> None:
     true = truth(3, 10.0)
     imu, stamps, views, _ = record(true, CAMERA, BOARD, EUROC_NOISE, np.random.default_rng(3))
     confused = list(views)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Plot
 from calib.cameras import mono
 from calib.errors import CalibrationError
 from calib.report import page as report
-from calib.report import pictures, verdict
+from calib.report import plots, verdict
 from calib.report.verdict import Figure, Grade, Verdict
 from models.camera import CameraModel
 from tests.calib.conftest import BOARD, CAMERA, simulated_views
@@ -26,7 +26,7 @@ def test_the_worst_figure_is_the_verdict_and_its_advice_comes_first() -> None:
     assert verdict.table((redo,)) == [("c", "9 px", "<= 1 / 2", "redo")]
 
 
-def test_a_lens_model_that_folds_inside_the_picture_is_noticed() -> None:
+def test_a_lens_model_that_folds_inside_the_image_is_noticed() -> None:
     assert verdict.uncovered(CAMERA) == 0.0
     folding = CameraModel(640, 480, 533.0, 534.0, 342.0, 234.0, (-0.9, 0.0, 0.0, 0.0))
     assert 5.0 < verdict.uncovered(folding) < 90.0
@@ -52,7 +52,7 @@ def test_a_view_beyond_the_fold_has_no_residual_and_is_reported() -> None:
 def test_the_report_stands_alone_and_escapes_names(tmp_path: Path) -> None:
     result = mono.calibrate(simulated_views(8), BOARD)
     tables = [*report.mono_tables(result), report.dropped([mono.Dropped("<b>.png", "blurred & dark")])]
-    page, png = report.write(tmp_path / "x.yaml", "Camera <1>", verdict.of_mono(result), tables, pictures.mono_figure(result))
+    page, png = report.write(tmp_path / "x.yaml", "Camera <1>", verdict.of_mono(result), tables, plots.mono_figure(result))
     text = page.read_text()
     assert png.suffix == ".png"
     assert "&lt;b&gt;.png" in text

@@ -204,8 +204,8 @@ def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
     folder = landfix_data / "images/opencv_feature_pairs"
     pairs = [("box.png", "box_in_scene.png"), ("graf1.png", "graf3.png"), ("leuvenA.jpg", "leuvenB.jpg")]
     looked = {name: recognisers.look(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
-    for reference, picture in pairs:
-        assert recognisers.homography(looked[reference], looked[picture]) is not None
+    for reference, image in pairs:
+        assert recognisers.homography(looked[reference], looked[image]) is not None
     assert recognisers.homography(looked["box.png"], looked["graf1.png"]) is None
 
 
@@ -234,7 +234,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("summits", "verdict"), [(20, "recognised"), (1, "silent")])
-def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_picture(summits: int, verdict: str) -> None:
+def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_image(summits: int, verdict: str) -> None:
     c = PipelineConfig()
     coarse = msgspec.structs.replace(c.predict.coarse, summits=summits)
     config = msgspec.structs.replace(c, predict=msgspec.structs.replace(c.predict, coarse=coarse))
@@ -248,7 +248,7 @@ def test_names_that_are_not_known() -> None:
 
 
 def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
-    """Shadows have the roofs' shapes, all at one distance the same way, in one picture as in the next."""
+    """Shadows have the roofs' shapes, all at one distance the same way, in one image as in the next."""
     assert recognisers.landfix(views.draw("description", "pale", 402, 0), timed=False).verdict == "recognised"
 
 
@@ -265,7 +265,7 @@ def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_do
 
 
 def test_a_place_behind_the_twentieth_summit_is_found() -> None:
-    """Pale roofs of which half is in view: the most reduced picture shows more edges elsewhere."""
+    """Pale roofs of which half is in view: the most reduced image shows more edges elsewhere."""
     sample, few = views.draw("partial", "pale", 722, 95), PredictConfig(coarse=CoarseConfig(summits=20, peaks=5))
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
     assert recognisers.landfix(sample, PipelineConfig(predict=few), timed=False).verdict == "silent"

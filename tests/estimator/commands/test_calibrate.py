@@ -13,10 +13,10 @@ from calib.synthetic import motion as synthetic_motion
 from calib.synthetic import views as synthetic
 from calib.synthetic.motion import EUROC_NOISE, Truth
 from estimator.cli import app
-from estimator.commands.common import picture_source
+from estimator.commands.common import image_source
 from logs.store.recorder import Recorder
 from logs.wire.codec import encode_input
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.frames import GRAVITY
@@ -47,7 +47,7 @@ def fails(*args: object) -> str:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve rendered pairs left_00.png, right_00.png; no EXIF in them."""
-    folder = tmp_path_factory.mktemp("pictures")
+    folder = tmp_path_factory.mktemp("images")
     rng = np.random.default_rng(3)
     painters = [synthetic.Painter(c, BOARD) for c, _ in synthetic.both(RIG)]
     for k, pose in enumerate(synthetic.poses(synthetic.both(RIG), BOARD, 12, rng)):
@@ -114,11 +114,11 @@ def test_convert_and_back(tmp_path: Path) -> None:
     assert "no such file" in fails("convert", tmp_path / "none.yaml", "-o", tmp_path / "x.yaml")
 
 
-def test_bad_pictures_are_one_line_that_says_what_to_do(folder: Path, tmp_path: Path) -> None:
+def test_bad_images_are_one_line_that_says_what_to_do(folder: Path, tmp_path: Path) -> None:
     out = ("-o", tmp_path / "x.yaml")
     left = sorted(folder.glob("left_*.png"))
     assert "3 usable views" in fails("mono", *left[:3], *SIZE, *out)
-    assert "take more pictures" in fails("mono", *left[:3], *SIZE, *out)
+    assert "take more images" in fails("mono", *left[:3], *SIZE, *out)
     wrong = fails("mono", *left[:5], "--board", "9x6", *out)
     assert "7x5 inner corners: is --board right?" in wrong
     part = fails("mono", *left[:6], "--board", "6x5", *out)
@@ -137,15 +137,15 @@ def test_bad_pictures_are_one_line_that_says_what_to_do(folder: Path, tmp_path: 
         cv2.imwrite(str(empty / path.name), np.full((240, 320), 90 + k, np.uint8))
         cv2.imwrite(str(large / path.name), cv2.resize(image, (640, 480)) if k % 2 else image)
     assert "blurred: hold the board still" in fails("mono", blurred, *SIZE, *out)
-    assert "no 7x5 board found in 12 pictures" in fails("mono", empty, *SIZE, *out)
+    assert "no 7x5 board found in 12 images" in fails("mono", empty, *SIZE, *out)
     assert "different sizes" in fails("mono", large, *SIZE, *out)
     assert "exchange --left and --right" in fails(
         "stereo", "--left", folder / "right_*.png", "--right", folder / "left_*.png", *SIZE, *out
     )
 
 
-def test_a_picture_that_cannot_be_read_is_left_out_with_its_reason(folder: Path, tmp_path: Path) -> None:
-    """Two folders with the same names, too: each picture stands for itself."""
+def test_an_image_that_cannot_be_read_is_left_out_with_its_reason(folder: Path, tmp_path: Path) -> None:
+    """Two folders with the same names, too: each image stands for itself."""
     for k in (1, 2):
         (tmp_path / str(k)).mkdir()
         for path in sorted(folder.glob("left_*.png"))[6 * k - 6 : 6 * k]:
@@ -154,7 +154,7 @@ def test_a_picture_that_cannot_be_read_is_left_out_with_its_reason(folder: Path,
     (tmp_path / "2" / "empty.jpg").write_bytes(b"")
     facts = json.loads(run("mono", tmp_path / "1", tmp_path / "2", *SIZE, "-o", tmp_path / "x.yaml", "--json").stdout)
     assert set(facts["unused"]) == {"torn.png", "empty.jpg"}
-    assert all("no picture that can be read" in reason for reason in facts["unused"].values())
+    assert all("no image that can be read" in reason for reason in facts["unused"].values())
     assert facts["figures"]["views short of 20"] == 8
 
 
@@ -198,8 +198,8 @@ class TwoCameras:
             return True, cv2.imread(str(self.both.frames[self.side][self.both.now]))
 
 
-def test_two_live_cameras_take_their_pictures_together(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_source, "_LIVE_S", 0.0)
+def test_two_live_cameras_take_their_images_together(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(image_source, "_LIVE_S", 0.0)
     monkeypatch.setattr(cv2, "VideoCapture", TwoCameras(folder))
     live = ("--left", "camera:left", "--right", "camera:right")
     facts = json.loads(run("stereo", *live, *SIZE, "-o", tmp_path / "rig.yaml", "--json").stdout)
@@ -208,17 +208,17 @@ def test_two_live_cameras_take_their_pictures_together(folder: Path, tmp_path: P
     dark = TwoCameras(folder)
     dark.now = 12
     monkeypatch.setattr(cv2, "VideoCapture", dark)
-    assert "gives no picture" in fails("mono", "camera:left", "-o", tmp_path / "x.yaml")
+    assert "gives no image" in fails("mono", "camera:left", "-o", tmp_path / "x.yaml")
 
 
 def test_bad_sources_are_one_line(folder: Path, tmp_path: Path) -> None:
     out = ("-o", tmp_path / "x.yaml")
-    (tmp_path / "no.png").write_text("no picture")
+    (tmp_path / "no.png").write_text("no image")
     (tmp_path / "no.mp4").write_text("no video")
     (tmp_path / "empty").mkdir()
-    assert "no picture that can be read" in fails("mono", tmp_path / "no.png", *out)
+    assert "no image that can be read" in fails("mono", tmp_path / "no.png", *out)
     assert "no video that can be read" in fails("mono", tmp_path / "no.mp4", *out)
-    assert "no pictures in this folder" in fails("mono", tmp_path / "empty", *out)
+    assert "no images in this folder" in fails("mono", tmp_path / "empty", *out)
     assert "no file has such a name" in fails("mono", tmp_path / "q*.png", *out)
     assert "no such file" in fails("mono", tmp_path / "nowhere.png", *out)
     assert "cannot be opened" in fails("mono", "camera:/nowhere", *out)
@@ -296,8 +296,8 @@ def test_imu_logs_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
     assert "4 of 400 IMU samples are not finite" in fails("imu", log)
 
 
-def test_camera_imu_from_a_log_of_pictures(tmp_path: Path) -> None:
-    """Ten seconds of rendered pictures, encoded as JPEG: the whole way from pixels to the rig on the body."""
+def test_camera_imu_from_a_log_of_images(tmp_path: Path) -> None:
+    """Ten seconds of rendered images, encoded as JPEG: the whole way from pixels to the rig on the body."""
     rng = np.random.default_rng(1)
     R_bc = so3.matrix(so3.quat_exp(np.array([0.1, -0.2, 0.05]))) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     true = Truth(R_bc, np.array([0.05, -0.02, 0.03]), 0.012, 10.0, camera_hz=10.0, distance_m=0.6)
@@ -309,7 +309,7 @@ def test_camera_imu_from_a_log_of_pictures(tmp_path: Path) -> None:
         for t_ns in stamps.tolist():
             R_oc, p_o = motion.camera(1e-9 * (t_ns - int(imu.t_ns[0])) + true.time_offset_s)
             image = painter.paint(Pose(R_oc.T, -R_oc.T @ p_o), rng)
-            recorder.write(*encode_picture(t_ns, image, "/left/image", jpeg_quality=95), t_ns)
+            recorder.write(*encode_image(t_ns, image, "/left/image", jpeg_quality=95), t_ns)
     save_rig(tmp_path / "rig.yaml", RIG)
     (tmp_path / "imu.toml").write_text(
         f"[imu]\ngyro_noise = {EUROC_NOISE.gyro_noise}\naccel_noise = {EUROC_NOISE.accel_noise}\n"
@@ -319,7 +319,7 @@ def test_camera_imu_from_a_log_of_pictures(tmp_path: Path) -> None:
     done = run("camera-imu", *common, "-o", tmp_path / "out.yaml", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
-    assert facts["pictures"] > 50
+    assert facts["images"] > 50
     found = load_rig(tmp_path / "out.yaml")
     assert found.time_offset_s == pytest.approx(0.012, abs=5e-4)
     np.testing.assert_allclose(found.p_bc, true.p_bc, atol=5e-3)
@@ -344,13 +344,13 @@ def test_pairs_of_a_log_are_made_by_stamp_and_of_videos_by_frame(folder: Path, t
     with Recorder(log) as recorder:
         for k, (left, right) in enumerate(zip(images["left"], images["right"], strict=True)):
             t_ns = stamp_ns + k * 200_000_000
-            if k != 3:  # one left picture was lost: frames no longer count alike
-                recorder.write(*encode_picture(t_ns, np.asarray(left, np.uint8), "/left/image"), t_ns)
-            recorder.write(*encode_picture(t_ns + 2_000_000, np.asarray(right, np.uint8), "/right/image"), t_ns)
+            if k != 3:  # one left image was lost: frames no longer count alike
+                recorder.write(*encode_image(t_ns, np.asarray(left, np.uint8), "/left/image"), t_ns)
+            recorder.write(*encode_image(t_ns + 2_000_000, np.asarray(right, np.uint8), "/right/image"), t_ns)
     facts = json.loads(run("stereo", "--left", log, "--right", log, *SIZE, "-o", tmp_path / "rig.yaml", "--json").stdout)
     assert facts["row_error_px"] < 0.3
     assert list(facts["unused"].values()) == ["no partner with a view of the board"]
-    assert "no pictures under /other in it" in fails(
+    assert "no images under /other in it" in fails(
         "stereo", "--left", log, "--right", log, "--left-topic", "/other", "-o", tmp_path / "x.yaml"
     )
     for side, frames in images.items():

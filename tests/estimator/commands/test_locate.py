@@ -65,13 +65,13 @@ def test_a_pair_is_located_and_drawn(folder: Path, tmp_path: Path) -> None:
     assert joint["yaw_deg"] == pytest.approx(math.degrees(EULER[2]), abs=1.0)
     assert max(joint["sigma_north_east_down_m"]) <= max(fix["sigma_north_east_down_m"]) + 1e-9
     assert len(fix["landmarks"]) == [r["state"] for r in answer["regions"]].count("identified")
-    picture = cv2.imread(str(out))
-    assert picture is not None
-    assert picture.shape == (480, 640, 3)
-    assert (picture != cv2.imread(str(folder / "left.png"))).any()
+    image = cv2.imread(str(out))
+    assert image is not None
+    assert image.shape == (480, 640, 3)
+    assert (image != cv2.imread(str(folder / "left.png"))).any()
 
 
-def test_one_picture_is_located_for_a_person(folder: Path) -> None:
+def test_one_image_is_located_for_a_person(folder: Path) -> None:
     result = run(folder / "left.png", *options(folder), "--prior-sigma", "5,1")
     assert result.exit_code == 0, result.output
     assert "identified" in result.stdout
@@ -97,8 +97,8 @@ def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> No
     cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
     result = run(black, black, *options(folder), "--json", "-o", out)
     assert result.exit_code == 1
-    assert json.loads(result.stdout)["outcome"] == "no_picture"
-    assert result.stderr == "landfix: no fix: no_picture: left: black; right: black\n"
+    assert json.loads(result.stdout)["outcome"] == "no_image"
+    assert result.stderr == "landfix: no fix: no_image: left: black; right: black\n"
     assert out.exists()
 
 
@@ -122,7 +122,7 @@ def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> 
     assert said in " ".join(result.stderr.replace("│", " ").split())
 
 
-def test_of_a_torn_picture_nobody_else_speaks(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_of_a_torn_image_nobody_else_speaks(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """libpng writes to the process' stderr, where no logger reaches it."""
     (tmp_path / "torn.png").write_bytes((folder / "left.png").read_bytes()[:20_000])
     run(tmp_path / "torn.png", folder / "right.png", *options(folder))
@@ -192,7 +192,7 @@ def test_several_photos_of_one_camera(folder: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
     given = [*one_camera(folder, tmp_path), "--prior-sigma", "5,1"]
     answer = json.loads(run(folder / "left.png", black, *given).stdout)
-    assert [p["outcome"] for p in answer["photos"]] == ["fixed", "no_picture"]
+    assert [p["outcome"] for p in answer["photos"]] == ["fixed", "no_image"]
     assert answer["photo"] == str(folder / "left.png")
     three = run(folder / "left.png", black, black, *given, "--prior", "47,8,500,0,0,0")
     assert three.exit_code == 2

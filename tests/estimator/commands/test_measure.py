@@ -66,7 +66,7 @@ def test_json_holds_the_true_sizes(folder: Path) -> None:
     assert checked >= 4
 
 
-def test_swapped_pictures_are_said(folder: Path) -> None:
+def test_swapped_images_are_said(folder: Path) -> None:
     code, _, err = run(folder, *COLOURS, left="right.png", right="left.png")
     assert code == 1
     assert "left and right are swapped" in err.splitlines()[-1]
@@ -75,13 +75,13 @@ def test_swapped_pictures_are_said(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("text.png", b"no picture", "text.png: no picture that can be read"),
-        ("empty.png", b"", "empty.png: no picture that can be read"),
+        ("text.png", b"no image", "text.png: no image that can be read"),
+        ("empty.png", b"", "empty.png: no image that can be read"),
         ("black.png", None, "right image: black"),
         ("small.png", None, "left is 640 x 480, right is 640 x 100"),
     ],
 )
-def test_bad_pictures_give_one_line(folder: Path, name: str, content: bytes | None, reason: str) -> None:
+def test_bad_images_give_one_line(folder: Path, name: str, content: bytes | None, reason: str) -> None:
     if content is None:
         write(folder / name, np.zeros_like(VIEW.right) if name == "black.png" else VIEW.right[:100])
     else:

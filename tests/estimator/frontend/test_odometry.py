@@ -14,7 +14,7 @@ from estimator.frontend.requests import Pair, Shot, Track
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
 from logs.wire.codec import Decoder, decode_odometry_request, encode
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models import so3
 from models.messages import ODOMETRY_DELTA_TOPIC, Estimate, Mode, OdometryDelta, OdometryRequest
 from models.state import E, X
@@ -28,7 +28,7 @@ T0_NS, T1_NS = 10 * SECOND, 10 * SECOND + SECOND // 2
 def _pair(k: int, t_ns: int) -> Pair:
     shots = []
     for topic, image in zip(("/left", "/right"), scene.pair(k), strict=True):
-        _, schema, data = encode_picture(t_ns, image, topic)
+        _, schema, data = encode_image(t_ns, image, topic)
         shots.append(Shot(topic, schema, data, t_ns, t_ns, t_ns))
     return Pair(*shots)
 

@@ -9,7 +9,7 @@ import pytest
 from estimator.frontend.processor import Sight
 from estimator.frontend.requests import Shot
 from logs.wire.codec import Encoded
-from logs.wire.pictures import Picture, encode_picture
+from logs.wire.images import Pixels, encode_image
 from logs.wire.schemas import STORE
 from models import so3
 from models.messages import VisionRequest, vec3
@@ -20,8 +20,8 @@ from vision.synthetic.scenes import WorldSpec, make_world
 P_N, R_NB = np.array([0.0, 0.0, -80.0]), so3.matrix(so3.from_euler(0.04, -0.03, 0.7))
 
 
-def shot(picture: Picture) -> Shot:
-    message = encode_picture(0, picture, "/left/image", jpeg_quality=None)
+def shot(image: Pixels) -> Shot:
+    message = encode_image(0, image, "/left/image", jpeg_quality=None)
     return Shot("/left/image", message.schema, message.data, 0, 0, 0)
 
 
@@ -29,7 +29,7 @@ def said(message: Encoded) -> Any:
     return STORE.deserialize_cdr(message.data, message.schema)
 
 
-@pytest.mark.parametrize(("size", "outcome"), [((640, 480), "fixed"), ((1280, 960), "fixed"), ((640, 360), "no_picture")])
+@pytest.mark.parametrize(("size", "outcome"), [((640, 480), "fixed"), ((1280, 960), "fixed"), ((640, 360), "no_image")])
 def test_images_of_another_size_are_scaled_where_the_aspect_ratio_fits(size: tuple[int, int], outcome: str) -> None:
     """With the camera of 640 x 480 that was calibrated."""
     scene = make_world(2, WorldSpec("lookalikes", painted=1.0, area_m=240.0, sigma_m=0.2, height_sigma_m=0.1))

@@ -1,4 +1,4 @@
-"""Pictures become pairs, pairs become requests with the prior of their exposure."""
+"""Images become pairs, pairs become requests with the prior of their exposure."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig, prior_at
 from models import so3
-from models.messages import Estimate, Mode, PictureName
+from models.messages import Estimate, ImageName, Mode
 from models.state import E, X
 
 MS = 1_000_000
@@ -26,13 +26,13 @@ def _put(pairing: Pairing, *shots: Shot) -> list[tuple[int | None, int | None]]:
     return [tuple(None if s is None else s.t_ns // MS for s in pair) for pair in pairs]  # type: ignore[misc]
 
 
-def test_pictures_of_one_exposure_are_a_pair_whichever_comes_first() -> None:
+def test_images_of_one_exposure_are_a_pair_whichever_comes_first() -> None:
     pairing = Pairing(VisionConfig())
     assert _put(pairing, _shot(1000), _shot(1002, "right")) == [(1000, 1002)]
     assert _put(pairing, _shot(1200, "right"), _shot(1201)) == [(1201, 1200)]
 
 
-def test_pictures_too_far_apart_are_not() -> None:
+def test_images_too_far_apart_are_not() -> None:
     pairing = Pairing(VisionConfig(pair_ms=5.0, patience_ms=100.0))
     assert _put(pairing, _shot(1000), _shot(1006, "right")) == []
 
@@ -46,7 +46,7 @@ def test_one_that_waits_in_vain_goes_alone() -> None:
     assert pairing.overdue(2 * SECOND) == []
 
 
-def test_a_picture_whose_other_was_lost_gives_way_to_the_next_pair() -> None:
+def test_an_image_whose_other_was_lost_gives_way_to_the_next_pair() -> None:
     pairing = Pairing(VisionConfig(patience_ms=1000.0))
     assert _put(pairing, _shot(1000), _shot(1250), _shot(1250, "right")) == [(1250, 1250)]
     assert pairing.overdue(10 * SECOND) == []
@@ -91,13 +91,13 @@ def test_its_attitude_error_is_about_the_axes_of_n() -> None:
     np.testing.assert_array_equal(covariance, covariance.T)
 
 
-def test_a_request_names_its_pictures_and_takes_the_nearest_estimate() -> None:
+def test_a_request_names_its_images_and_takes_the_nearest_estimate() -> None:
     track = Track()
     track.note([_estimate(SECOND - 50 * MS), _estimate(SECOND), _estimate(SECOND + 50 * MS)])
     request = track.request(Pair(_shot(1010), None), 2 * SECOND, run=3)
     assert request is not None
     assert (request.t_ns, request.run) == (1010 * MS, 3)
-    assert (request.left, request.right) == (PictureName("/left/image", 1010 * MS), None)
+    assert (request.left, request.right) == (ImageName("/left/image", 1010 * MS), None)
     assert request.p_n[0] == pytest.approx(1.04)
     assert math.hypot(*request.q_nb_wxyz) == pytest.approx(1.0)
 

@@ -1,4 +1,4 @@
-"""Colours from orthophotos: the picture is painted first, the map is where its patches lie on Earth."""
+"""Colours from orthophotos: the image is painted first, the map is where its patches lie on Earth."""
 
 import json
 import shutil
@@ -21,14 +21,14 @@ from models.messages import Array
 UTM = 32632
 TURNED = np.array([[0.4, 0.3, 465_000.0], [0.1, -0.38, 5_250_000.0]])  # turned and strongly sheared
 NORTH_UP = np.array([[0.5, 0.0, 465_000.25], [0.0, -0.5, 5_249_999.75]])
-PATCHES = {  # centre u, v and half sides of patches in the picture, and their colours
+PATCHES = {  # centre u, v and half sides of patches in the image, and their colours
     "red": (100, 120, 30, 20, (20, 20, 220)),
     "green": (300, 100, 20, 20, (30, 180, 40)),
     "white": (200, 300, 40, 15, (250, 250, 250)),
 }
 
 
-def picture() -> NDArray[np.uint8]:
+def painted() -> NDArray[np.uint8]:
     """Speckled ground with the patches, each with a dark rim a pixel wide, and a red one that the border cuts."""
     rng = np.random.default_rng(0)
     image: NDArray[np.uint8] = rng.integers(60, 120, (400, 400, 3)).astype(np.uint8)
@@ -78,9 +78,9 @@ def geotiff(path: Path, image: NDArray[np.uint8], order: str) -> Path:
     return path
 
 
-def test_colours_of_a_picture_with_a_world_file(tmp_path: Path) -> None:
+def test_colours_of_an_image_with_a_world_file(tmp_path: Path) -> None:
     path = tmp_path / "ortho.png"
-    cv2.imwrite(str(path), picture())
+    cv2.imwrite(str(path), painted())
     path.with_suffix(".pgw").write_text("\n".join(f"{x:.10f}" for x in TURNED.T.ravel()))
     the_map = build(footprints(tmp_path / "in.geojson", TURNED, edge=(395.0, 200.0)), path, "--picture-epsg", str(UTM))
     assert {x.id: x.colour_bgr for x in the_map} == {name: patch[4] for name, patch in PATCHES.items()} | {"edge": None}
@@ -88,15 +88,15 @@ def test_colours_of_a_picture_with_a_world_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_colours_of_a_geotiff(tmp_path: Path, order: str) -> None:
-    path = geotiff(tmp_path / "ortho.tif", picture(), order)
+    path = geotiff(tmp_path / "ortho.tif", painted(), order)
     np.testing.assert_allclose(load(path).affine, NORTH_UP)
     the_map = build(footprints(tmp_path / "in.geojson", NORTH_UP), path)
     assert {x.id: x.colour_bgr for x in the_map} == {name: patch[4] for name, patch in PATCHES.items()}
 
 
-def test_landmarks_are_picked_from_a_picture(tmp_path: Path) -> None:
+def test_landmarks_are_picked_from_an_image(tmp_path: Path) -> None:
     """The patches come out where the polygons of the other tests are, to a fifth of a pixel in size."""
-    path, out = geotiff(tmp_path / "ortho.tif", picture(), "<"), tmp_path / "picked.geojson"
+    path, out = geotiff(tmp_path / "ortho.tif", painted(), "<"), tmp_path / "picked.geojson"
     result = CliRunner().invoke(
         app, ["map", "build", str(path), "-o", str(out), "--pick", "red, #28b41e ,white", "--height-m", "0"]
     )
@@ -116,8 +116,8 @@ def test_landmarks_are_picked_from_a_picture(tmp_path: Path) -> None:
         assert (found.height_m, len(found.outline_n)) == (0.0, 4)
 
 
-def test_without_colours_to_look_for_the_picture_s_own_divide_it(tmp_path: Path) -> None:
-    path, out = geotiff(tmp_path / "ortho.tif", picture(), ">"), tmp_path / "map.geojson"
+def test_without_colours_to_look_for_the_image_s_own_divide_it(tmp_path: Path) -> None:
+    path, out = geotiff(tmp_path / "ortho.tif", painted(), ">"), tmp_path / "map.geojson"
     result = CliRunner().invoke(app, ["map", "build", str(path), "-o", str(out), "--least-m2", "200"])
     assert result.exit_code == 0, result.stderr
     found = LandmarkMap.from_geojson(out.read_bytes())
@@ -129,8 +129,8 @@ def test_without_colours_to_look_for_the_picture_s_own_divide_it(tmp_path: Path)
         assert (one.sigma_m, one.outline_sigma_m) == (0.5, 0.25), "a pixel, and half of one"
 
 
-def test_a_panchromatic_picture_of_16_bits_gives_outlines_and_no_colours(tmp_path: Path) -> None:
-    grey = cv2.cvtColor(picture(), cv2.COLOR_BGR2GRAY).astype(np.uint16) * 20 + 300
+def test_a_panchromatic_image_of_16_bits_gives_outlines_and_no_colours(tmp_path: Path) -> None:
+    grey = cv2.cvtColor(painted(), cv2.COLOR_BGR2GRAY).astype(np.uint16) * 20 + 300
     path, out = tmp_path / "pan.png", tmp_path / "map.geojson"
     cv2.imwrite(str(path), grey)
     path.with_suffix(".pgw").write_text("\n".join(f"{x:.10f}" for x in NORTH_UP.T.ravel()))
@@ -142,7 +142,7 @@ def test_a_panchromatic_picture_of_16_bits_gives_outlines_and_no_colours(tmp_pat
     assert (white.colour_bgr, white.sigma_m) == (None, 2.0)
 
 
-@pytest.mark.parametrize(("source", "pick", "words"), [("a.geojson", "red", "picture"), ("a.png", "reddish", "'reddish'")])
+@pytest.mark.parametrize(("source", "pick", "words"), [("a.geojson", "red", "image"), ("a.png", "reddish", "'reddish'")])
 def test_wrong_use_of_pick(tmp_path: Path, source: str, pick: str, words: str) -> None:
     arguments = ["map", "build", str(tmp_path / source), "-o", str(tmp_path / "out.geojson"), *(["--pick", pick] if pick else [])]
     result = CliRunner().invoke(app, arguments)
@@ -151,7 +151,7 @@ def test_wrong_use_of_pick(tmp_path: Path, source: str, pick: str, words: str) -
 
 
 def test_given_colours_stay(tmp_path: Path) -> None:
-    path = geotiff(tmp_path / "ortho.tif", picture(), "<")
+    path = geotiff(tmp_path / "ortho.tif", painted(), "<")
     source = footprints(tmp_path / "in.geojson", NORTH_UP)
     data = json.loads(source.read_text())
     data["features"][0]["properties"]["colour"] = "#0000ff"
@@ -161,11 +161,11 @@ def test_given_colours_stay(tmp_path: Path) -> None:
 
 def test_what_cannot_be_used_gets_one_line(tmp_path: Path) -> None:
     plain, text, tiff = tmp_path / "plain.png", tmp_path / "text.png", tmp_path / "cut.tif"
-    cv2.imwrite(str(plain), picture())
-    text.write_text("no picture")
+    cv2.imwrite(str(plain), painted())
+    text.write_text("no image")
     with pytest.raises(MapError, match=r"plain\.png: is not georeferenced.*plain\.pgw"):
         load(plain)
-    with pytest.raises(MapError, match=r"text\.png: not a picture"):
+    with pytest.raises(MapError, match=r"text\.png: not an image"):
         load(text)
     plain.with_suffix(".pgw").write_text("0.5 0 0 x")
     with pytest.raises(MapError, match=r"plain\.pgw: not a world file of six numbers"):
@@ -176,7 +176,7 @@ def test_what_cannot_be_used_gets_one_line(tmp_path: Path) -> None:
     plain.with_suffix(".pgw").write_text("0.5 0 0 -0.5 1 1")
     with pytest.raises(MapError, match="--picture-epsg"):
         load(plain)
-    whole = geotiff(tmp_path / "whole.tif", picture(), "<").read_bytes()
+    whole = geotiff(tmp_path / "whole.tif", painted(), "<").read_bytes()
     for length in (3, 100, len(whole) - 40, len(whole) - 130):
         tiff.write_bytes(whole[:length])
         with pytest.raises(MapError):
@@ -189,7 +189,7 @@ def test_a_real_geotiff_lies_where_its_readme_says(landfix_data: Path) -> None:
     assert ortho.is_grey
     corners = np.array([[-0.5, -0.5], [899.5, 899.5]]) @ ortho.affine[:, :2].T + ortho.affine[:, 2]
     np.testing.assert_allclose(corners, [[733_601, 3_725_139], [734_051, 3_724_689]])
-    assert 100 < np.ptp(ortho.picture) <= 255
+    assert 100 < np.ptp(ortho.image) <= 255
 
 
 def test_road_islands_of_a_real_orthophoto(landfix_data: Path, tmp_path: Path) -> None:

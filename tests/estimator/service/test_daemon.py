@@ -55,7 +55,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict[str
     return log, text, vehicle.sent, len(vehicle.latency_ns), heard
 
 
-def test_every_input_is_in_the_log_and_every_picture(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+def test_every_input_is_in_the_log_and_every_image(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
     log, _, sent, _, _ = flown
     logged = {topic: len(records(log, topic)) for topic in sent}
     assert logged == sent

@@ -98,7 +98,7 @@ def test_no_kernel_is_compiled_in_flight(tmp_path: Path) -> None:
     assert said["fused"] == ["/gnss", "/gnss/velocity", "/landfix/fix", "/pose_fix"]
 
 
-def test_no_kernel_is_compiled_whatever_pictures_come() -> None:
+def test_no_kernel_is_compiled_whatever_images_come() -> None:
     """Rigs, worlds, heights, one camera; colour, grey, thermal and dark, raw and JPEG; landmarks small, round, cut and alone."""
     said = _run("-m", "tests.estimator.service.vision.many_looks")
     assert said["warm"] > 20

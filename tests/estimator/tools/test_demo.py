@@ -95,7 +95,7 @@ def test_the_report_shows_what_the_cameras_saw_and_why_there_was_no_fix(seen: de
     page = Path(seen.report).read_text()
     assert 8 <= page.count("data:image/jpeg;base64,") <= 13
     assert ">fused</b>" in page
-    assert ">no picture</b>" in page
+    assert ">no image</b>" in page
     assert "left: black" in page
     assert '"used":true' in page  # landmarks on the map
     assert "gyroscope bias" in page

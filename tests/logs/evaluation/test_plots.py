@@ -110,7 +110,7 @@ def test_horizontal_error_marks_what_lies_beyond_the_radius(evidence: Evidence, 
 
 
 @pytest.mark.parametrize("make", [plots.from_above, plots.horizontal_error, plots.overview])
-def test_pictures_need_neither_truth_nor_fixes(make: Make, evidence: Evidence) -> None:
+def test_images_need_neither_truth_nor_fixes(make: Make, evidence: Evidence) -> None:
     bare = replace(evidence, truth=evidence.truth[:0], aids=(), fixes={})
     assert drawn(make(bare, [])).std() > 3
 

@@ -38,6 +38,7 @@ from models.messages import (
     GnssFix,
     GnssVelocity,
     Health,
+    ImageName,
     ImuSample,
     Input,
     LandmarkFix,
@@ -45,7 +46,6 @@ from models.messages import (
     Mode,
     OdometryDelta,
     OdometryPose,
-    PictureName,
     PoseFix,
     Quat,
     Reading,
@@ -179,10 +179,8 @@ def rotation(q: Any) -> Rotation:
 
 @pytest.mark.parametrize("one_eyed", [False, True])
 def test_a_request_to_vision_comes_back_as_it_was(one_eyed: bool) -> None:
-    left = None if one_eyed else PictureName("/left/image", T_NS - 3)
-    request = VisionRequest(
-        T_NS, ARRIVED_NS, (1.0, -2.0, 3.0), (0.5, -0.5, 0.5, 0.5), covariance(6), left, PictureName("/r", 7), 4
-    )
+    left = None if one_eyed else ImageName("/left/image", T_NS - 3)
+    request = VisionRequest(T_NS, ARRIVED_NS, (1.0, -2.0, 3.0), (0.5, -0.5, 0.5, 0.5), covariance(6), left, ImageName("/r", 7), 4)
     (message,) = encode(request)
     assert (message.topic, message.schema) == ("/landfix/vision_request", schemas.VISION_REQUEST)
     same(decode_vision_request(message.data, ARRIVED_NS), request)
@@ -482,7 +480,7 @@ def test_vision_report_reports_every_field() -> None:
         value = getattr(message, field)
         assert (tuple(value) if isinstance(value, list) else value) == getattr(report, field), field
     np.testing.assert_array_equal(message.similarities, report.similarities)
-    assert np.isnan(ros(encode(VisionReport(T_NS, ARRIVED_NS, "no_picture"))[0]).residual_px)
+    assert np.isnan(ros(encode(VisionReport(T_NS, ARRIVED_NS, "no_image"))[0]).residual_px)
 
 
 def test_viewers_get_the_pose_of_the_odometry_and_the_place_on_earth() -> None:

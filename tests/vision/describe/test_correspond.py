@@ -69,7 +69,7 @@ def _noisy(u: Array, v: Array, waves: Array, rng: np.random.Generator) -> Image:
 def test_noise_does_not_pull_disparities_towards_half_pixels(fraction: float) -> None:
     """Texture hardly stronger than the noise: the mean over many cells is right, and each within its sigma.
 
-    With the gradient of the right picture instead of the left one's the means are off by 0.1 px and more.
+    With the gradient of the right image instead of the left one's the means are off by 0.1 px and more.
     """
     errors, normalised = [], []
     u, v = np.meshgrid(np.arange(240.0), np.arange(200.0))
@@ -87,7 +87,7 @@ def test_noise_does_not_pull_disparities_towards_half_pixels(fraction: float) ->
 
 
 def test_an_inclined_board_gives_an_inclined_plane() -> None:
-    """1 / Z = A x + B y + C: p = -f b slope_x / (f depth), exactly affine in the picture."""
+    """1 / Z = A x + B y + C: p = -f b slope_x / (f depth), exactly affine in the image."""
     rig = stereo_scene.rig()
     left, right, _ = stereo_scene.board(rig, 8.0, slope=(0.5, -0.3), noise=1.0)
     (match,) = correspond(grey(left), grey(right), regions_of(left), rig, Search(slope_tangent=2.0))
@@ -114,7 +114,7 @@ def test_brightness_and_contrast_of_the_cameras_may_differ() -> None:
     assert abs(match.plane.coefficients[0] - 150.0 / 9.0) < 0.05
 
 
-def test_sixteen_bit_pictures_match_too() -> None:
+def test_sixteen_bit_images_match_too() -> None:
     rig = stereo_scene.rig()
     left, right, _ = stereo_scene.board(rig, 9.0)
     wide = [grey(x).astype(np.uint16) * 150 + 3000 for x in (left, right)]
@@ -123,7 +123,7 @@ def test_sixteen_bit_pictures_match_too() -> None:
     assert abs(match.plane.coefficients[0] - 150.0 / 9.0) < 0.05
 
 
-def test_swapped_pictures_are_noticed() -> None:
+def test_swapped_images_are_noticed() -> None:
     rig = stereo_scene.rig()
     left, right, _ = stereo_scene.board(rig, 9.0)
     (match,) = correspond(grey(right), grey(left), regions_of(right), rig)

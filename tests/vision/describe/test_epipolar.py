@@ -34,14 +34,14 @@ def test_regions_tell_it_too() -> None:
         assert reason is None if fits else reason is not None and "rows do not fit by +1." in reason
 
 
-def test_swapped_pictures_are_said() -> None:
+def test_swapped_images_are_said() -> None:
     rig = stereo_scene.rig()
     left, right, _ = stereo_scene.board(rig, 9.0)
     matches = correspond(grey(right), grey(left), regions_of(right), rig)
     assert "swapped: 1 of 1 regions" in (epipolar.pair_reason(matches, epipolar.region_residual(matches)) or "")
 
 
-def test_pictures_without_anything_in_common_tell_nothing() -> None:
+def test_images_without_anything_in_common_tell_nothing() -> None:
     rig = stereo_scene.rig()
     rng = np.random.default_rng(1)
     a, b = (cv2.GaussianBlur(rng.integers(0, 255, (240, 320), dtype=np.uint8), (0, 0), 2.0) for _ in range(2))

@@ -28,7 +28,7 @@ def draw(corners: Array, noise: float = 2.0, blur: float = 0.6, seed: int = 1, s
 
 
 def rectangle(centre: tuple[float, float], sides: tuple[float, float], angle: float) -> Array:
-    """Corners (4, 2), anticlockwise as seen in a picture (v down)."""
+    """Corners (4, 2), anticlockwise as seen in an image (v down)."""
     c, s = np.cos(angle), np.sin(angle)
     flat = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * np.array(sides) / 2.0
     return np.asarray(flat @ np.array([[c, s], [-s, c]]) + centre)
@@ -114,13 +114,13 @@ def test_l_shapes_and_discs() -> None:
     assert fit_polygon(np.random.default_rng(1).normal(size=(60, 2)) * 9.0) is None
 
 
-def test_what_the_picture_cuts_off_is_flagged() -> None:
+def test_what_the_image_cuts_off_is_flagged() -> None:
     image = draw(rectangle((10.0, 80.0), (61.0, 40.0), 0.0))
     (region,) = find_regions(image, segment_colours(image, TABLE))
     assert region.touches_border
     image = draw(rectangle((100.0, 80.0), (61.0, 40.0), 0.0))
     valid = np.full(image.shape[:2], 255, np.uint8)
-    valid[:, :80] = 0  # the rectified picture ends within the roof
+    valid[:, :80] = 0  # the rectified image ends within the roof
     (region,) = find_regions(image, segment_colours(image, TABLE), valid=valid)
     assert region.touches_border
 
@@ -144,7 +144,7 @@ def test_a_region_that_was_too_small_grows_to_its_edge() -> None:
     assert region.area_px == pytest.approx(2400.0, rel=0.02)
 
 
-def test_grey_pictures_have_regions_too() -> None:
+def test_grey_images_have_regions_too() -> None:
     image = draw(rectangle((100.0, 80.0), (60.0, 40.0), 0.2))[..., 2]
     (region,) = find_regions(image, (image > 140).astype(np.uint8))
     assert region.corners is not None

@@ -80,7 +80,7 @@ def test_alike_colours_are_one_class() -> None:
 
 
 @pytest.mark.parametrize("space", SPACES)
-def test_seeds_divide_a_picture_without_knowing_its_colours(space: Space) -> None:
+def test_seeds_divide_an_image_without_knowing_its_colours(space: Space) -> None:
     image = patches([RED, BLUE, GREEN, (60.0, 60.0, 60.0), (220.0, 220.0, 220.0)])
     labels = segment_seeds(image, space)
     found = [int(np.bincount(labels[:, 40 * k + 3 : 40 * k + 37].ravel()).argmax()) for k in range(5)]
@@ -89,7 +89,7 @@ def test_seeds_divide_a_picture_without_knowing_its_colours(space: Space) -> Non
         assert (labels[:, 40 * k : 40 * k + 40] == label).mean() > 0.95
 
 
-def test_seeds_of_a_grey_picture() -> None:
+def test_seeds_of_a_grey_image() -> None:
     image = cv2.GaussianBlur(patches([(40.0,) * 3, (120.0,) * 3, (220.0,) * 3]), (5, 5), 0)[..., 0]
     labels = segment_seeds(image)
     assert len({int(np.median(labels[:, 40 * k + 5 : 40 * k + 35])) for k in range(3)}) == 3
@@ -139,7 +139,7 @@ def test_a_circular_histogram_has_no_end() -> None:
 
 
 def test_a_thing_is_found_whether_darker_or_brighter_on_ground_of_any_level() -> None:
-    """A slope of 120 levels across the picture, things 25 levels off it: no one threshold would serve."""
+    """A slope of 120 levels across the image, things 25 levels off it: no one threshold would serve."""
     rng = np.random.default_rng(2)
     ground = np.linspace(60.0, 180.0, 320)[None, :] + rng.normal(0.0, 5.0, (240, 320))
     truth = np.zeros((240, 320), int)
@@ -152,7 +152,7 @@ def test_a_thing_is_found_whether_darker_or_brighter_on_ground_of_any_level() ->
     assert (labels[truth == 0] == 0).mean() > 0.8
 
 
-def test_an_empty_picture_has_no_things_however_faint_its_noise() -> None:
+def test_an_empty_image_has_no_things_however_faint_its_noise() -> None:
     noise = np.random.default_rng(3).normal(100.0, 1.0, (240, 320)).astype(np.uint8)
     assert not segment_intensity(noise).any()
 
@@ -160,7 +160,7 @@ def test_an_empty_picture_has_no_things_however_faint_its_noise() -> None:
 def test_a_narrower_tolerance_leaves_a_paler_reflection_out() -> None:
     """A red box, and the same red mixed with a floor's grey, of the same hue and 0.6 times its saturation."""
     box, reflection = (40, 50, 190), (96, 102, 190)
-    picture = np.array([[box, reflection]], dtype=np.uint8)
-    usual, narrow = (segment_colours(picture, colour_table([box], "hsv", Tolerance().scaled(f)))[0].tolist() for f in (1.0, 0.5))
+    image = np.array([[box, reflection]], dtype=np.uint8)
+    usual, narrow = (segment_colours(image, colour_table([box], "hsv", Tolerance().scaled(f)))[0].tolist() for f in (1.0, 0.5))
     assert usual == [1, 1]
     assert narrow == [1, 0]

@@ -36,7 +36,7 @@ def test_roofs_are_found_with_and_without_their_colours(settings: Settings) -> N
     assert len(hits & inside) >= len(inside) - 1
 
 
-def test_sixteen_bit_grey_pictures_pass() -> None:
+def test_sixteen_bit_grey_images_pass() -> None:
     """A thermal pair: 14 bits in 16, hot roofs."""
     left, right = (cv2.cvtColor(x, cv2.COLOR_BGR2HSV)[..., 1].astype(np.uint16) * 30 + 7000 for x in (VIEW.left, VIEW.right))
     found = seen(left, right, settings=Settings())
@@ -68,18 +68,18 @@ def small(image: Image) -> Image:
 
 
 @pytest.mark.parametrize("damage", [white, black, torn, saturated, small])
-def test_bad_pictures_are_refused_with_a_reason(damage: object) -> None:
+def test_bad_images_are_refused_with_a_reason(damage: object) -> None:
     assert callable(damage)
     assert isinstance(survey(damage(VIEW.left), VIEW.right, MADE, KNOWN), str)
     assert isinstance(survey(VIEW.left, damage(VIEW.right), MADE, KNOWN), str)
     assert isinstance(survey(damage(VIEW.left), damage(VIEW.right), MADE, KNOWN), str)
 
 
-def test_the_same_picture_twice_is_refused() -> None:
+def test_the_same_image_twice_is_refused() -> None:
     assert "same image" in str(survey(VIEW.left, VIEW.left, MADE, KNOWN))
 
 
-def test_swapped_pictures_are_said() -> None:
+def test_swapped_images_are_said() -> None:
     assert "swapped" in (seen(VIEW.right, VIEW.left).problem or "")
 
 
@@ -101,7 +101,7 @@ def test_a_pair_that_was_not_taken_together_is_flagged() -> None:
     assert "not taken together" in (seen(VIEW.left, moved).problem or "")
 
 
-def test_another_places_picture_gives_nothing_confident() -> None:
+def test_another_places_image_gives_nothing_confident() -> None:
     other = roofs.view(17, 25.0, rig=RIG)
     found = seen(VIEW.left, other.right)
     assert found.problem is not None or len(found.measured) <= 1
@@ -113,7 +113,7 @@ def test_noise_gives_nothing() -> None:
     assert seen(a, b).measured == ()
 
 
-def test_the_annotated_picture_shows_every_region() -> None:
+def test_the_annotated_image_shows_every_region() -> None:
     found = seen(VIEW.left, VIEW.right)
     drawn = annotate(found.left, found.measured, found.unmeasured)
     assert drawn.shape == (960, 1280, 3)

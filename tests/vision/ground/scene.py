@@ -1,4 +1,4 @@
-"""A flat piece of ground with fields, roads and roofs, as a map's picture and as a camera sees it."""
+"""A flat piece of ground with fields, roads and roofs, as a map's image and as a camera sees it."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ import numpy as np
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
-from vision.ground.picture import GroundPicture, Heights
+from vision.ground.image import GroundImage, Heights
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pose.pose import PoseEstimate, difference
@@ -45,14 +45,14 @@ def drawing(seed: int, season: int = 0) -> Image:
     return drawn
 
 
-def map_picture(ground: Image, reduction: int = 3, sigma_m: float = 0.0) -> GroundPicture:
+def map_image(ground: Image, reduction: int = 3, sigma_m: float = 0.0) -> GroundImage:
     """The drawing as an orthophoto of pixels `reduction` times as large."""
     size = SIDE // reduction
     small = cv2.resize(ground[: size * reduction, : size * reduction], (size, size), interpolation=cv2.INTER_AREA)
     affine = AFFINE.copy()
     affine[:, 2] += AFFINE[:, :2].sum(axis=1) * 0.5 * (reduction - 1)
     affine[:, :2] *= reduction
-    return GroundPicture("ortho", small.astype(np.uint8), affine, Heights.level(0.0, unevenness_m=0.0, slope=0.0), sigma_m)
+    return GroundImage("ortho", small.astype(np.uint8), affine, Heights.level(0.0, unevenness_m=0.0, slope=0.0), sigma_m)
 
 
 def shot(ground: Image, p_n: Array, R_nb: Array, rng: np.random.Generator, noise: float = 3.0) -> Image:

@@ -1,4 +1,4 @@
-"""Recognition by features of a map's picture."""
+"""Recognition by features of a map's image."""
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ def _case(seed: int, season: int = 0) -> tuple[Array, Array, Prior, Image, Featu
     rng = np.random.default_rng(seed)
     ground = scene.drawing(seed)
     p_n, R_nb, prior = scene.flight(rng, _WIDE)
-    known = FeatureMap.of(scene.map_picture(scene.drawing(seed, season)))
+    known = FeatureMap.of(scene.map_image(scene.drawing(seed, season)))
     return p_n, R_nb, prior, scene.shot(ground, p_n, R_nb, rng), known
 
 
@@ -50,7 +50,7 @@ def test_another_ground_is_no_place() -> None:
     for seed in range(6):
         _, _, prior, image, _ = _case(seed)
         assert isinstance(
-            recognise(scene.RIG, image, prior, FeatureMap.of(scene.map_picture(scene.drawing(seed + 1)))), NotRecognised
+            recognise(scene.RIG, image, prior, FeatureMap.of(scene.map_image(scene.drawing(seed + 1)))), NotRecognised
         )
 
 
@@ -79,7 +79,7 @@ def test_pixels_of_other_size(reduction: int) -> None:
     rng = np.random.default_rng(4)
     ground = scene.drawing(4)
     p_n, R_nb, prior = scene.flight(rng, _WIDE)
-    known = FeatureMap.of(scene.map_picture(ground, reduction))
+    known = FeatureMap.of(scene.map_image(ground, reduction))
     found = recognise(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, known)
     assert isinstance(found, Recognised)
     assert np.linalg.norm(found.pose.joint_p_n - p_n) < 1.5

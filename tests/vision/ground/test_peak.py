@@ -9,8 +9,8 @@ from scipy.stats import chi2
 from models import so3
 from models.messages import Array
 from tests.vision.ground import scene
+from vision.ground.image import GroundImage, Heights
 from vision.ground.peak import PeakConfig, fit_peak, peak_flaw
-from vision.ground.picture import GroundPicture, Heights
 from vision.ground.registration import NotRegistered, Peak, RegistrationConfig, register
 from vision.identify.identify import Prior
 from vision.pose.pose import difference
@@ -19,22 +19,22 @@ _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
 _NO_BLOCKS = RegistrationConfig(least_blocks=10**6)
 
 
-def _case(seed: int, known: Array | None = None) -> tuple[Array, Array, Prior, GroundPicture, Peak | None]:
+def _case(seed: int, known: Array | None = None) -> tuple[Array, Array, Prior, GroundImage, Peak | None]:
     rng = np.random.default_rng(seed)
-    picture = scene.map_picture(scene.drawing(seed, 1) if known is None else known)
+    map_image = scene.map_image(scene.drawing(seed, 1) if known is None else known)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
-    found = register(scene.RIG, scene.shot(scene.drawing(seed), p_n, R_nb, rng), prior, picture, _NO_BLOCKS)
+    found = register(scene.RIG, scene.shot(scene.drawing(seed), p_n, R_nb, rng), prior, map_image, _NO_BLOCKS)
     assert isinstance(found, NotRegistered)
-    return p_n, R_nb, prior, picture, found.peak
+    return p_n, R_nb, prior, map_image, found.peak
 
 
 def test_the_peak_is_a_partial_fix_whose_covariance_holds() -> None:
     """North and east alone: two directions, height and yaw of the joint are the prior's."""
     alone, joint = [], []
     for seed in range(12):
-        p_n, R_nb, prior, picture, peak = _case(seed)
+        p_n, R_nb, prior, map_image, peak = _case(seed)
         assert peak is not None
-        fit = fit_peak(scene.RIG, prior, picture, peak)
+        fit = fit_peak(scene.RIG, prior, map_image, peak)
         assert not isinstance(fit, str), (seed, fit)
         assert fit.directions is not None
         assert fit.directions.shape == (2, 6)
@@ -62,7 +62,7 @@ def test_a_wrong_map_has_no_such_peak(decoy: str) -> None:
 
 
 def test_each_condition_counts() -> None:
-    *_, prior, picture, peak = _case(0)
+    *_, prior, map_image, peak = _case(0)
     assert peak is not None
     for change, said in (
         ({"ratio": 1.24}, "times the second"),
@@ -70,19 +70,19 @@ def test_each_condition_counts() -> None:
         ({"deviations": 4.9}, "standard deviations"),
         ({"curvature": None}, "no one place"),
     ):
-        flaw = fit_peak(scene.RIG, prior, picture, replace(peak, **change))
+        flaw = fit_peak(scene.RIG, prior, map_image, replace(peak, **change))
         assert isinstance(flaw, str)
         assert said in flaw
 
 
 def test_the_less_is_explained_the_less_is_claimed() -> None:
     """What moves the peak is common to all images: it does not average out."""
-    *_, prior, picture, peak = _case(0)
-    picture = replace(picture, heights=Heights.level(float(picture.heights.down[0, 0])))
+    *_, prior, map_image, peak = _case(0)
+    map_image = replace(map_image, heights=Heights.level(float(map_image.heights.down[0, 0])))
     assert peak is not None
     sigma = []
     for rho in (0.8, 0.4, 0.25):
-        fit = fit_peak(scene.RIG, prior, picture, replace(peak, correlation=rho))
+        fit = fit_peak(scene.RIG, prior, map_image, replace(peak, correlation=rho))
         assert not isinstance(fit, str)
         assert fit.directions is not None
         sigma.append(float(np.sqrt(np.trace(fit.directions @ fit.covariance_common @ fit.directions.T))))

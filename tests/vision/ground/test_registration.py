@@ -1,4 +1,4 @@
-"""Registration against a picture of the ground: rendered ground, true poses, drawn priors."""
+"""Registration against an image of the ground: rendered ground, true poses, drawn priors."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from models import so3
 from models.messages import Array
 from tests.vision.ground import scene
-from vision.ground.picture import GroundPicture, Heights, pyramid
+from vision.ground.image import GroundImage, Heights, pyramid
 from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, _search, register, shift_of_ground
 from vision.identify.identify import Prior
 from vision.pose.pose import difference
@@ -19,12 +19,12 @@ _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
 _CONFIG = RegistrationConfig()
 
 
-def _case(seed: int, season: int = 0) -> tuple[Array, Array, Prior, GroundPicture, Registered | NotRegistered]:
+def _case(seed: int, season: int = 0) -> tuple[Array, Array, Prior, GroundImage, Registered | NotRegistered]:
     rng = np.random.default_rng(seed)
     ground = scene.drawing(seed)
-    picture = scene.map_picture(scene.drawing(seed, season) if season else ground)
+    map_image = scene.map_image(scene.drawing(seed, season) if season else ground)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
-    return p_n, R_nb, prior, picture, register(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, picture)
+    return p_n, R_nb, prior, map_image, register(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, map_image)
 
 
 def _error(p_n: Array, R_nb: Array, of_p: Array, of_R: Array) -> Array:
@@ -56,11 +56,11 @@ def test_a_camera_that_looks_ahead() -> None:
         p_n, q = np.array([-40.0, 10.0, -100.0]), so3.from_euler(0.02, 0.44, 0.3)
         q0 = so3.normalise(so3.multiply(so3.from_euler(0.0, 0.0, 0.05), q))
         prior = Prior(p_n + np.array([7.0, -6.0, 6.0]), q0, np.diag(_SIGMA**2))
-        image, picture = scene.shot(ground, p_n, so3.matrix(q), rng), scene.map_picture(ground)
-        place = _search(scene.RIG, pyramid(image), prior, picture, _CONFIG)
+        image, map_image = scene.shot(ground, p_n, so3.matrix(q), rng), scene.map_image(ground)
+        place = _search(scene.RIG, pyramid(image), prior, map_image, _CONFIG)
         assert not isinstance(place, NotRegistered)
         assert np.linalg.norm((place.p_n - p_n)[:2]) < 1.2, "turned about the vehicle, not about what it sees"
-        found = register(scene.RIG, image, prior, picture)
+        found = register(scene.RIG, image, prior, map_image)
         assert isinstance(found, Registered)
         assert found.is_sure(_CONFIG)
         assert np.linalg.norm(found.pose.joint_p_n - p_n) < 0.8
@@ -77,7 +77,7 @@ def test_a_wrong_map_is_refused(decoy: str) -> None:
             "another place": np.roll(ground, 500, (0, 1)),
             "another ground": scene.drawing(seed + 99),
         }
-        found = register(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, scene.map_picture(known[decoy]))
+        found = register(scene.RIG, scene.shot(ground, p_n, R_nb, rng), prior, scene.map_image(known[decoy]))
         assert isinstance(found, NotRegistered) or not found.is_likely(_CONFIG)
 
 
@@ -86,10 +86,10 @@ def test_an_error_of_the_georeference_is_common_and_not_more() -> None:
     ground = scene.drawing(5)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
     image = scene.shot(ground, p_n, R_nb, rng)
-    true, wrong = scene.map_picture(ground), scene.map_picture(ground, sigma_m=0.5)
+    true, wrong = scene.map_image(ground), scene.map_image(ground, sigma_m=0.5)
     moved = wrong.affine.copy()
     moved[:, 2] += (0.7, -0.4)
-    shifted = GroundPicture("ortho", wrong.image, moved, wrong.heights, wrong.sigma_m)
+    shifted = GroundImage("ortho", wrong.image, moved, wrong.heights, wrong.sigma_m)
     a, b = register(scene.RIG, image, prior, true), register(scene.RIG, image, prior, shifted)
     assert isinstance(a, Registered)
     assert isinstance(b, Registered)
@@ -104,10 +104,10 @@ def test_relief_moves_the_camera_by_what_the_raster_says() -> None:
     rng = np.random.default_rng(7)
     ground = scene.drawing(7)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
-    image, picture = scene.shot(ground, p_n, R_nb, rng), scene.map_picture(ground)
-    raised = GroundPicture("ortho", picture.image, picture.affine, Heights.level(-20.0, 0.0, 0.0))
+    image, map_image = scene.shot(ground, p_n, R_nb, rng), scene.map_image(ground)
+    raised = GroundImage("ortho", map_image.image, map_image.affine, Heights.level(-20.0, 0.0, 0.0))
     higher = Prior(prior.p_n - (0.0, 0.0, 20.0), prior.q_nb_wxyz, prior.covariance)
-    a, b = register(scene.RIG, image, prior, picture), register(scene.RIG, image, higher, raised)
+    a, b = register(scene.RIG, image, prior, map_image), register(scene.RIG, image, higher, raised)
     assert isinstance(a, Registered)
     assert isinstance(b, Registered)
     np.testing.assert_allclose(b.pose.p_n - a.pose.p_n, (0.0, 0.0, -20.0), atol=0.02)
@@ -117,9 +117,9 @@ def test_what_is_not_known_of_the_ground_widens_the_covariance() -> None:
     rng = np.random.default_rng(7)
     ground = scene.drawing(7)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
-    image, picture = scene.shot(ground, p_n, R_nb, rng), scene.map_picture(ground)
-    rough = GroundPicture("ortho", picture.image, picture.affine, Heights.level(0.0))
-    a, b = register(scene.RIG, image, prior, picture), register(scene.RIG, image, prior, rough)
+    image, map_image = scene.shot(ground, p_n, R_nb, rng), scene.map_image(ground)
+    rough = GroundImage("ortho", map_image.image, map_image.affine, Heights.level(0.0))
+    a, b = register(scene.RIG, image, prior, map_image), register(scene.RIG, image, prior, rough)
     assert isinstance(a, Registered)
     assert isinstance(b, Registered)
     assert np.all(np.diag(b.pose.covariance)[:3] > 4.0 * np.diag(a.pose.covariance)[:3])
@@ -139,7 +139,7 @@ def test_it_says_why_not(change: dict[str, bool], reason: str) -> None:
     rng = np.random.default_rng(3)
     ground = scene.drawing(3)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
-    image, picture = scene.shot(ground, p_n, R_nb, rng), scene.map_picture(ground)
+    image, map_image = scene.shot(ground, p_n, R_nb, rng), scene.map_image(ground)
     q, p0, covariance = prior.q_nb_wxyz, prior.p_n, prior.covariance
     if "sky" in change:
         q = so3.multiply(so3.from_euler(np.pi, 0.0, 0.0), q)
@@ -151,7 +151,7 @@ def test_it_says_why_not(change: dict[str, bool], reason: str) -> None:
         covariance = covariance * 400.0
     if "blank" in change:
         image = np.full_like(image, 90)
-    found = register(scene.RIG, image, Prior(p0, q, covariance), picture)
+    found = register(scene.RIG, image, Prior(p0, q, covariance), map_image)
     assert isinstance(found, NotRegistered)
     assert found.reason == reason
 

@@ -28,7 +28,7 @@ def street(turns: Array) -> Catalogue:
 
 
 def density(known: Catalogue, orientation: float, turns: Array = LEVEL) -> Array:
-    """Of a house that lies so, by how the picture may be turned (T,)."""
+    """Of a house that lies so, by how the image may be turned (T,)."""
     features = np.array([[math.log(8.0), math.log(11.0), 1.0, orientation]])
     return attributes(features, NOISE[None], known, turns, LEVEL, Assumptions())[0, :, 0]
 
@@ -42,7 +42,7 @@ def test_in_a_street_what_is_not_in_the_map_lies_as_what_is() -> None:
 
 
 def test_attributes_are_those_at_the_turn_that_is_asked_about() -> None:
-    """A house that seems to lie 0.1 rad off the street lies along it if the picture is turned by as much."""
+    """A house that seems to lie 0.1 rad off the street lies along it if the image is turned by as much."""
     aligned = street(np.full(36, 0.5))
     of_turns = density(aligned, 0.4, np.array([-0.1, 0.0, 0.1]))
     assert of_turns[2] > 5.0 * of_turns[1]

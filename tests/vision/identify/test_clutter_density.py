@@ -18,7 +18,7 @@ def state(turn: float, scale: float, sigma: float) -> tuple[np.ndarray, np.ndarr
 
 
 def summit_at(t: int, s: int, low: float = 0.01) -> Crowd:
-    """One region beside which much stands, were the picture turned and grown just so."""
+    """One region beside which much stands, were the image turned and grown just so."""
     density = np.full((1, 5, 5), low)
     density[0, t, s] = 1.0
     return Crowd(np.log(density), TURNS, SCALES)

@@ -79,20 +79,20 @@ def test_there_is_room_for_the_newest() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 3, 7])
-def test_pictures_that_say_nothing_alone_together_say_where(seed: int) -> None:
-    """Two regions a picture are open each time; remembered ones decide."""
+def test_images_that_say_nothing_alone_together_say_where(seed: int) -> None:
+    """Two regions an image are open each time; remembered ones decide."""
     rng, c = np.random.default_rng(seed), Conditions("grid", 5.0, unmapped=0.0, gone=0.0, found=1.0, bad=0.0)
     world = draw_world(rng, c)
     p_n, q_nb = draw_pose(rng, c)
     error, memory, alone, together = draw_error(rng, c), Constellation(), [], []
-    for picture in range(3):
-        frame = look(rng, world, p_n + picture * np.array([25.0, 0.0, 0.0]), q_nb, error, c)
+    for image in range(3):
+        frame = look(rng, world, p_n + image * np.array([25.0, 0.0, 0.0]), q_nb, error, c)
         two = frame.sightings[:2]
         near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 110.0))
-        remembered = memory.recall(two, picture * SECOND, frame.prior)
+        remembered = memory.recall(two, image * SECOND, frame.prior)
         alone.append(identify(two, near, frame.prior, RIG, SCALE_SIGMA, CONFIG).place_posterior)
         found = identify([*two, *remembered], near, frame.prior, RIG, SCALE_SIGMA, CONFIG)
         together.append(found.place_posterior)
-        memory.hold(two, remembered, picture * SECOND, frame.prior)
+        memory.hold(two, remembered, image * SECOND, frame.prior)
     assert max(alone) < CONFIG.fix_posterior < together[-1]
     assert np.linalg.norm(frame.p_n - frame.prior.moved(found.x)[0]) < 5.0

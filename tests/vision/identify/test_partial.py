@@ -1,4 +1,4 @@
-"""Regions that the border cuts off, against geometry done by hand: a roof half out of the picture, seen from a known pose."""
+"""Regions that the border cuts off, against geometry done by hand: a roof half out of the image, seen from a known pose."""
 
 import math
 from dataclasses import replace
@@ -44,7 +44,7 @@ def place_at(u: float, v: float) -> tuple[float, float]:
 
 
 def clipped(corners: Array) -> Array:
-    """A convex polygon cut at the picture's border (Sutherland and Hodgman 1974)."""
+    """A convex polygon cut at the image's border (Sutherland and Hodgman 1974)."""
     for axis, limit, sign in ((0, 0.0, 1.0), (0, SIZE[0], -1.0), (1, 0.0, 1.0), (1, SIZE[1], -1.0)):
         kept = []
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):

@@ -1,10 +1,10 @@
-"""Pictures and pairs that cannot be used."""
+"""Images and pairs that cannot be used."""
 
 import numpy as np
 import pytest
 
 from tests.vision import stereo_scene
-from vision.image.check import pair_flaw, picture_flaw
+from vision.image.check import image_flaw, pair_flaw
 from vision.image.rectify import Image
 
 LEFT, RIGHT, _ = stereo_scene.board(stereo_scene.rig())
@@ -27,8 +27,8 @@ def overexposed(image: Image) -> Image:
 
 
 @pytest.mark.parametrize("image", [LEFT, LEFT[..., 1], LEFT.astype(np.uint16) * 200, LEFT[..., 0].astype(np.uint16) + 20000])
-def test_a_good_picture_has_no_flaw(image: Image) -> None:
-    assert picture_flaw(image, stereo_scene.rig().left) is None
+def test_a_good_image_has_no_flaw(image: Image) -> None:
+    assert image_flaw(image, stereo_scene.rig().left) is None
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_good_picture_has_no_flaw(image: Image) -> None:
     ],
 )
 def test_what_is_wrong_is_said(image: Image, reason: str) -> None:
-    assert reason in (picture_flaw(image, stereo_scene.rig().left) or "")
+    assert reason in (image_flaw(image, stereo_scene.rig().left) or "")
 
 
 def test_pairs() -> None:

@@ -42,7 +42,7 @@ def test_one_hot_and_one_dead_pixel_do_not_stop_the_stretch() -> None:
 
 
 def test_stretch_keeps_hue() -> None:
-    """Limits are common to the channels: a grey picture with a cast keeps it."""
+    """Limits are common to the channels: a grey image with a cast keeps it."""
     image = np.dstack([ramp(60, 120), ramp(60, 120), ramp(40, 100)])
     s = enhance.stretch(image).astype(int)
     assert np.abs(s[:, 100, 0] - s[:, 100, 1]).max() == 0
@@ -60,7 +60,7 @@ def test_blocks_bring_out_what_a_whole_stretch_cannot() -> None:
     assert np.abs(np.diff(smooth, axis=1)).max() < 12
 
 
-def test_a_flat_picture_becomes_middle_grey() -> None:
+def test_a_flat_image_becomes_middle_grey() -> None:
     np.testing.assert_array_equal(enhance.stretch(np.full((20, 20), 7, np.uint16)), 128)
 
 
@@ -79,7 +79,7 @@ def test_gamma_and_log(dtype: type) -> None:
     np.testing.assert_array_equal(enhance.negative(image), full - image)
 
 
-def test_fog_is_taken_off_and_a_clear_picture_left_alone() -> None:
+def test_fog_is_taken_off_and_a_clear_image_left_alone() -> None:
     """Of colours under fog, c t + v (1 - t), hue and saturation come back to what they were without it."""
     rng = np.random.default_rng(5)
     colours = np.array([(40, 50, 190), (170, 80, 40), (60, 160, 60), (12, 12, 12)], np.float64)

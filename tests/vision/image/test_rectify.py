@@ -22,7 +22,7 @@ def bent_rig() -> StereoRig:
 
 
 def test_corresponding_points_stand_in_the_same_row() -> None:
-    """A point's raw pixel, looked for in the maps, is where the rectified rig says, in both pictures; rows are equal."""
+    """A point's raw pixel, looked for in the maps, is where the rectified rig says, in both images; rows are equal."""
     rig = bent_rig()
     made = rectification(rig)
     assert made.left is not None
@@ -40,8 +40,8 @@ def test_corresponding_points_stand_in_the_same_row() -> None:
         (made.right, rig.right, right, rig.right.project(rig.to_right(x_c))),
     ):
         u, v = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
-        for raw_coordinate, picture in ((0, u), (1, v)):  # a picture whose values are its own raw coordinates
-            seen = cv2.remap(picture, maps.pixels, maps.fractions, cv2.INTER_LINEAR)
+        for raw_coordinate, image in ((0, u), (1, v)):  # an image whose values are its own raw coordinates
+            seen = cv2.remap(image, maps.pixels, maps.fractions, cv2.INTER_LINEAR)
             inside = (rectified > 2).all(axis=1) & (rectified < (camera.width - 3, camera.height - 3)).all(axis=1)
             x, y = rectified[inside].astype(np.float32).T[:, None]
             at = cv2.remap(seen, x, y, cv2.INTER_LINEAR)[0]
@@ -60,7 +60,7 @@ def test_what_the_camera_has_not_seen_is_marked() -> None:
 
 
 def test_a_rectified_rig_is_left_alone() -> None:
-    """No interpolation: the picture comes back itself, the principal points keep their difference."""
+    """No interpolation: the image comes back itself, the principal points keep their difference."""
     rig = stereo_scene.rig(shift_px=12.0)
     made = rectification(rig)
     image = np.zeros((240, 320), np.uint8)

@@ -24,7 +24,7 @@ HOUSE = np.array([[-6.0, -4.0], [-6.0, 4.0], [6.0, 4.0], [6.0, -4.0]])
 
 
 def region(px: Array, colour: tuple[float, float, float] = (40.0, 50.0, 200.0)) -> Region:
-    """A polygon as segmentation gives it, anticlockwise as seen in the picture."""
+    """A polygon as segmentation gives it, anticlockwise as seen in the image."""
     outline = px if polygon.area(px) < 0.0 else px[::-1]  # v is down
     return Region(outline, outline.copy(), 1.0, (0, 0, 1, 1), np.ones((1, 1), bool), False, colour, 0.1, 1)
 
@@ -57,7 +57,7 @@ def seen(
 
 
 def flight(rng: np.random.Generator, count: int, leg_m: float = 50.0) -> list[tuple[Array, Array, Prior]]:
-    """True and prior poses along a leg, heading turning: an error of the whole flight and one of each picture."""
+    """True and prior poses along a leg, heading turning: an error of the whole flight and one of each image."""
     root, share = np.diag(POSE_SIGMA), CONFIG.fresh_share
     lasting = np.sqrt(1.0 - share) * root @ rng.standard_normal(6)
     poses = []
@@ -135,7 +135,7 @@ def test_the_rig_s_error_of_distance_counts_once_however_often_it_is_seen() -> N
     assert abs(good[0]) < 3.0 * good[1]
 
 
-def test_neighbours_are_kept_apart_although_the_whole_picture_is_off() -> None:
+def test_neighbours_are_kept_apart_although_the_whole_image_is_off() -> None:
     """Two equal houses 14 m apart, and poses 1 m off to one side and the other."""
     rng, mapper = np.random.default_rng(4), Mapper(0.0, CONFIG)
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10, 30.0)):
@@ -161,7 +161,7 @@ def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> Non
     assert found.left_out["not at one place: it moves, or is several"] >= 1
 
 
-def test_what_moves_against_the_rest_of_the_picture_is_not_followed() -> None:
+def test_what_moves_against_the_rest_of_the_image_is_not_followed() -> None:
     """Poses so vague that each step of a car would pass by itself; beside three houses that stand still it does not."""
     rng, mapper = np.random.default_rng(11), Mapper(0.0, CONFIG)
     vague = np.diag([2.0, 2.0, 2.0, 2e-4, 2e-4, 2e-3]) ** 2

@@ -1,4 +1,4 @@
-"""Outlines as fine as a picture can show them."""
+"""Outlines as fine as an image can show them."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_corners_stay() -> None:
 
 
 def test_points_on_a_straight_side_go() -> None:
-    """As footprints traced from pictures have them."""
+    """As footprints traced from images have them."""
     side = np.linspace(0.0, 20.0, 21)
     outline = np.concatenate([np.column_stack((0.0 * side[:-1], side[:-1])), [(0.0, 20.0), (10.0, 20.0), (10.0, 0.0)]])
     seen = as_seen(Landmark.of("hall", outline), 3.0)

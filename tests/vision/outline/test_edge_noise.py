@@ -34,7 +34,7 @@ def test_too_few_points_make_no_line() -> None:
 
 
 def made(rng: np.random.Generator, white: float, texture: float, neighbours: float, common: float) -> np.ndarray:
-    """Offsets (2, N) of two pictures: noise of the sensor each, texture that runs along the edge and a common offset in both."""
+    """Offsets (2, N) of two images: noise of the sensor each, texture that runs along the edge and a common offset in both."""
     rough = rng.normal(size=len(T))
     for i in range(1, len(T)):
         if EDGE[i] == EDGE[i - 1]:
@@ -46,7 +46,7 @@ def made(rng: np.random.Generator, white: float, texture: float, neighbours: flo
 
 @pytest.mark.parametrize(("white", "texture", "neighbours"), [(0.1, 0.02, 0.0), (0.03, 0.1, 0.3), (0.05, 0.15, 0.5)])
 def test_covariance_is_as_large_as_the_errors(white: float, texture: float, neighbours: float) -> None:
-    """Mean squared offset, tilt and difference of the pictures, over what is claimed: near 1 in each."""
+    """Mean squared offset, tilt and difference of the images, over what is claimed: near 1 in each."""
     rng = np.random.default_rng(7)
     config = NoiseConfig(offset_share=0.3, tilt_share=0.0)
     kind = np.full(EDGES, Kind.ROOF, dtype=np.int64)

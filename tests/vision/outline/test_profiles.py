@@ -37,15 +37,15 @@ def beside(values: np.ndarray, edge: np.ndarray, interior: np.ndarray | None = N
 
 def test_profiles_of_a_ramp_are_the_ramp() -> None:
     v, u = np.mgrid[0:60, 0:80]
-    picture = np.stack([2 * u, 2 * v, u + v], axis=2).astype(np.uint8)
+    image = np.stack([2 * u, 2 * v, u + v], axis=2).astype(np.uint8)
     px = np.array([[40.3, 30.6], [35.0, 25.0]])
     normal = np.array([[0.6, 0.8], [-1.0, 0.0]])
-    values = profiles(picture, px, normal, 4, 0.5, 3, np.ones(2, dtype=np.bool_))
+    values = profiles(image, px, normal, 4, 0.5, 3, np.ones(2, dtype=np.bool_))
     at = px[:, None, :] + np.arange(-2.0, 2.5, 0.5)[None, :, None] * normal[:, None, :]
     np.testing.assert_allclose(values, np.stack([2 * at[..., 0], 2 * at[..., 1], at.sum(axis=2)], axis=2), atol=1e-9)
 
 
-def test_a_profile_that_leaves_the_picture_is_not_usable() -> None:
+def test_a_profile_that_leaves_the_image_is_not_usable() -> None:
     usable = np.ones(3, dtype=np.bool_)
     px = np.array([[3.0, 20.0], [20.0, 20.0], [np.nan, 5.0]])
     profiles(np.zeros((40, 40, 1), dtype=np.uint8), px, np.tile([1.0, 0.0], (3, 1)), 5, 1.0, 1, usable)

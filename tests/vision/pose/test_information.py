@@ -1,4 +1,4 @@
-"""In which directions do pictures measure the pose? On made-up information, and on rendered views that show too little."""
+"""In which directions do images measure the pose? On made-up information, and on rendered views that show too little."""
 
 from functools import cache
 
@@ -19,7 +19,7 @@ SEEDS = range(14)
 
 
 def _system(rank: int, seed: int, errors: int = 2, sigma_px: float = 0.1, weak: float = 0.0) -> tuple[System, Array]:
-    """Edges that show `rank` combinations of the pose, each moved by errors of map and rig; and the pictures' omega."""
+    """Edges that show `rank` combinations of the pose, each moved by errors of map and rig; and the images' omega."""
     rng = np.random.default_rng(seed)
     seen = rng.normal(size=(rank, POSE))
     H = rng.normal(size=(12, 2, rank)) @ seen + weak * rng.normal(size=(12, 2, POSE))
@@ -41,7 +41,7 @@ def test_as_many_directions_as_are_seen_and_these_with_their_covariance(rank: in
     directions, _ = measured.reported_along(np.zeros(6), image + moved @ moved.T)
     rows = directions / DIRECTION_SCALE
     np.testing.assert_allclose(rows @ rows.T, np.eye(rank), atol=1e-12)
-    # THEN in these directions the covariance is the inverse of what the pictures know there
+    # THEN in these directions the covariance is the inverse of what the images know there
     alone = omega[:6, :6] - omega[:6, 6:] @ np.linalg.solve(omega[6:, 6:], omega[6:, :6])
     expected = directions @ np.linalg.pinv(alone, rcond=1e-10, hermitian=True) @ directions.T
     np.testing.assert_allclose(directions @ (image + moved @ moved.T) @ directions.T, expected, rtol=1e-6, atol=1e-14)
@@ -53,7 +53,7 @@ def test_as_many_directions_as_are_seen_and_these_with_their_covariance(rank: in
 
 
 def test_no_error_of_map_and_rig_moves_what_was_not_measured() -> None:
-    """Of two combinations the pictures know a little, less than a thousandth of what the prior does."""
+    """Of two combinations the images know a little, less than a thousandth of what the prior does."""
     system, omega = _system(4, 4, weak=0.01)
     measured = Measured.of(omega, 1e3 * np.eye(6))
     assert measured.rank == 4
@@ -65,7 +65,7 @@ def test_no_error_of_map_and_rig_moves_what_was_not_measured() -> None:
 
 
 def test_readings_with_the_prior_are_the_joint_optimum() -> None:
-    """K (D delta + y) = delta for a delta that pictures and prior agree on."""
+    """K (D delta + y) = delta for a delta that images and prior agree on."""
     system, omega = _system(4, 7)
     prior = np.diag([4.0, 4.0, 9.0, 1e3, 1e3, 1e2])
     measured = Measured.of(omega, prior)
@@ -108,7 +108,7 @@ def test_surprise_counts_what_was_measured() -> None:
 @cache
 def seen(kind: str, seed: int) -> tuple[Flight, PoseEstimate]:
     view = part_view(kind, seed)
-    found = estimate_pose(view.rig, view.pictures, view.landmarks, near(view), view.prior, PoseConfig(least_edges=3))
+    found = estimate_pose(view.rig, view.images, view.landmarks, near(view), view.prior, PoseConfig(least_edges=3))
     assert isinstance(found, PoseEstimate), (kind, seed, found)
     return view, found
 

@@ -27,11 +27,11 @@ def test_the_step_is_the_dense_one() -> None:
     H, N = system.A.reshape(-1, 11)[keep, :6], system.A.reshape(-1, 11)[keep, 6:]
     V = R + N @ N.T
     # With nuisances of unit variance about 0, of which `present` is drawn already: z + N nu_0 = H dx + N nu + e
-    pictures = H.T @ np.linalg.solve(V, H)
-    dx = np.linalg.solve(pictures + information, H.T @ np.linalg.solve(V, z + N @ present) - information @ delta)
+    images = H.T @ np.linalg.solve(V, H)
+    dx = np.linalg.solve(images + information, H.T @ np.linalg.solve(V, z + N @ present) - information @ delta)
     np.testing.assert_allclose(got.dx, dx)
     schur = got.omega[:6, :6] - got.omega[:6, 6:] @ np.linalg.solve(got.omega[6:, 6:], got.omega[6:, :6])
-    np.testing.assert_allclose(schur, pictures)
+    np.testing.assert_allclose(schur, images)
 
 
 def test_a_weightless_edge_is_as_if_not_there() -> None:

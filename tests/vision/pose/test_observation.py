@@ -1,4 +1,4 @@
-"""What one look at a picture takes for a landmark's colour."""
+"""What one look at an image takes for a landmark's colour."""
 
 import math
 
@@ -19,13 +19,13 @@ POINTS, HALF = 20, 8
 @pytest.mark.parametrize(("raised", "expected"), [(True, 120.0), (False, 100.0)])
 def test_what_lies_farther_inside_is_the_other_slope_of_a_roof_but_other_paint_of_a_mark(raised: bool, expected: float) -> None:
     """Grey value 100 on ground of 60, and 120 within a rim of 10 px: a gable in other light, or the disc of a helipad."""
-    picture = np.full((200, 200, 3), 60, np.uint8)
-    picture[60:140, 60:140], picture[70:130, 70:130] = 100, 120
+    image = np.full((200, 200, 3), 60, np.uint8)
+    image[60:140, 60:140], image[70:130, 70:130] = 100, 120
     px = np.column_stack((np.full(POINTS, 60.0), np.linspace(85.0, 115.0, POINTS)))
     normal, usable, one = np.tile((-1.0, 0.0), (POINTS, 1)), np.ones(POINTS, dtype=np.bool_), np.ones(1, dtype=np.bool_)
     edge, landmark = np.zeros(POINTS, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    values = profiles(picture, px, normal, HALF, 1.0, 1, usable)
-    beside = _roof_beside(picture, values, px, normal, edge, landmark, one, np.array([raised]), HALF, usable)
+    values = profiles(image, px, normal, HALF, 1.0, 1, usable)
+    beside = _roof_beside(image, values, px, normal, edge, landmark, one, np.array([raised]), HALF, usable)
     np.testing.assert_allclose(beside, expected, atol=1.0)
 
 
@@ -37,18 +37,18 @@ def test_the_edge_of_a_painted_mark_in_a_shadow_is_its_edge_still() -> None:
     eye = eyes(rig)[0]
     p_nk, R_nk = eye.pose(p_n, R_nb)
     corners = eye.camera.project((np.column_stack((mark.outline_n, np.zeros(4))) - p_nk) @ R_nk)
-    picture = np.full((480, 640, 3), 90, np.uint8)
+    image = np.full((480, 640, 3), 90, np.uint8)
     left, top, right, bottom = (math.ceil(x) for x in (*corners.min(axis=0), *corners.max(axis=0)))
-    picture[top:bottom, left:right] = 200
-    picture[: top + 20] = (0.45 * picture[: top + 20]).astype(np.uint8)
-    seen = Scene(rig, (picture, None), [mark]).look(p_n, R_nb, np.zeros((1, 6)), rig, LookConfig(), farthest_px=2.5)
+    image[top:bottom, left:right] = 200
+    image[: top + 20] = (0.45 * image[: top + 20]).astype(np.uint8)
+    seen = Scene(rig, (image, None), [mark]).look(p_n, R_nb, np.zeros((1, 6)), rig, LookConfig(), farthest_px=2.5)
     assert seen.found.all()
     assert np.abs(seen.line[:, 0, 0]).max() < 0.6
 
 
 def test_edges_farther_off_are_not_found_any_more() -> None:
     view = flight(1)
-    scene, as_mapped = Scene(view.rig, view.pictures, view.landmarks), np.zeros((3, 6))
+    scene, as_mapped = Scene(view.rig, view.images, view.landmarks), np.zeros((3, 6))
     seen = scene.look(view.p_n, view.R_nb, as_mapped, view.rig, LookConfig(), farthest_px=2.5)
     off_px = np.zeros(seen.found.shape)
     off_px[np.argmax(seen.found[:, 1]), 1] = -1.6

@@ -1,4 +1,4 @@
-"""Pose from identified landmarks on rendered pictures whose truth is known: accuracy, consistency, systematic errors, what is
+"""Pose from identified landmarks on rendered images whose truth is known: accuracy, consistency, systematic errors, what is
 refused.
 """
 
@@ -32,7 +32,7 @@ COLOURS = ((40, 50, 190), (170, 80, 40), (60, 170, 60))
 class Flight:
     """One view, and the prior of it."""
 
-    pictures: tuple[Image, Image]
+    images: tuple[Image, Image]
     rig: StereoRig
     landmarks: tuple[Landmark, ...]
     p_n: Array
@@ -68,10 +68,10 @@ def seen_from_above(
     roll, pitch = rng.normal(0.0, tilt, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, rng.uniform(-3.0, 3.0)))
     p_n = np.array([*rng.normal(0.0, 1.0, 2), -height_m])
-    pictures = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
+    images = render_pair(world, rig, p_n, R_nb, Conditions(), rng)
     error = sigma * rng.normal(size=6)
     q = so3.normalise(so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb)))
-    return Flight(pictures, rig, tuple(mapped), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))
+    return Flight(images, rig, tuple(mapped), p_n, R_nb, Prior(p_n - error[:3], q, np.diag(sigma**2)))
 
 
 def near(view: Flight, seed: int = 0) -> tuple[Array, Array]:
@@ -80,8 +80,8 @@ def near(view: Flight, seed: int = 0) -> tuple[Array, Array]:
     return view.p_n + error[:3], so3.matrix(so3.quat_exp(error[3:])) @ view.R_nb
 
 
-def estimate(view: Flight, pictures: tuple[Image | None, ...] | None = None, prior: Prior | None = None) -> PoseEstimate:
-    found = estimate_pose(view.rig, pictures or view.pictures, view.landmarks, near(view), prior or view.prior)
+def estimate(view: Flight, images: tuple[Image | None, ...] | None = None, prior: Prior | None = None) -> PoseEstimate:
+    found = estimate_pose(view.rig, images or view.images, view.landmarks, near(view), prior or view.prior)
     assert isinstance(found, PoseEstimate), found
     return found
 
@@ -97,7 +97,7 @@ def view() -> Flight:
 
 
 def test_poses_of_painted_boxes_are_centimetres_off_and_know_it() -> None:
-    """Mean squared Mahalanobis distance of 12 views, per degree of freedom, two-sided; of posterior and of pictures alone."""
+    """Mean squared Mahalanobis distance of 12 views, per degree of freedom, two-sided; of posterior and of images alone."""
     joint, alone = [], []
     for seed in range(12):
         one = flight(seed, marks=1 + seed % 3)
@@ -143,14 +143,14 @@ def with_changes(prior: Prior, **changes: Array) -> Prior:
 
 def test_one_camera_is_enough_and_says_less(view: Flight) -> None:
     both = estimate(view)
-    for pictures in ((view.pictures[0], None), (None, view.pictures[1])):
-        one = estimate(view, pictures)
+    for images in ((view.images[0], None), (None, view.images[1])):
+        one = estimate(view, images)
         assert np.linalg.norm(one.joint_p_n - view.p_n) < 0.25
         assert np.trace(total(one)[:3, :3]) > np.trace(total(both)[:3, :3])
 
 
-def test_grey_pictures_do(view: Flight) -> None:
-    grey = [np.ascontiguousarray(picture[:, :, 1]) for picture in view.pictures]
+def test_grey_images_do(view: Flight) -> None:
+    grey = [np.ascontiguousarray(image[:, :, 1]) for image in view.images]
     assert np.linalg.norm(estimate(view, (grey[0], grey[1])).joint_p_n - view.p_n) < 0.2
 
 
@@ -161,7 +161,7 @@ def test_map_errors_are_common_and_estimated() -> None:
         msgspec.structs.replace(mark, outline_n=mark.outline_n + np.array([0.0, 0.4]), sigma_m=0.5) for mark in view.landmarks
     ]
     start, turn = near(view)
-    found = estimate_pose(view.rig, view.pictures, shifted, (start + np.array([0.0, 0.4, 0.0]), turn), view.prior)
+    found = estimate_pose(view.rig, view.images, shifted, (start + np.array([0.0, 0.4, 0.0]), turn), view.prior)
     assert isinstance(found, PoseEstimate)
     assert found.joint_p_n[1] - view.p_n[1] == pytest.approx(0.4, abs=0.15)
     common, image = np.diag(found.covariance_common), np.diag(found.covariance)
@@ -178,7 +178,7 @@ def test_roofs_lower_than_mapped_are_seen_on_all_sides() -> None:
     """Their far sides are not hidden by the roofs as mapped: as many edges are fitted as with an exact map."""
     view = flight(7)
     high = [Landmark.of(m.id, m.outline_n, m.base_d, m.height_m + 0.4, m.colour_bgr, 0.0, 0.4) for m in view.landmarks]
-    exact, fit = (estimate_pose(view.rig, view.pictures, some, near(view), view.prior) for some in (view.landmarks, high))
+    exact, fit = (estimate_pose(view.rig, view.images, some, near(view), view.prior) for some in (view.landmarks, high))
     assert isinstance(exact, PoseEstimate)
     assert isinstance(fit, PoseEstimate)
     assert fit.shift_m[:, MapError.RISE].min() < -0.2
@@ -190,7 +190,7 @@ def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
     view = flight(2)
     marks = [msgspec.structs.replace(mark, sigma_m=0.05) for mark in view.landmarks]
     marks[0] = msgspec.structs.replace(marks[0], outline_n=marks[0].outline_n + np.array([0.5, 0.0]), sigma_m=2.0)
-    found = estimate_pose(view.rig, view.pictures, marks, near(view), view.prior)
+    found = estimate_pose(view.rig, view.images, marks, near(view), view.prior)
     assert isinstance(found, PoseEstimate)
     assert abs(found.joint_p_n[0] - view.p_n[0]) < 0.15
     assert found.shift_m[0, 0] == pytest.approx(-0.5, abs=0.15)
@@ -199,14 +199,14 @@ def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
 def test_ground_that_slopes_does_not_bias_the_place() -> None:
     """A mark on ground of 3 degrees, known to be level to that: the attitude is the prior's, the place as sure as that."""
     level, slope = flight(1, marks=1, tilt=0.0), so3.matrix(so3.quat_exp(np.radians([3.0, 0.0, 0.0])))
-    marks, pictures = _painted(level)
+    marks, images = _painted(level)
     tilted = [_on_slope(mark, slope) for mark in marks]
     q = so3.normalise(so3.multiply(so3.from_matrix(slope), level.prior.q_nb_wxyz))
     prior = Prior(slope @ level.prior.p_n, q, level.prior.covariance)
     p_n, R_nb = slope @ level.p_n, slope @ level.R_nb
     errors = []
     for marks in (tilted, [msgspec.structs.replace(mark, height_sigma_m=0.0) for mark in tilted]):
-        found = estimate_pose(level.rig, pictures, marks, (p_n, R_nb), prior)
+        found = estimate_pose(level.rig, images, marks, (p_n, R_nb), prior)
         assert isinstance(found, PoseEstimate), found
         e = found.joint_p_n - p_n
         errors.append((float(np.linalg.norm(e)), float(e @ np.linalg.solve(found.joint_covariance[:3, :3], e)) / 3.0))
@@ -236,7 +236,7 @@ def _on_slope(mark: Landmark, slope: Array) -> Landmark:
 def test_rig_errors_are_common() -> None:
     exact = flight(3)
     rig = msgspec.structs.replace(exact.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
-    found = estimate_pose(rig, exact.pictures, exact.landmarks, near(exact), exact.prior)
+    found = estimate_pose(rig, exact.images, exact.landmarks, near(exact), exact.prior)
     assert isinstance(found, PoseEstimate)
     # A camera turned on the body by 10 mrad turns the attitude by as much.
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_common))[3:], 0.01, rtol=0.1)
@@ -246,7 +246,7 @@ def test_the_common_part_is_distinguished_by_landmark_and_rig() -> None:
     view = flight(2)
     marks = [msgspec.structs.replace(mark, sigma_m=0.5, height_sigma_m=0.2) for mark in view.landmarks]
     rig = msgspec.structs.replace(view.rig, covariance_bc=np.diag([0.02] * 3 + [0.01] * 3) ** 2)
-    found = estimate_pose(rig, view.pictures, marks, near(view), view.prior)
+    found = estimate_pose(rig, view.images, marks, near(view), view.prior)
     assert isinstance(found, PoseEstimate)
     assert found.landmark_errors.shape == (len(marks), 6, len(MapError))
     whole = np.einsum("mik,mjk->ij", found.landmark_errors, found.landmark_errors) + found.covariance_rig
@@ -261,10 +261,10 @@ def test_half_a_turn_is_left_open_without_a_heading() -> None:
     view = flight(5, marks=1)
     flat = msgspec.structs.replace(view.landmarks[0], height_m=0.0, base_d=view.landmarks[0].roof_d)
     loose = with_changes(view.prior, covariance=np.diag([20.0, 20.0, 2.0, 0.3, 0.3, 3.0]) ** 2)
-    found = estimate_pose(view.rig, view.pictures, [flat], near(view), loose)
+    found = estimate_pose(view.rig, view.images, [flat], near(view), loose)
     assert isinstance(found, NoPose)
     assert found.reason == "ambiguous"
-    assert isinstance(estimate_pose(view.rig, view.pictures, [flat], near(view), view.prior), PoseEstimate)
+    assert isinstance(estimate_pose(view.rig, view.images, [flat], near(view), view.prior), PoseEstimate)
 
 
 def test_a_quarter_turn_is_left_open_by_a_square() -> None:
@@ -274,32 +274,32 @@ def test_a_quarter_turn_is_left_open_by_a_square() -> None:
     square = 3.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) + middle
     mark = Landmark.of("0", square, 0.0, 0.0, COLOURS[0])
     world = World((mark,), (Look(COLOURS[0]),), (), Ground.procedural(np.random.default_rng(1)))
-    pictures = render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), np.random.default_rng(2))
+    images = render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), np.random.default_rng(2))
     found = []
     for sigma_deg in (35.0, 2.0):
         loose = with_changes(view.prior, covariance=np.diag([15.0, 15.0, 2.0, 0.05, 0.05, np.radians(sigma_deg)]) ** 2)
-        found.append(estimate_pose(view.rig, pictures, [mark], near(view), loose))
+        found.append(estimate_pose(view.rig, images, [mark], near(view), loose))
     assert isinstance(found[0], NoPose)
     assert found[0].reason == "ambiguous"
     assert isinstance(found[1], PoseEstimate)
 
 
 @pytest.mark.parametrize("value", [0, 255])
-def test_pictures_of_nothing_are_no_pose(view: Flight, value: int) -> None:
-    blank = np.full_like(view.pictures[0], value)
+def test_images_of_nothing_are_no_pose(view: Flight, value: int) -> None:
+    blank = np.full_like(view.images[0], value)
     found = estimate_pose(view.rig, (blank, blank), view.landmarks, near(view), view.prior)
     assert isinstance(found, NoPose)
     assert found.reason in ("too_few_edges", "not_found")
 
 
 def test_nothing_to_look_at(view: Flight) -> None:
-    assert estimate_pose(view.rig, (None, None), view.landmarks, near(view), view.prior) == NoPose("no_picture")
-    assert isinstance(estimate_pose(view.rig, view.pictures, [], near(view), view.prior), NoPose)
+    assert estimate_pose(view.rig, (None, None), view.landmarks, near(view), view.prior) == NoPose("no_image")
+    assert isinstance(estimate_pose(view.rig, view.images, [], near(view), view.prior), NoPose)
 
 
 def test_a_prior_that_is_none_is_no_pose_and_no_exception(view: Flight) -> None:
     singular = with_changes(view.prior, covariance=np.diag([1.0, 1.0, 0.0, 0.01, 0.01, 0.01]))
-    found = estimate_pose(view.rig, view.pictures, view.landmarks, near(view), singular)
+    found = estimate_pose(view.rig, view.images, view.landmarks, near(view), singular)
     assert isinstance(found, NoPose)
     assert found.reason == "diverged"
 
@@ -307,7 +307,7 @@ def test_a_prior_that_is_none_is_no_pose_and_no_exception(view: Flight) -> None:
 def test_a_start_elsewhere_is_no_confident_wrong_pose(view: Flight) -> None:
     """20 m off the outlines fall on grass."""
     p, turn = near(view)
-    found = estimate_pose(view.rig, view.pictures, view.landmarks, (p + np.array([20.0, 0.0, 0.0]), turn), view.prior)
+    found = estimate_pose(view.rig, view.images, view.landmarks, (p + np.array([20.0, 0.0, 0.0]), turn), view.prior)
     if isinstance(found, PoseEstimate):
         e = difference(found.p_n, found.R_nb, view.p_n, so3.from_matrix(view.R_nb))
         assert e @ np.linalg.solve(total(found), e) < 40.0
@@ -327,7 +327,7 @@ def test_edges_that_hardly_move_are_looked_at_once(
     def at(east: float, farthest: tuple[float, ...]) -> PoseEstimate:
         start = view.p_n + np.array([0.0, east, 0.0]), view.R_nb
         config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
-        found = estimate_pose(view.rig, view.pictures, view.landmarks, start, view.prior, config)
+        found = estimate_pose(view.rig, view.images, view.landmarks, start, view.prior, config)
         assert isinstance(found, PoseEstimate)
         return found
 
@@ -350,7 +350,7 @@ def test_a_side_that_stays_off_is_not_found_though_nothing_else_moves(view: Flig
 
     def share(*farthest: float) -> float:
         config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
-        found = estimate_pose(view.rig, view.pictures, marks, (view.p_n, view.R_nb), view.prior, config)
+        found = estimate_pose(view.rig, view.images, marks, (view.p_n, view.R_nb), view.prior, config)
         assert isinstance(found, PoseEstimate)
         return found.found
 

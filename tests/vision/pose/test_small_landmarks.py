@@ -1,4 +1,4 @@
-"""Landmarks too small to have edges, each measured as one spot: on drawn and rendered pictures whose truth is known."""
+"""Landmarks too small to have edges, each measured as one spot: on drawn and rendered images whose truth is known."""
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from vision.predict.final_check import recheck
 ORIGIN = (47.3977, 8.5456, 488.0)
 CORNERS = np.array([(-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4)])
 FINE, ROUND = 16, 8  # drawn so much finer; pieces of a pixel for OpenCV
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 def turned(angle: float) -> Array:
@@ -46,7 +46,7 @@ def boulders(seed: int, sigma: Array, count: int = 8, height_m: float = 40.0, ma
 
 
 def house_and_boulders(seed: int, sigma: Array) -> Flight:
-    """A house at one border of the picture, seven boulders three metres apart at the other one."""
+    """A house at one border of the image, seven boulders three metres apart at the other one."""
     rng, rig = np.random.default_rng(seed), nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
     true, mapped = [], []
     for k in range(8):
@@ -66,24 +66,24 @@ def house_and_boulders(seed: int, sigma: Array) -> Flight:
 def located(view: Flight) -> tuple[tuple[str, ...], PoseEstimate]:
     """The landmarks of the pipeline's fix, and its fit."""
     pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
-    result = pipeline.process(*view.pictures, 1, view.prior)
+    result = pipeline.process(*view.images, 1, view.prior)
     assert result.fix is not None
     assert result.pose is not None
     return result.fix.landmarks, result.pose
 
 
 def squared_error(view: Flight, fit: PoseEstimate) -> float:
-    """Squared Mahalanobis distance of prior and pictures together."""
+    """Squared Mahalanobis distance of prior and images together."""
     off = difference(view.p_n, view.R_nb, fit.joint_p_n, so3.from_matrix(fit.joint_R_nb))
     return float(off @ np.linalg.solve(fit.joint_covariance, off))
 
 
-def drawn(corners: Array, colour: tuple[int, int, int], picture: Picture) -> Picture:
+def drawn(corners: Array, colour: tuple[int, int, int], image: Image) -> Image:
     """A filled outline (K, 2) px, its rim as soft as a pixel is wide."""
-    large = cv2.resize(picture, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_NEAREST)
+    large = cv2.resize(image, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_NEAREST)
     points = np.rint(((corners + 0.5) * FINE - 0.5) * ROUND).astype(np.int32)
     cv2.fillPoly(large, [points], colour, shift=3)
-    return np.asarray(cv2.resize(large, picture.shape[1::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(large, image.shape[1::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def rim(corners: Array) -> tuple[Array, Array]:
@@ -95,17 +95,17 @@ def rim(corners: Array) -> tuple[Array, Array]:
     return points, np.repeat(normal, 6, axis=0)
 
 
-def shift_of(picture: Picture, corners: Array, half: int) -> Array:
+def shift_of(image: Image, corners: Array, half: int) -> Array:
     """By how much the outline is moved (2,); NaN where it is not found."""
     px, normal = rim(corners)
     n = len(px)
     offsets, usable, all_of_them = np.zeros(n), np.zeros(n, np.bool_), np.ones(n, np.bool_)
-    measure(picture, px, normal, all_of_them, np.zeros(n, np.int64), half, all_of_them, offsets, usable)
+    measure(image, px, normal, all_of_them, np.zeros(n, np.int64), half, all_of_them, offsets, usable)
     good = np.isfinite(offsets)
     return np.asarray(np.linalg.lstsq(normal[good], offsets[good])[0]) if good.any() else np.full(2, np.nan)
 
 
-def meadow(seed: int) -> Picture:
+def meadow(seed: int) -> Image:
     """Grass, 100 x 100."""
     return np.random.default_rng(seed).normal((60.0, 120.0, 100.0), 4.0, (100, 100, 3)).clip(0, 255).astype(np.uint8)
 
@@ -159,10 +159,10 @@ def test_two_that_look_alike_are_none() -> None:
 def test_one_side_of_a_rim_measures_no_shift() -> None:
     """As of a boulder of which the border leaves one side; three sides tell it."""
     corners, px, normal = 8.0 * CORNERS + 50.0, *rim(8.0 * CORNERS + 50.0)
-    picture = drawn(corners + np.array([1.0, -2.0]), (150, 160, 170), meadow(4))
+    image = drawn(corners + np.array([1.0, -2.0]), (150, 160, 170), meadow(4))
     for n, measured in ((6, False), (18, True)):
         offsets, usable, yes = np.zeros(n), np.ones(n, np.bool_), np.ones(n, np.bool_)
-        measure(picture, px[:n], normal[:n], yes, np.zeros(n, np.int64), 8, yes, offsets, usable)
+        measure(image, px[:n], normal[:n], yes, np.zeros(n, np.int64), 8, yes, offsets, usable)
         assert usable.all() == measured
         assert np.isfinite(offsets).any() == measured
 
@@ -179,7 +179,7 @@ def test_a_pose_of_spots_is_as_sure_as_it_says() -> None:
     distance, gain = list[float](), list[Array]()
     for seed in range(30):
         view = boulders(seed, sigma)
-        fit = estimate_pose(view.rig, view.pictures, view.landmarks, (np.asarray(view.prior.p_n), view.prior.R_nb), view.prior)
+        fit = estimate_pose(view.rig, view.images, view.landmarks, (np.asarray(view.prior.p_n), view.prior.R_nb), view.prior)
         assert isinstance(fit, PoseEstimate), fit
         distance.append(squared_error(view, fit))
         gain.append(fit.joint_covariance.diagonal() / sigma**2)
@@ -199,13 +199,13 @@ def test_boulders_alone_make_a_fix(seed: int) -> None:
 
 @pytest.mark.parametrize(("seed", "least"), [(12, 8), (14, 5)])
 def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, least: int) -> None:
-    """The tilt is open by 2.5 degrees, and so is the way from one border of the picture to the other."""
+    """The tilt is open by 2.5 degrees, and so is the way from one border of the image to the other."""
     view = house_and_boulders(seed, np.array([1.5, 1.5, 1.0, *np.radians((2.5, 2.5, 3.0)).tolist()]))
     names, fit = located(view)
     assert len(names) >= least
     assert squared_error(view, fit) < chi2.ppf(0.95, 6)
     used = [mark for mark in view.landmarks if mark.id in names]
-    once = estimate_pose(view.rig, view.pictures, used, (view.p_n, view.R_nb), view.prior)
+    once = estimate_pose(view.rig, view.images, used, (view.p_n, view.R_nb), view.prior)
     assert isinstance(once, PoseEstimate)
     ratio = np.linalg.det(fit.joint_covariance) / np.linalg.det(once.joint_covariance)
     assert 0.5 < ratio < 2.0  # the information of the house counts once
@@ -214,10 +214,10 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, leas
 def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:
     """Where the map has each boulder, and half a metre beside: 7 px, less than it is wide."""
     view = boulders(3, np.full(6, 1e-3), map_sigma_m=1e-3)
-    fit = estimate_pose(view.rig, view.pictures, view.landmarks, (view.p_n, view.R_nb), view.prior)
+    fit = estimate_pose(view.rig, view.images, view.landmarks, (view.p_n, view.R_nb), view.prior)
     assert isinstance(fit, PoseEstimate)
     beside = [Landmark.of(m.id, m.outline_n + np.array([0.5, 0.0]), m.base_d, m.height_m, m.colour_bgr) for m in view.landmarks]
-    there, missed = (recheck(view.rig, view.pictures, marks, fit, LookConfig()) for marks in (view.landmarks, beside))
+    there, missed = (recheck(view.rig, view.images, marks, fit, LookConfig()) for marks in (view.landmarks, beside))
     assert np.median(there.stands) > 2.0
     assert (there.share >= 0.5).mean() >= 0.75
     assert (missed.share < 0.5).mean() >= 0.75

@@ -1,4 +1,4 @@
-"""The coarse search on rendered pictures: votes, places, what moves how, and what it must reject."""
+"""The coarse search on rendered images: votes, places, what moves how, and what it must reject."""
 
 from dataclasses import replace
 from functools import cache
@@ -37,7 +37,7 @@ SIGMA = np.array([3.5, 3.5, 1.0, *np.radians([0.5, 0.5, 2.0])])
 
 
 class Seen(NamedTuple):
-    picture: Image
+    image: Image
     marks: tuple[Landmark, ...]
     p_n: Array
     R_nb: Array
@@ -71,10 +71,10 @@ def prior_off(view: Seen, error: Array) -> Prior:
     return Prior(view.p_n - error[:3], q, np.diag(SIGMA**2))
 
 
-def found(view: Seen, prior: Prior, picture: Image | None = None) -> list[Candidate]:
+def found(view: Seen, prior: Prior, image: Image | None = None) -> list[Candidate]:
     moves = motion(EYE, view.marks, prior)
     assert moves is not None
-    return Search(EYE, view.marks, moves, CoarseConfig()).candidates(view.picture if picture is None else picture)
+    return Search(EYE, view.marks, moves, CoarseConfig()).candidates(view.image if image is None else image)
 
 
 def off_px(view: Seen, place: Candidate, mapped: tuple[Landmark, ...] | None = None) -> float:
@@ -100,12 +100,12 @@ def test_outlines_a_hundred_pixels_off_are_found_to_a_few(seed: int) -> None:
     assert places[0].support.sum() > 0.5 * places[0].length.sum()
 
 
-def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monkeypatch: pytest.MonkeyPatch) -> None:
     reduced: list[tuple[int, ...]] = []
 
-    def noted(picture: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
+    def noted(image: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
         reduced.append(sizes)
-        return levels(picture, camera, sizes)
+        return levels(image, camera, sizes)
 
     monkeypatch.setattr(coarse_search, "levels", noted)
     for share in (1.0, 0.05):
@@ -125,7 +125,7 @@ def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
     moves = motion(EYE, view.marks, prior_off(view, np.zeros(6)))
     assert moves is not None
     search = Search(EYE, view.marks, moves, CoarseConfig())
-    (level,) = levels(view.picture, EYE.camera, (1,))
+    (level,) = levels(view.image, EYE.camera, (1,))
     stage = Stage(level, EYE, view.marks, moves, 0.2, 160.0, 160)
     as_predicted = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
     true = search._again(stage, as_predicted, 2)
@@ -223,7 +223,7 @@ def test_the_gain_is_the_likeliest_error_that_moves_the_outlines_so() -> None:
     assert dx @ (dx / SIGMA**2) < other @ (other / SIGMA**2)
 
 
-def test_points_move_in_the_picture_as_their_derivative_says() -> None:
+def test_points_move_in_the_image_as_their_derivative_says() -> None:
     pinhole, view = straight(EYE), seen()
     points = np.column_stack((view.marks[0].outline_n, np.full(4, -3.0)))
 
@@ -259,11 +259,11 @@ def test_aim_is_projection_and_its_shift_is_a_shift() -> None:
 
 
 def step_field(sign: float, noise: float, size: int = 60) -> tuple[Field, CameraModel]:
-    """The field of a picture with one upright edge in its middle, in noise."""
+    """The field of an image with one upright edge in its middle, in noise."""
     camera = CameraModel(size, size, 100.0, 100.0, 0.5 * size, 0.5 * size)
-    picture = np.full((size, size, 3), 100.0) + np.random.default_rng(1).normal(0.0, noise, (size, size, 3))
-    picture[:, size // 2 :] += sign * np.array([10.0, 20.0, 40.0])
-    return levels(np.clip(picture, 0, 255).astype(np.uint8), camera, (1,))[0].whole(), camera
+    image = np.full((size, size, 3), 100.0) + np.random.default_rng(1).normal(0.0, noise, (size, size, 3))
+    image[:, size // 2 :] += sign * np.array([10.0, 20.0, 40.0])
+    return levels(np.clip(image, 0, 255).astype(np.uint8), camera, (1,))[0].whole(), camera
 
 
 def edge_votes(field: Field, camera: CameraModel, chroma: Array, points: int = 14, apart_px: float = 3.0) -> Array:
@@ -302,13 +302,13 @@ def test_the_colour_of_the_map_on_the_wrong_side_costs_votes() -> None:
     assert wrong < 0.5 * right
 
 
-def test_a_reduced_picture_is_the_camera_without_its_lens() -> None:
+def test_a_reduced_image_is_the_camera_without_its_lens() -> None:
     """A mark drawn at a projected point stands where the reduced camera projects it."""
     point = np.array([[3.0, -2.0, 10.0]])
-    picture = np.zeros((480, 640), dtype=np.uint8)
+    image = np.zeros((480, 640), dtype=np.uint8)
     (u, v) = RIG.left.project(point)[0]
-    cv2.circle(picture, (round(float(u)), round(float(v))), 12, 255, -1)
-    for level in levels(picture, RIG.left, (2, 4, 8)):
+    cv2.circle(image, (round(float(u)), round(float(v))), 12, 255, -1)
+    for level in levels(image, RIG.left, (2, 4, 8)):
         weight = level.whole()[:, :, 6].astype(float).clip(0.0)
         rows, columns = np.indices(weight.shape)
         middle = np.array([(columns * weight).sum(), (rows * weight).sum()]) / weight.sum()
@@ -327,8 +327,8 @@ def test_what_the_lens_did_not_see_has_no_votes() -> None:
 def test_a_field_is_made_wherever_votes_are_counted(turn: float) -> None:
     """Votes in a field made for some points and shifts, noise elsewhere, are those in the whole field; also seen askew."""
     rng, camera = np.random.default_rng(3), CameraModel(160, 120, 100.0, 100.0, 79.5, 59.5)
-    picture = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
-    part, whole = (levels(picture, camera, (1,))[0] for _ in range(2))
+    image = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    part, whole = (levels(image, camera, (1,))[0] for _ in range(2))
     vars(part)["_field"][:] = np.nan
     tilt = so3.matrix(so3.quat_exp(np.array([turn, 0.0, 0.0])))
     aimed = np.zeros((12, 11))
@@ -358,7 +358,7 @@ def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
 
 
 def test_outlines_beyond_the_border_vote_once_they_come_into_view() -> None:
-    """The prior has the only roof wholly out of the picture; the search brings it back."""
+    """The prior has the only roof wholly out of the image; the search brings it back."""
     view = seen()._replace(marks=seen().marks[1:2])
     mark = view.marks[0]
     roof = np.column_stack((mark.outline_n, np.full(4, mark.roof_d)))

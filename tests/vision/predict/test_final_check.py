@@ -1,4 +1,4 @@
-"""The last look: which landmarks lie where a fit says, and whether the two pictures say the same."""
+"""The last look: which landmarks lie where a fit says, and whether the two images say the same."""
 
 from dataclasses import replace
 
@@ -20,11 +20,11 @@ def fitted() -> PoseEstimate:
     return fit
 
 
-def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_pictures() -> None:
+def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_images() -> None:
     view = whole()
     seen = recheck(RIG, (view.left, view.right), MARKS, fitted(), LookConfig())
     assert seen.share.min() > 0.7
-    assert min(seen.pictures) > 0.75
+    assert min(seen.images) > 0.75
     assert seen.apart is not None
     assert abs(seen.apart[0]) < 0.3
     assert abs(seen.apart[1]) < 0.3
@@ -67,21 +67,21 @@ def test_an_edge_may_be_as_far_off_as_the_map(aside_m: float, sigma_m: float, fo
     assert found or seen.share[0] < 0.5
 
 
-@pytest.mark.parametrize(("over", "asked"), [((0, 1), False), ((0,), True)], ids=["in both pictures", "in one"])
-def test_what_something_covers_in_both_pictures_is_not_asked(over: tuple[int, ...], asked: bool) -> None:
+@pytest.mark.parametrize(("over", "asked"), [((0, 1), False), ((0,), True)], ids=["in both images", "in one"])
+def test_what_something_covers_in_both_images_is_not_asked(over: tuple[int, ...], asked: bool) -> None:
     """A sheet over a corner of a roof hides half of the rim, and the ends of what is left of its sides."""
-    view, fit, pictures = whole(), fitted(), [whole().left, whole().right]
+    view, fit, images = whole(), fitted(), [whole().left, whole().right]
     for k in over:
-        pictures[k] = under_a_sheet(pictures[k], eyes(RIG)[k], view)
-    seen = recheck(RIG, (pictures[0], pictures[1]), MARKS, fit, LookConfig())
+        images[k] = under_a_sheet(images[k], eyes(RIG)[k], view)
+    seen = recheck(RIG, (images[0], images[1]), MARKS, fit, LookConfig())
     assert seen.share[1:].min() > 0.7
     assert asked or seen.share[0] > 0.55  # 0.46 of all
-    assert bool(seen.pictures[1] - seen.pictures[0] > 0.1) is asked
+    assert bool(seen.images[1] - seen.images[0] > 0.1) is asked
     assert seen.covered < 0.03 if asked else 0.05 < seen.covered < 0.25  # half of one roof's rim in three
 
 
 @pytest.mark.parametrize(("du", "dv"), [(3, 0), (0, 2), (-2, -3)])
-def test_a_shift_of_the_right_picture_is_measured(du: int, dv: int) -> None:
+def test_a_shift_of_the_right_image_is_measured(du: int, dv: int) -> None:
     view = whole()
     shifted = np.ascontiguousarray(np.roll(view.right, (dv, du), axis=(0, 1)))
     seen = recheck(RIG, (view.left, shifted), MARKS, fitted(), LookConfig())
@@ -90,8 +90,8 @@ def test_a_shift_of_the_right_picture_is_measured(du: int, dv: int) -> None:
     assert 0.0 < seen.apart[2] < 0.6
 
 
-def test_one_picture_has_nothing_to_differ_from() -> None:
+def test_one_image_has_nothing_to_differ_from() -> None:
     view = whole()
     seen = recheck(RIG, (view.left, None), MARKS, replace(fitted()), LookConfig())
     assert seen.apart is None
-    assert len(seen.pictures) == 1
+    assert len(seen.images) == 1

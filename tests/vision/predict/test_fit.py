@@ -22,7 +22,7 @@ from vision.predict.coarse_search import Candidate
 from vision.predict.final_check import Recheck, recheck
 from vision.predict.fit import Fitter
 from vision.predict.verify import Evidence, Fitted, VerifyConfig, Waiting, decided, grade, place_odds
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
@@ -38,7 +38,7 @@ def place(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candi
 
 def fitted(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Fitted:
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
-    fit = fitter.fit(Pictures(view.left, view.right, ""), list(marks), place(view, marks, east_m), drawn(view, 1))
+    fit = fitter.fit(Images(view.left, view.right, ""), list(marks), place(view, marks, east_m), drawn(view, 1))
     assert isinstance(fit, Fitted)
     return fit
 
@@ -138,7 +138,7 @@ def test_one_landmark_alone_answers_for_those_that_have_no_votes(seen: tuple[int
     at, support = place(view, MARKS), np.zeros(len(MARKS))
     support[list(seen)] = 50.0
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
-    fit = fitter.fit(Pictures(view.left, view.right, ""), list(MARKS), replace(at, support=support), drawn(view, 1))
+    fit = fitter.fit(Images(view.left, view.right, ""), list(MARKS), replace(at, support=support), drawn(view, 1))
     assert isinstance(fit, Fitted)
     assert fit.used == list(seen)
     assert fit.kept == pytest.approx(kept)
@@ -177,16 +177,16 @@ def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: 
         sides = (outline - middle) @ axes.T
         stands = (*stands, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
     view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=stands)
-    fitter, pictures, prior = (
+    fitter, images, prior = (
         Fitter(RIG, PoseConfig(), VerifyConfig(), 2, 0.1),
-        Pictures(view.left, view.right, ""),
+        Images(view.left, view.right, ""),
         drawn(view, 1),
     )
     at, some = place(view, marks), list(marks)
     at.support[2] = 25.0  # fewer votes than the others: not in the first fit
-    first = fitter.fit(pictures, some, at, prior)
+    first = fitter.fit(images, some, at, prior)
     assert isinstance(first, Fitted)
-    again = fitter.joined(pictures, some, at, first, prior)
+    again = fitter.joined(images, some, at, first, prior)
     assert (first.used, again.used) == ([0, 1], [0, 1, 2] if joins else [0, 1])
     if grown_m is not None:
         assert again.pose.shift_m[2, MapError.GROWTH] == pytest.approx(grown_m, abs=0.1)
@@ -212,10 +212,10 @@ def test_where_all_together_contradict_each_other_one_determines_the_position() 
     """Two of three are mapped 2 m aside, each its own way."""
     view = whole()
     moved = (MARKS[0], aside(MARKS[1], (0.0, 2.0)), aside(MARKS[2], (2.0, 0.0)))
-    fitter, pictures = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Pictures(view.left, view.right, "")
+    fitter, images = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Images(view.left, view.right, "")
     at, prior = place(view, moved), drawn(view, 1)
-    assert isinstance(fitter.fit(pictures, list(moved), at, prior), str)
-    one = fitter.fit_one(pictures, list(moved), at, prior)
+    assert isinstance(fitter.fit(images, list(moved), at, prior), str)
+    one = fitter.fit_one(images, list(moved), at, prior)
     assert isinstance(one, Fitted)
     assert one.used == [0]
     assert np.linalg.norm(one.pose.joint_p_n - view.p_n) < 0.5
@@ -230,17 +230,17 @@ def aside(mark: Landmark, by: tuple[float, float]) -> Landmark:
 def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> None:
     """From one landmark alone, 2 m too high and tilted so that it lies where it shows: the others are ten pixels off."""
     view = whole()
-    fitter, pictures = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Pictures(view.left, view.right, "")
+    fitter, images = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Images(view.left, view.right, "")
     at, votes, prior = place(view, MARKS), np.zeros(len(MARKS)), drawn(view, 1)
     votes[0] = 50.0
-    one = fitter.fit(pictures, list(MARKS), replace(at, support=votes), prior)
+    one = fitter.fit(images, list(MARKS), replace(at, support=votes), prior)
     assert isinstance(one, Fitted)
     open_to = 9.0 * one.pose.joint_covariance
     variance, axes = np.linalg.eigh(open_to)
     p_n, R_nb = retract(one.pose.joint_p_n, from_matrix(one.pose.joint_R_nb), 3.0 * np.sqrt(variance[-3]) * axes[:, -3])
     assert abs(p_n[2] - view.p_n[2]) > 1.5
     off = replace(one, pose=replace(one.pose, joint_p_n=p_n, joint_R_nb=R_nb, joint_covariance=open_to))
-    again = fitter.joined(pictures, list(MARKS), replace(at, p_n=p_n, R_nb=R_nb), off, prior)
+    again = fitter.joined(images, list(MARKS), replace(at, p_n=p_n, R_nb=R_nb), off, prior)
     assert again.used == [0, 1, 2]
     assert np.linalg.norm(again.pose.joint_p_n - view.p_n) < 0.5
 
@@ -272,8 +272,8 @@ def moved(fit: Fitted, metres: float, turn_rad: float = 0.0) -> Fitted:
     return replace(fit, pose=replace(fit.pose, joint_p_n=p_n + np.array([metres, 0.0, 0.0]), joint_R_nb=R_nb))
 
 
-def test_a_second_look_at_a_picture_still_knows_the_picture_before() -> None:
-    """Where prediction finds nothing and segmentation then does; the picture after one that showed nothing does not."""
+def test_a_second_look_at_an_image_still_knows_the_image_before() -> None:
+    """Where prediction finds nothing and segmentation then does; the image after one that showed nothing does not."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     assert memory.doubt(fit, 1, prior, ROOFS, weak=True)
     memory.nothing(2)
@@ -313,7 +313,7 @@ def test_what_is_sure_by_itself_needs_no_other_viewpoint() -> None:
 
 
 def test_a_much_likelier_place_does_not_wait_for_one_that_does() -> None:
-    """Ten times, ln 10 = 2.3: as where two places in one picture are compared."""
+    """Ten times, ln 10 = 2.3: as where two places in one image are compared."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     memory.doubt(replace(fit, odds=4.0), 1, prior, ROOFS, weak=True)
     assert memory.holds(2, 6.2)

@@ -19,17 +19,17 @@ SIZE = 4
 
 
 def prepared(view: Seen, error: Array) -> tuple[Stage, Motion, Grid]:
-    """The search of a picture reduced four times from a prior with this error."""
+    """The search of an image reduced four times from a prior with this error."""
     moves = motion(EYE, view.marks, prior_off(view, error))
     assert moves is not None
     limit = limit_px(EYE.camera, CONFIG)
-    level = levels(view.picture, EYE.camera, (1, SIZE))[1]
+    level = levels(view.image, EYE.camera, (1, SIZE))[1]
     stage = Stage(level, EYE, view.marks, moves, CONFIG.expected, limit, CONFIG.points)
     return stage, moves, Grid.of(moves, CONFIG.sigmas, np.radians(CONFIG.turn_deg), SIZE, limit)
 
 
 def textured(normals: Array, apart_px: float = 2.0) -> tuple[Level, Array]:
-    """A picture of noise seen by a camera of 80 x 60, and eight points aimed at it, of which a shift moves all alike."""
+    """An image of noise seen by a camera of 80 x 60, and eight points aimed at it, of which a shift moves all alike."""
     rng, camera = np.random.default_rng(5), EYE.camera
     small = levels(rng.integers(0, 255, (camera.height, camera.width, 3), dtype=np.uint8), camera, (8,))[0]
     c, aimed = small.camera, np.zeros((len(normals), 11))
@@ -42,7 +42,7 @@ def textured(normals: Array, apart_px: float = 2.0) -> tuple[Level, Array]:
 @pytest.mark.parametrize("bend", [0.0, 0.4])
 @pytest.mark.parametrize("reach", [3, 34])
 def test_what_moves_as_a_whole_has_the_votes_of_its_points(bend: float, reach: int) -> None:
-    """Sums of pictures laid on each other are sums over points: straight and curved, in windows smaller than the edge and larger
+    """Sums of images laid on each other are sums over points: straight and curved, in windows smaller than the edge and larger
     than the way to the border, with a colour on one side, and with what the lens did not see.
     """
     angle = bend * np.arange(8)

@@ -13,7 +13,7 @@ CAMERA = CameraModel(SIZE, SIZE, 1.0, 1.0, 0.0, 0.0)  # x_c = (u, v, 1)
 SHIFTS = np.arange(-30.0, 31.0)
 OPEN = np.eye(2) * 1e6  # a prior that prefers nothing
 BOXES = ((40, 50, 30, 18), (90, 60, 20, 20), (60, 110, 26, 34))  # u, v, width, height
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 def outlines(boxes: tuple[tuple[int, int, int, int], ...] = BOXES) -> Array:
@@ -35,17 +35,17 @@ def outlines(boxes: tuple[tuple[int, int, int, int], ...] = BOXES) -> Array:
     return aimed
 
 
-def drawn(shift: tuple[int, int], boxes: tuple[tuple[int, int, int, int], ...] = BOXES, noise: float = 0.0) -> Picture:
-    """The boxes, each of its own brightness, in a picture of noise."""
-    picture = np.full((SIZE, SIZE), 100.0)
+def drawn(shift: tuple[int, int], boxes: tuple[tuple[int, int, int, int], ...] = BOXES, noise: float = 0.0) -> Image:
+    """The boxes, each of its own brightness, in an image of noise."""
+    image = np.full((SIZE, SIZE), 100.0)
     for (u, v, width, height), level in zip(boxes, (160.0, 60.0, 130.0), strict=False):
-        picture[v + shift[1] : v + shift[1] + height, u + shift[0] : u + shift[0] + width] = level
-    picture += np.random.default_rng(3).normal(size=picture.shape) * noise
-    return np.asarray(np.clip(np.rint(picture), 0, 255), dtype=np.uint8)
+        image[v + shift[1] : v + shift[1] + height, u + shift[0] : u + shift[0] + width] = level
+    image += np.random.default_rng(3).normal(size=image.shape) * noise
+    return np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8)
 
 
-def scores(picture: Picture, aimed: Array) -> Array:
-    level = Level(1, CAMERA, picture, np.zeros((SIZE, SIZE), dtype=np.bool_))
+def scores(image: Image, aimed: Array) -> Array:
+    level = Level(1, CAMERA, image, np.zeros((SIZE, SIZE), dtype=np.bool_))
     return joint_score(level.whole(), np.array([1.0, 1.0, 0.0, 0.0]), aimed, FLOOR, SHIFTS, SHIFTS)
 
 
@@ -70,17 +70,17 @@ def test_noise_alone_has_no_place() -> None:
 
 def test_what_stands_there_twice_has_two_summits() -> None:
     one = ((40, 60, 20, 20),)
-    picture = drawn((0, 0), boxes=((40, 60, 20, 20), (64, 60, 20, 20)))
-    best = summit(scores(picture, outlines(one)), SHIFTS, SHIFTS, OPEN, 8.0)
+    image = drawn((0, 0), boxes=((40, 60, 20, 20), (64, 60, 20, 20)))
+    best = summit(scores(image, outlines(one)), SHIFTS, SHIFTS, OPEN, 8.0)
     assert 1.0 <= best.ratio < 1.1
 
 
 def test_of_two_places_as_good_the_prior_takes_its_own_and_no_ratio_says_so() -> None:
     """Two boxes alike, 24 px apart: beside a prior of 10 px the one it is about is the place, whichever that is."""
     one = ((40, 60, 20, 20),)
-    picture = drawn((0, 0), boxes=one)
-    picture[60:80, 64:84] = picture[60:80, 40:60]
-    score = scores(picture, outlines(one))
+    image = drawn((0, 0), boxes=one)
+    image[60:80, 64:84] = image[60:80, 40:60]
+    score = scores(image, outlines(one))
     for about in (0.0, 24.0):
         best = summit(score, SHIFTS - about, SHIFTS, np.eye(2) * 10.0**2, 8.0)
         np.testing.assert_allclose(best.shift_px, [0.0, 0.0], atol=1.0)
@@ -93,7 +93,7 @@ def test_outlines_speak_louder_than_the_prior() -> None:
     assert best.ratio > 1.5
 
 
-def test_points_outside_the_picture_say_nothing() -> None:
+def test_points_outside_the_image_say_nothing() -> None:
     """Half of the outlines far aside: the same summit, half as high; and what no shift shows has no score."""
     aimed, aside = outlines(), outlines()
     aside[:, 0] += 10.0 * SIZE

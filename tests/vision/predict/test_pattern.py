@@ -16,7 +16,7 @@ from vision.pose.sensitivity import eyes
 from vision.predict import pattern
 from vision.predict.coarse_search import CoarseConfig
 from vision.predict.motion import motion
-from vision.records.pictures import Pictures
+from vision.records.images import Images
 from vision.records.reports import Result, nothing
 
 SIZE, HEIGHT_M = 300, 2000.0  # 0.5 m a pixel
@@ -47,21 +47,21 @@ def mark(name: str, box: tuple[float, float, float, float]) -> Landmark:
     return Landmark.of(name, np.array(corners), sigma_m=0.3)
 
 
-def drawn(boxes: Boxes) -> Pictures:
+def drawn(boxes: Boxes) -> Images:
     """Each roof has a bright and a dark half on a ground between them, as hipped ones have in the sun."""
-    picture = 110.0 + 12.0 * np.random.default_rng(5).normal(size=(SIZE, SIZE))
+    levels = 110.0 + 12.0 * np.random.default_rng(5).normal(size=(SIZE, SIZE))
     for north, east, a, b in boxes:
         top, left, rows, columns = (round(x) for x in (149.5 - 2 * north - a, 149.5 + 2 * east - b, 2 * a, 2 * b))
-        picture[top : top + rows // 2, left : left + columns] += 45.0
-        picture[top + rows // 2 : top + rows, left : left + columns] -= 45.0
-    image: NDArray[np.uint8] = np.asarray(np.clip(picture, 0, 255), dtype=np.uint8)
-    return Pictures(image, None, "")
+        levels[top : top + rows // 2, left : left + columns] += 45.0
+        levels[top + rows // 2 : top + rows, left : left + columns] -= 45.0
+    image: NDArray[np.uint8] = np.asarray(np.clip(levels, 0, 255), dtype=np.uint8)
+    return Images(image, None, "")
 
 
 def asked(
     boxes: Boxes, standing: Boxes, yaw_rad: float = 1e-3, result: Result | None = None, sigma_m: float = 12.0
 ) -> tuple[Result, Prior]:
-    """What is made of a result: a map of boxes over a picture of those that stand there."""
+    """What is made of a result: a map of boxes over an image of those that stand there."""
     covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 1e-7, 1e-7, yaw_rad**2])
     prior = Prior(TRUTH + OFF * sigma_m / 12.0, np.array([1.0, 0.0, 0.0, 0.0]), covariance)
     marks = [mark(str(k), box) for k, box in enumerate(boxes)]
@@ -86,7 +86,7 @@ def test_roofs_of_two_colours_are_found_together() -> None:
 
 
 def test_the_error_of_the_map_repeats() -> None:
-    """0.3 m of the map against a pixel, half a metre, that is new in every picture."""
+    """0.3 m of the map against a pixel, half a metre, that is new in every image."""
     result, _ = asked(VILLAGE, VILLAGE)
     assert result.fix is not None
     along, common = result.fix.directions, result.fix.covariance_common

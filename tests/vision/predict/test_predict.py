@@ -1,4 +1,4 @@
-"""Predict and verify through the pipeline: partial views, one camera, decoys, what waits for the next picture, replays."""
+"""Predict and verify through the pipeline: partial views, one camera, decoys, what waits for the next image, replays."""
 
 from dataclasses import replace
 from functools import cache
@@ -29,7 +29,7 @@ from vision.predict.coarse_search import Candidate
 from vision.predict.motion import motion
 from vision.predict.predict import PredictConfig, PredictPath, nearer_and_farther
 from vision.predict.verify import VerifyConfig
-from vision.records.pictures import Pictures, usable
+from vision.records.images import Images, usable
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
@@ -75,12 +75,12 @@ def whole() -> View:
     return look_at(MARKS, np.array([0.0, 0.0, -40.0]))
 
 
-def under_a_sheet(picture: Image, eye: Eye, view: View) -> Image:
-    """The picture that `eye` took with a red sheet, 7 m wide, over a corner of the first roof of the map."""
+def under_a_sheet(image: Image, eye: Eye, view: View) -> Image:
+    """The image that `eye` took with a red sheet, 7 m wide, over a corner of the first roof of the map."""
     turn, mark = np.linspace(0.0, 2.0 * np.pi, 40), view.marks[0]
     rim_n = np.append(mark.outline_n[0], mark.roof_d) + 3.5 * np.column_stack((np.cos(turn), np.sin(turn), 0.0 * turn))
     p_nk, R_nk = eye.pose(view.p_n, view.R_nb)
-    covered = picture.copy()
+    covered = image.copy()
     cv2.fillPoly(covered, [np.rint(eye.camera.project((rim_n - p_nk) @ R_nk)).astype(np.int32)], (40, 40, 230))
     return covered
 
@@ -124,14 +124,14 @@ def test_one_roof_whose_size_the_search_mistakes_is_fitted_from_other_distances(
     """Views 4 and 118 of benchmarks.fixes.outline: found, but as a roof of another size, half of its sides on edges."""
     shown = draw(3001, number)
     priors = {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
-    result = pipeline(shown.view.landmarks, shown.view.rig).process(*shown.pictures, 1, priors[off_px])
+    result = pipeline(shown.view.landmarks, shown.view.rig).process(*shown.images, 1, priors[off_px])
     found = outcome_of(shown.view, result.pose, "")
     assert result.fix is not None, result.report
     assert found.error_m < 1.2
     assert 3.0 * found.position < CHI2_9999_OF_3
 
 
-def test_other_distances_leave_one_roof_where_it_is_in_the_picture() -> None:
+def test_other_distances_leave_one_roof_where_it_is_in_the_image() -> None:
     eye, marks, prior = eyes(RIG)[0], list(MARKS), prior_off(whole(), np.zeros(6))
     place = Candidate.as_mapped(eye, marks, (prior.p_n, prior.R_nb), np.zeros(6))
     middle = np.array([*marks[1].centre_n, marks[1].roof_d])
@@ -148,7 +148,7 @@ def test_other_distances_leave_one_roof_where_it_is_in_the_picture() -> None:
 
 
 def test_roofs_that_the_border_cuts_take_part() -> None:
-    """All three roofs are cut; no region of the picture is whole."""
+    """All three roofs are cut; no region of the image is whole."""
     view = look_at(MARKS, np.array([9.0, -1.5, -26.0]))
     prior = drawn(view, 2, SIGMA * np.array([0.4, 0.4, 0.5, 1.0, 1.0, 1.0]))
     assert_right(pipeline(MARKS).process(view.left, view.right, 0, prior), view)
@@ -186,7 +186,7 @@ def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
 
 
 def test_a_landmark_that_moved_is_left_out() -> None:
-    """One of three is near what may be missing in one picture: where the others' place waits, the next picture agrees."""
+    """One of three is near what may be missing in one image: where the others' place waits, the next image agrees."""
     view = whole()
     one = pipeline((house("0", (6.0, 3.5), 0.3), *MARKS[1:]))
     result, later = (one.process(view.left, view.right, t_ns, drawn(view, 1)) for t_ns in (0, 10**8))
@@ -279,13 +279,13 @@ def test_auto_is_predict_where_the_prior_is_good() -> None:
 
 
 @pytest.mark.parametrize("kind", ["corner", "strip"])
-def test_auto_predicts_what_is_larger_than_the_picture(kind: str) -> None:
-    """One corner of a roof as wide as the picture; a strip whose corners lie 200 m aside, almost beside the camera."""
+def test_auto_predicts_what_is_larger_than_the_image(kind: str) -> None:
+    """One corner of a roof as wide as the image; a strip whose corners lie 200 m aside, almost beside the camera."""
     view = part_view(kind, 0)
     auto = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig())
-    result = auto.process(*view.pictures, 0, view.prior)
+    result = auto.process(*view.images, 0, view.prior)
     if result.report.outcome == "waiting":
-        result = auto.process(*view.pictures, 1_000_000_000, view.prior)
+        result = auto.process(*view.images, 1_000_000_000, view.prior)
     assert "predicted" in result.report.detail
     assert result.fix is not None
     assert result.pose is not None
@@ -293,8 +293,8 @@ def test_auto_predicts_what_is_larger_than_the_picture(kind: str) -> None:
     assert e @ np.linalg.solve(result.pose.joint_covariance[:3, :3], e) < CHI2_9999_OF_3
 
 
-def test_what_is_left_open_is_counted_where_the_picture_is() -> None:
-    """A corner of a large roof moves as the picture does, not as the roof's middle far outside."""
+def test_what_is_left_open_is_counted_where_the_image_is() -> None:
+    """A corner of a large roof moves as the image does, not as the roof's middle far outside."""
     view = part_view("corner", 0)
     eye = eyes(view.rig)[0]
     move = motion(eye, view.landmarks, view.prior)
@@ -302,7 +302,7 @@ def test_what_is_left_open_is_counted_where_the_picture_is() -> None:
     assert eye.camera.contains(move.middle[None])[0]
 
 
-def test_grey_pictures_with_a_map_of_colours() -> None:
+def test_grey_images_with_a_map_of_colours() -> None:
     """What a colour looks like to a camera without any is not known: it must not count against the right place."""
     view = whole()
     red = tuple(msgspec.structs.replace(m, colour_bgr=(30, 30, 220)) for m in MARKS)
@@ -327,7 +327,7 @@ def farther_on() -> View:
     return look_at(MARKS, np.array([0.0, 0.0, -40.0]) + ON)
 
 
-def test_little_to_be_seen_waits_for_a_picture_from_elsewhere_that_agrees() -> None:
+def test_little_to_be_seen_waits_for_an_image_from_elsewhere_that_agrees() -> None:
     """The same view says the same again, which is nothing new."""
     view, later, one, late = whole(), farther_on(), doubting(), doubting()
     prior = drawn(view, 1, 0.3 * SIGMA)
@@ -345,7 +345,7 @@ def test_a_likely_place_is_not_overruled_by_segmentation() -> None:
 
 
 def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
-    """The prior moved by a metre and a half between the pictures, the vehicle did not: the two places say different errors."""
+    """The prior moved by a metre and a half between the images, the vehicle did not: the two places say different errors."""
     view, later, one = whole(), farther_on(), doubting()
     prior = drawn(view, 1)
     other = replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0]))
@@ -365,7 +365,7 @@ def test_a_sure_place_that_does_not_agree_with_the_weak_one_before_waits_too() -
         assert sure.process(view.left, view.right, 2 * 10**8, then).report.outcome == outcome
 
 
-def test_swapped_pictures_give_no_fix() -> None:
+def test_swapped_images_give_no_fix() -> None:
     view = look_at(MARKS, np.array([0.0, 0.0, -25.0]))
     narrow = drawn(view, 1, 0.3 * SIGMA)
     result = pipeline(MARKS).process(view.right, view.left, 0, narrow)
@@ -373,7 +373,7 @@ def test_swapped_pictures_give_no_fix() -> None:
     assert_right(pipeline(MARKS).process(view.left, view.right, 0, narrow), view)
 
 
-def test_a_right_picture_of_another_moment_is_not_used() -> None:
+def test_a_right_image_of_another_moment_is_not_used() -> None:
     view, later = whole(), look_at(MARKS, np.array([0.6, 0.3, -40.0]))
     result = pipeline(MARKS).process(view.left, later.right, 0, drawn(view, 1))
     if result.fix is not None:
@@ -409,18 +409,18 @@ def test_every_place_that_is_nearly_as_good_is_a_rival() -> None:
 
 @pytest.mark.parametrize(("seed", "number", "kind"), [(1126, 29, "turned"), (1128, 53, "gone")])
 def test_where_the_bare_ground_covers_half_of_one_roof_nothing_stands(seed: int, number: int, kind: str) -> None:
-    """Another roof of which three sides lie on edges: the rest of the outline is on grass, in the next picture as well."""
-    view, pictures, prior, _ = decoy(seed, number, kind)
+    """Another roof of which three sides lie on edges: the rest of the outline is on grass, in the next image as well."""
+    view, images, prior, _ = decoy(seed, number, kind)
     decoyed = pipeline(view.landmarks, view.rig)
-    assert decoyed.process(*pictures, 1, prior).fix is None
-    _, pictures, prior = later(view, prior)
-    assert decoyed.process(*pictures, 500_000_001, prior).fix is None
+    assert decoyed.process(*images, 1, prior).fix is None
+    _, images, prior = later(view, prior)
+    assert decoyed.process(*images, 500_000_001, prior).fix is None
 
 
 @pytest.mark.parametrize(("number", "kind"), [(15, "gone"), (23, "shifted"), (26, "shifted")])
 def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None:
-    """Ground where nothing of the map stands. Odds apart, two pictures that agree make a fix of it, 6 to 35 m off and sure."""
-    view, pictures, prior, _ = decoy(95, number, kind)
+    """Ground where nothing of the map stands. Odds apart, two images that agree make a fix of it, 6 to 35 m off and sure."""
+    view, images, prior, _ = decoy(95, number, kind)
     moved, then, later_prior = later(view, prior)
     blind = PipelineConfig(
         path="predict", predict=PredictConfig(verify=VerifyConfig(odds=-1e3, weak_odds=-1e3, both_odds=-1e3, decides=1e-9))
@@ -428,7 +428,7 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
     wrong = []
     for config in (PipelineConfig(path="predict"), blind):
         looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
-        first, second = looking.process(*pictures, 1, prior), looking.process(*then, 500_000_001, later_prior)
+        first, second = looking.process(*images, 1, prior), looking.process(*then, 500_000_001, later_prior)
         outcomes = (outcome_of(view, first.pose, first.report.detail), outcome_of(moved, second.pose, second.report.detail))
         assert config is blind or first.fix is None
         wrong.append(any(one.wrong for one in outcomes))
@@ -437,14 +437,14 @@ def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None
 
 @pytest.mark.parametrize(("kind", "number"), [("shifted", 71)])
 def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int) -> None:
-    """Odds of 3.5 and 2.9, 2.8 and 4.0, of one roof that lies on something else in both pictures, 20 and 8 m off."""
-    view, pictures, prior, _ = decoy(101, number, kind)
+    """Odds of 3.5 and 2.9, 2.8 and 4.0, of one roof that lies on something else in both images, 20 and 8 m off."""
+    view, images, prior, _ = decoy(101, number, kind)
     moved, then, later_prior = later(view, prior)
     wrong = []
     for both_odds in (7.0, 4.0):
         config = PipelineConfig(path="predict", predict=PredictConfig(verify=VerifyConfig(both_odds=both_odds)))
         looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
-        first, second = looking.process(*pictures, 1, prior), looking.process(*then, 500_000_001, later_prior)
+        first, second = looking.process(*images, 1, prior), looking.process(*then, 500_000_001, later_prior)
         assert (first.fix, first.report.outcome) == (None, "waiting")
         wrong.append(second.fix is not None and outcome_of(moved, second.pose, "").error_m > 5.0)
     assert wrong == [False, True]
@@ -453,10 +453,10 @@ def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int
 @pytest.mark.parametrize(("decides_alike", "outcome"), [(6.6, "ambiguous"), (0.1, "fixed")])
 def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, outcome: str) -> None:
     """Fifteen equal houses, and a prior one house off. There all of ten stand, at the true place nine: the tenth is cut."""
-    view, pictures, prior, _ = decoy(98, 15, "row")
+    view, images, prior, _ = decoy(98, 15, "row")
     looking = PredictPath(view.rig, PredictConfig(verify=VerifyConfig(decides_alike=decides_alike)), PoseConfig(), 0.1)
-    both = usable(*pictures, view.rig)
-    assert isinstance(both, Pictures)
+    both = usable(*images, view.rig)
+    assert isinstance(both, Images)
     moves = looking.moves(both, view.landmarks, prior)
     assert moves is not None
     result = looking.locate(both, *moves, 1, prior)
@@ -466,10 +466,10 @@ def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, o
 
 def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found() -> None:
     """The prior is a house and 3.3 sigma off: the search meets a place two houses off, where all seven in view stand."""
-    view, pictures, prior, _ = decoy(203, 89, "row")
+    view, images, prior, _ = decoy(203, 89, "row")
     looking = PredictPath(view.rig, PredictConfig(), PoseConfig(), 0.1)
-    both = usable(*pictures, view.rig)
-    assert isinstance(both, Pictures)
+    both = usable(*images, view.rig)
+    assert isinstance(both, Images)
     moves = looking.moves(both, view.landmarks, prior)
     assert moves is not None
     found = looking.locate(both, *moves, 1, prior)
@@ -477,17 +477,17 @@ def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found(
     assert np.linalg.norm(found.pose.joint_p_n - view.p_n) > 20.0
     assert len(found.pose.shift_m) == 7
     landmarks = LandmarkMap.from_landmarks(ORIGIN, view.landmarks)
-    whole = LandmarkPipeline(view.rig, landmarks, PipelineConfig(path="predict")).process(*pictures, 1, prior)
+    whole = LandmarkPipeline(view.rig, landmarks, PipelineConfig(path="predict")).process(*images, 1, prior)
     assert (whole.fix, whole.report.outcome) == (None, "ambiguous")
 
 
 @pytest.mark.parametrize("number", [43, 87])
 def test_of_two_that_look_alike_both_seen_the_next_place_would_lack_one(number: int) -> None:
-    """The prior reaches the place a step off; the picture does not show there what the map has there."""
+    """The prior reaches the place a step off; the image does not show there what the map has there."""
     shown = draw(98, number)
     prior = prior_of(shown.view, PRIOR_PX, 160.0)
     landmarks = LandmarkMap.from_landmarks(ORIGIN, shown.view.landmarks)
-    result = LandmarkPipeline(shown.view.rig, landmarks, PipelineConfig(path="predict")).process(*shown.pictures, 1, prior)
+    result = LandmarkPipeline(shown.view.rig, landmarks, PipelineConfig(path="predict")).process(*shown.images, 1, prior)
     assert result.pose is not None, result.report
     assert not outcome_of(shown.view, result.pose, "").wrong
     marks = list(shown.view.landmarks)
@@ -498,9 +498,9 @@ def test_of_two_that_look_alike_both_seen_the_next_place_would_lack_one(number: 
 def test_a_green_roof_on_a_meadow_is_not_fitted_to_the_rim_of_its_shadow() -> None:
     """Roof and shadow have as little red, by which roof and meadow differ: 3.7 m off, sure to 0.4 m, if nothing else is asked."""
     view = draw_view(32, 214)
-    pictures = render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
+    images = render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
     looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
-    result = looking.process(*pictures, 1, view.prior)
+    result = looking.process(*images, 1, view.prior)
     assert result.pose is not None
     e = view.p_n - result.pose.joint_p_n
     assert e @ np.linalg.solve(result.pose.joint_covariance[:3, :3], e) < CHI2_9999_OF_3

@@ -11,17 +11,17 @@ from vision.outline.visibility import Kind
 from vision.predict.presence import across, log_likelihood_ratio
 
 EVERY = 6  # px from point to point
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
-def texture(seed: int) -> Picture:
+def texture(seed: int) -> Image:
     """Nothing but noise, 200 x 200."""
     return np.random.default_rng(seed).integers(60, 120, (200, 200, 3)).astype(np.uint8)
 
 
-def with_step(picture: Picture, at: int) -> Picture:
+def with_step(image: Image, at: int) -> Image:
     """Above row `at` it is brighter and of another colour."""
-    stepped = picture.copy()
+    stepped = image.copy()
     stepped[:at] += np.array([20, 90, 120], np.uint8)
     return stepped
 
@@ -32,16 +32,16 @@ def side(row: int, points: int) -> tuple[Array, Array]:
     return px, np.tile([0.0, 1.0], (points, 1))
 
 
-def log_ratio(picture: Picture, sides: list[tuple[Array, Array]], pictures: int = 1, kind: Kind = Kind.ROOF) -> float:
+def log_ratio(image: Image, sides: list[tuple[Array, Array]], images: int = 1, kind: Kind = Kind.ROOF) -> float:
     px, normal = (np.concatenate(ones) for ones in zip(*sides, strict=True))
     edge = np.repeat(np.arange(len(sides)), [len(one[0]) for one in sides])
-    sums = across(picture, px, normal, edge, len(sides), np.ones(len(px), np.bool_))
-    return float(log_likelihood_ratio([sums] * pictures, np.zeros(len(sides), np.int64), 1, np.full(len(sides), int(kind)))[0])
+    sums = across(image, px, normal, edge, len(sides), np.ones(len(px), np.bool_))
+    return float(log_likelihood_ratio([sums] * images, np.zeros(len(sides), np.int64), 1, np.full(len(sides), int(kind)))[0])
 
 
 def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -> None:
-    picture = with_step(texture(1), 100)
-    on, off = log_ratio(picture, [side(100, 12)]), np.array([log_ratio(texture(seed), [side(100, 12)]) for seed in range(60)])
+    image = with_step(texture(1), 100)
+    on, off = log_ratio(image, [side(100, 12)]), np.array([log_ratio(texture(seed), [side(100, 12)]) for seed in range(60)])
     assert math.exp(on) == pytest.approx(0.9 / 0.1, rel=0.05)  # (1 - h) / q, no more
     assert off.mean() < -1.0
     assert (off > 1.0).mean() < 0.05  # by chance
@@ -68,12 +68,12 @@ def test_the_fewer_points_a_side_shows_the_less_it_says() -> None:
     assert math.exp(ratio[2]) < 7.0
 
 
-def test_both_pictures_of_a_pair_say_it_once() -> None:
-    picture = with_step(texture(3), 100)
-    assert log_ratio(picture, [side(100, 8)], pictures=2) == log_ratio(picture, [side(100, 8)])
+def test_both_images_of_a_pair_say_it_once() -> None:
+    image = with_step(texture(3), 100)
+    assert log_ratio(image, [side(100, 8)], images=2) == log_ratio(image, [side(100, 8)])
 
 
-def test_points_outside_the_picture_do_not_count() -> None:
+def test_points_outside_the_image_do_not_count() -> None:
     px, normal = side(100, 60)
     sums = across(with_step(texture(4), 100), px, normal, np.zeros(60, np.int64), 1, np.ones(60, np.bool_))
     assert sums[0, -1] == len([u for u in px[:, 0] if u < 199.0 - 0.5])
@@ -81,6 +81,6 @@ def test_points_outside_the_picture_do_not_count() -> None:
     assert not nothing.any()
 
 
-def test_an_even_picture_has_no_edges() -> None:
+def test_an_even_image_has_no_edges() -> None:
     even = np.full((200, 200, 3), 90, np.uint8)
     assert log_ratio(even, [side(100, 12)]) < -2.0

@@ -1,4 +1,4 @@
-"""The overlay on rendered pictures: lines lie where edges are seen, residuals are as large as the pose is wrong."""
+"""The overlay on rendered images: lines lie where edges are seen, residuals are as large as the pose is wrong."""
 
 import math
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from vision.show.overlay import (
     IDENTIFIED,
     MAPPED,
     RESIDUAL,
-    Picture,
+    Canvas,
     add_strip,
     draw_overlay,
     expected_px,
@@ -29,7 +29,7 @@ from vision.synthetic.scenes import WorldSpec, make_world
 
 
 class View(NamedTuple):
-    picture: Picture
+    image: Canvas
     rig: StereoRig
     p_nc: Array
     R_nc: Array
@@ -42,8 +42,8 @@ def scene() -> View:
     made = make_world(3, WorldSpec(painted=1.0, flat=0.0, cars=0.0, trees=0.0, patches=0.0, rig=make_rig(exact=True)))
     p_n, R_nb = np.array([0.0, 0.0, -60.0]), matrix(from_euler(0.05, -0.03, 0.4))
     p_nc, R_nc = made.rig.camera_pose(p_n, R_nb)
-    picture = render(made.world, made.rig.left, p_nc, R_nc, Conditions(), np.random.default_rng(0))
-    return View(picture, made.rig, p_nc, R_nc, made.map.near(0.0, 0.0, 150.0))
+    image = render(made.world, made.rig.left, p_nc, R_nc, Conditions(), np.random.default_rng(0))
+    return View(image, made.rig, p_nc, R_nc, made.map.near(0.0, 0.0, 150.0))
 
 
 def box(north: float, east: float, length: float = 12.0, width: float = 8.0, height: float = 4.0) -> Landmark:
@@ -52,12 +52,12 @@ def box(north: float, east: float, length: float = 12.0, width: float = 8.0, hei
 
 
 CAMERA = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
-NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is east, down in the picture is south
+NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # right is east, down in the image is south
 ABOVE = np.array([0.0, 0.0, -50.0])
 
 
 def test_a_true_map_from_a_true_pose_leaves_hundredths_of_a_pixel(scene: View) -> None:
-    found = outline_residuals(scene.picture, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
+    found = outline_residuals(scene.image, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
     assert len(found) >= 5
     assert np.mean([residual.found for residual in found]) > 0.9
     spread = float(np.median([residual.spread_px for residual in found]))
@@ -74,7 +74,7 @@ def test_residuals_are_the_error_of_the_pose(scene: View, east_m: float) -> None
     """Moving the camera moves outlines by J dp; the residual along the normal is what is missing."""
     wrong = scene.p_nc + np.array([0.0, east_m, 0.0])
     offsets, expected = [], []
-    for residual in outline_residuals(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks):
+    for residual in outline_residuals(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks):
         landmark = next(x for x in scene.landmarks if x.id == residual.id)
         depth = landmark.roof_d - scene.p_nc[2]
         shift = scene.rig.left.fx / depth * (scene.R_nc.T @ np.array([0.0, east_m, 0.0]))[:2]
@@ -87,8 +87,8 @@ def test_residuals_are_the_error_of_the_pose(scene: View, east_m: float) -> None
         assert np.nanmedian(np.abs(np.concatenate(offsets))) > 0.5
 
 
-def test_nothing_is_found_on_a_blank_picture(scene: View) -> None:
-    noise = np.random.default_rng(0).normal(0.0, 2.0, scene.picture.shape)
+def test_nothing_is_found_on_a_blank_image(scene: View) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 2.0, scene.image.shape)
     blank = (128.0 + noise).astype(np.uint8)
     found = outline_residuals(blank, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
     assert found
@@ -100,12 +100,12 @@ def test_nothing_is_found_on_a_blank_picture(scene: View) -> None:
 
 @pytest.mark.parametrize("grey", [False, True])
 def test_lines_lie_on_the_edges_of_roofs(scene: View, grey: bool) -> None:
-    picture = cv2.cvtColor(scene.picture, cv2.COLOR_BGR2GRAY).astype(np.uint8) if grey else scene.picture
-    before = picture.copy()
+    image = cv2.cvtColor(scene.image, cv2.COLOR_BGR2GRAY).astype(np.uint8) if grey else scene.image
+    before = image.copy()
     marks = in_view(scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)
-    overlay = draw_overlay(picture, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks, {marks[0].id})
-    np.testing.assert_array_equal(picture, before)
-    assert overlay.shape == (*picture.shape[:2], 3)
+    overlay = draw_overlay(image, scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks, {marks[0].id})
+    np.testing.assert_array_equal(image, before)
+    assert overlay.shape == (*image.shape[:2], 3)
     for mark in marks:
         ends = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
         middle = (ends + np.roll(ends, -1, axis=0)) / 2
@@ -140,13 +140,13 @@ def test_what_a_tower_hides_is_not_drawn() -> None:
 
 def test_residual_strokes_names_and_caption_are_drawn(scene: View) -> None:
     wrong = scene.p_nc + np.array([0.1, 0.1, 0.0])
-    residuals = outline_residuals(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks)
+    residuals = outline_residuals(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks)
     ids = {residual.id for residual in residuals}
-    plain = draw_overlay(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids)
-    strokes = draw_overlay(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids, residuals)
-    magenta = [np.sum(np.abs(picture.astype(int) - RESIDUAL).max(axis=2) < 30) for picture in (plain, strokes)]
+    plain = draw_overlay(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids)
+    strokes = draw_overlay(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids, residuals)
+    magenta = [np.sum(np.abs(image.astype(int) - RESIDUAL).max(axis=2) < 30) for image in (plain, strokes)]
     assert magenta[1] > magenta[0] + 200
-    said = draw_overlay(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids, caption=["fix: Müller", "0.3 m"])
+    said = draw_overlay(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks, ids, caption=["fix: Müller", "0.3 m"])
     changed = np.argwhere(np.any(said != plain, axis=2))
     assert changed[:, 0].min() > 240, "below on the left, and names that made room"
     assert changed[:, 1].max() < 320
@@ -173,7 +173,7 @@ def test_standing_on_in_or_beside_a_landmark_is_no_trouble(p_nc: Array) -> None:
         assert draw_overlay(ground, CAMERA, p_nc, R_nc, landmarks, ["0,0"], found).shape == (480, 640, 3)
 
 
-def test_in_view_keeps_everything_that_projects_into_the_picture(scene: View) -> None:
+def test_in_view_keeps_everything_that_projects_into_the_image(scene: View) -> None:
     kept = {mark.id for mark in in_view(scene.rig.left, scene.p_nc, scene.R_nc, scene.landmarks)}
     for mark in scene.landmarks:
         for down in (mark.base_d, mark.roof_d):
@@ -188,7 +188,7 @@ def test_in_view_keeps_everything_that_projects_into_the_picture(scene: View) ->
 def test_edges_are_found_as_far_as_the_reach(scene: View, reach_px: float) -> None:
     """1 m at 60 m moves outlines by 10 px and more: too far for the short reach."""
     wrong = scene.p_nc + np.array([0.9, 0.9, 0.0])
-    found = outline_residuals(scene.picture, scene.rig.left, wrong, scene.R_nc, scene.landmarks, reach_px)
+    found = outline_residuals(scene.image, scene.rig.left, wrong, scene.R_nc, scene.landmarks, reach_px)
     assert all(np.abs(np.nan_to_num(r.offset_px)).max() <= reach_px for r in found)
     shift = scene.rig.left.fx / 60.0 * 0.9
     spread = float(np.median([r.spread_px for r in found]))
@@ -222,7 +222,7 @@ def test_expected_residual_is_what_random_poses_and_maps_give() -> None:
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (101, 75), (900, 1201)])
-def test_the_strip_leaves_the_picture_and_makes_its_sides_even(shape: tuple[int, int]) -> None:
+def test_the_strip_leaves_the_image_and_makes_its_sides_even(shape: tuple[int, int]) -> None:
     canvas = np.random.default_rng(0).integers(0, 256, (*shape, 3), np.uint8)
     framed = add_strip(canvas, ["12.3 s", "dead reckoning", "95 %: 0.42 m"])
     np.testing.assert_array_equal(framed[: shape[0], : shape[1]], canvas)

@@ -31,7 +31,7 @@ from vision.synthetic.shapes import rectangle
 from vision.synthetic.world import Bgr
 
 DARK, BRIGHT = 40.0, 220.0
-PLAIN = Ground.of_picture(np.full((64, 64, 3), int(DARK), dtype=np.uint8), 1.0)  # a ground without texture
+PLAIN = Ground.of_image(np.full((64, 64, 3), int(DARK), dtype=np.uint8), 1.0)  # a ground without texture
 OVERCAST = Sun(ambient=1.0)  # no shadows
 LENS = (-0.21, 0.07, 0.0011, -0.0008)
 CAMERA = CameraModel(640, 480, 600.0, 604.0, 322.0, 236.0, LENS)
@@ -239,7 +239,7 @@ def test_ground_moves_as_the_camera_model_says() -> None:
 @pytest.mark.parametrize("height", [10.0, 30.0, 60.0, 120.0])
 @pytest.mark.parametrize("pitch_deg", [0.0, 25.0])
 def test_ground_has_enough_to_hold_on_to(height: float, pitch_deg: float) -> None:
-    """>= 500 SIFT keypoints in a VGA picture of a village at any height."""
+    """>= 500 SIFT keypoints in a VGA image of a village at any height."""
     scene = make_world(11, WorldSpec(area_m=200.0))
     R_nb = so3.matrix(so3.from_euler(0.0, math.radians(pitch_deg), 0.7))
     left, _ = render_pair(scene.world, scene.rig, np.array([3.0, 4.0, -height]), R_nb, Conditions(), np.random.default_rng(1))
@@ -249,7 +249,7 @@ def test_ground_has_enough_to_hold_on_to(height: float, pitch_deg: float) -> Non
 def test_noise_is_shot_and_read_noise() -> None:
     conditions = replace(IDEAL, read_sigma=2.0, shot=0.05)
     for grey in (30.0, 180.0):
-        ground = Ground.of_picture(np.full((64, 64, 3), int(grey), dtype=np.uint8), 1.0)
+        ground = Ground.of_image(np.full((64, 64, 3), int(grey), dtype=np.uint8), 1.0)
         image = render(world_of(ground=ground), CAMERA, *pose(20.0), conditions, np.random.default_rng(5)).astype(float)
         assert image.mean() == pytest.approx(grey, abs=0.03)
         assert image.var() == pytest.approx(4.0 + 0.05 * grey + 1 / 12, rel=0.03)
@@ -292,7 +292,7 @@ def test_same_seed_same_bytes() -> None:
     assert render(other, CAMERA, *pose(50.0), IDEAL, np.random.default_rng(9)).tobytes() != pairs[0][0].tobytes()
 
 
-def test_horizon_and_below_ground_are_pictures_too() -> None:
+def test_horizon_and_below_ground_are_images_too() -> None:
     scene = make_world(2, WorldSpec(area_m=100.0))
     rng = np.random.default_rng(1)
     level = render(scene.world, CAMERA, *pose(10.0, 0.0, math.pi / 2), Conditions(haze_per_m=0.002), rng)
@@ -301,10 +301,10 @@ def test_horizon_and_below_ground_are_pictures_too() -> None:
     assert under.shape == level.shape == (480, 640, 3)
 
 
-def test_a_picture_as_ground_lies_north_up() -> None:
-    picture = np.zeros((64, 64, 3), dtype=np.uint8)
-    picture[:32], picture[:, :32, 2] = (0, 200, 0), 150  # north is green, west is red
-    world = world_of(ground=Ground.of_picture(picture, 1.0))
+def test_an_image_as_ground_lies_north_up() -> None:
+    ground = np.zeros((64, 64, 3), dtype=np.uint8)
+    ground[:32], ground[:, :32, 2] = (0, 200, 0), 150  # north is green, west is red
+    world = world_of(ground=Ground.of_image(ground, 1.0))
     image = render(world, CAMERA, np.array([32.0, 32.0, -20.0]), NADIR, IDEAL, np.random.default_rng(0))
     assert image[60, 320, 1] > 190
     assert image[420, 320, 1] < 10

@@ -15,7 +15,7 @@ from vision.synthetic.shapes import rectangle
 CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.1, 0.03, 0.0, 0.0))
 NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 LOOK = Look((200.0, 30.0, 30.0))
-GROUND = Ground.of_picture(np.full((4, 4, 3), 60, dtype=np.uint8), 1.0)
+GROUND = Ground.of_image(np.full((4, 4, 3), 60, dtype=np.uint8), 1.0)
 
 
 def one(height: float, *clutter: Solid) -> World:

@@ -200,7 +200,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
         until(lambda: log.state.state.startswith("failed"), "it says so")
 
 
-def test_pictures_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path) -> None:
+def test_images_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path) -> None:
     """A disk that does not take anything: the folder's name is that of a file."""
     blocked = tmp_path / "logs"
     blocked.write_text("")

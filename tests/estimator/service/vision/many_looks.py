@@ -19,7 +19,7 @@ from estimator.frontend.processor import Sight
 from estimator.frontend.requests import Shot
 from estimator.service.base import compilation
 from logs.wire.codec import Encoded
-from logs.wire.pictures import Picture, encode_picture
+from logs.wire.images import Pixels, encode_image
 from logs.wire.schemas import STORE
 from models import so3
 from models.camera import StereoRig
@@ -40,8 +40,8 @@ RIGS = (
 )
 
 
-def looks() -> Iterator[tuple[Sight, tuple[Picture | None, Picture | None], tuple[Array, Array], Array]]:
-    """Vision with its map and rig, pictures, the true pose and the prior's sigmas."""
+def looks() -> Iterator[tuple[Sight, tuple[Pixels | None, Pixels | None], tuple[Array, Array], Array]]:
+    """Vision with its map and rig, images, the true pose and the prior's sigmas."""
     for seed, rig in enumerate(RIGS):
         layout = ("village", "lookalikes", "grid")[seed % 3]
         scene = make_world(seed, WorldSpec(layout, 160.0, painted=0.6, flat=0.3, unmapped=0.2, gone=0.1, sigma_m=0.2, rig=rig))  # type: ignore[arg-type]
@@ -60,12 +60,12 @@ def looks() -> Iterator[tuple[Sight, tuple[Picture | None, Picture | None], tupl
             yield sight, (np.zeros_like(left), right), pose, NARROW
     for flight in (boulders(1, NARROW), house_and_boulders(2, NARROW)):
         sight = Sight(flight.rig, LandmarkMap.from_landmarks(ORIGIN, list(flight.landmarks)))
-        for pictures in (flight.pictures, (flight.pictures[0], None)):
-            yield sight, pictures, (flight.p_n, flight.R_nb), NARROW
+        for images in (flight.images, (flight.images[0], None)):
+            yield sight, images, (flight.p_n, flight.R_nb), NARROW
     yield from few()
 
 
-def few() -> Iterator[tuple[Sight, tuple[Picture | None, Picture | None], tuple[Array, Array], Array]]:
+def few() -> Iterator[tuple[Sight, tuple[Pixels | None, Pixels | None], tuple[Array, Array], Array]]:
     """One landmark alone, a round one, and one that the border cuts off."""
     rig, angle = RIGS[0], np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     disc = 5.0 * np.column_stack((np.cos(angle), np.sin(angle)))
@@ -79,17 +79,17 @@ def few() -> Iterator[tuple[Sight, tuple[Picture | None, Picture | None], tuple[
             yield sight, (pair[0], None), (np.array([0.0, 0.0, -50.0]), np.eye(3)), sigmas
 
 
-def _drawn(rig: StereoRig, mark: Landmark, *, right: bool) -> Picture:
+def _drawn(rig: StereoRig, mark: Landmark, *, right: bool) -> Pixels:
     camera = rig.right if right else rig.left
     p_nc, R_nc = (rig.right_camera_pose if right else rig.camera_pose)(np.array([0.0, 0.0, -50.0]), np.eye(3))
-    picture = np.random.default_rng(3).normal(110.0, 8.0, (camera.height, camera.width, 3)).clip(0, 255).astype(np.uint8)
+    image = np.random.default_rng(3).normal(110.0, 8.0, (camera.height, camera.width, 3)).clip(0, 255).astype(np.uint8)
     corners = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
-    cv2.fillPoly(picture, [np.round(camera.project((corners - p_nc) @ R_nc)).astype(np.int32)], (40, 40, 200))
-    return picture
+    cv2.fillPoly(image, [np.round(camera.project((corners - p_nc) @ R_nc)).astype(np.int32)], (40, 40, 200))
+    return image
 
 
-def _shot(t_ns: int, picture: Picture, *, raw: bool) -> Shot:
-    message = encode_picture(t_ns, picture, "", jpeg_quality=None if raw or picture.dtype != np.uint8 else 92)
+def _shot(t_ns: int, image: Pixels, *, raw: bool) -> Shot:
+    message = encode_image(t_ns, image, "", jpeg_quality=None if raw or image.dtype != np.uint8 else 92)
     return Shot("", message.schema, message.data, t_ns, t_ns, t_ns)
 
 
@@ -112,10 +112,10 @@ def main() -> None:
     compiled = list[str]()
     compilation.listen(lambda kernel, _: compiled.append(kernel) if kernel else None)
     outcomes, count = Counter[str](), 0
-    for sight, pictures, (p_n, R_nb), sigmas in looks():
+    for sight, images, (p_n, R_nb), sigmas in looks():
         count += 1
         t_ns = count * 10**9
-        shots = [None if p is None else _shot(t_ns, p, raw=bool(count % 2)) for p in pictures]
+        shots = [None if p is None else _shot(t_ns, p, raw=bool(count % 2)) for p in images]
         w, x, y, z = so3.from_matrix(np.ascontiguousarray(R_nb)).tolist()
         request = VisionRequest(t_ns, t_ns, vec3(p_n), (w, x, y, z), np.diag(sigmas**2), None, None)
         said = sight.look(request, (shots[0], shots[1]))

@@ -1,4 +1,4 @@
-"""Pictures through the whole daemon: its vision answers, is killed, answers again; and the log says the same again."""
+"""Images through the whole daemon: its vision answers, is killed, answers again; and the log says the same again."""
 
 import multiprocessing
 import time
@@ -11,7 +11,7 @@ import pytest
 
 from estimator.config import Config, load
 from estimator.frontend.files import load_sight
-from estimator.frontend.replay_pictures import ImageCounts, SightReplay
+from estimator.frontend.replay_images import ImageCounts, SightReplay
 from estimator.replay.replay import replay
 from estimator.service.daemon import Daemon
 from logs.store.reader import LogReader
@@ -29,7 +29,7 @@ _PATIENCE_S = 300.0
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, int]:
-    """At rest above the village, in real time, aligned by fixes from outside, then with pictures alone.
+    """At rest above the village, in real time, aligned by fixes from outside, then with images alone.
 
     Vision is killed on the way. Log, configuration, when it was killed.
     """
@@ -55,9 +55,9 @@ def _fixes_of(daemon: Daemon, count: int) -> Callable[[], bool]:
 
 
 def _hover(daemon: Daemon, enough: Callable[[], bool], aligning: bool = False) -> None:
-    """IMU and a pair of pictures twice a second until it is enough; aligning: fixes from outside until vision sees."""
+    """IMU and a pair of images twice a second until it is enough; aligning: fixes from outside until vision sees."""
     clock, mailbox = daemon._clock, daemon.mailbox
-    began_ns = next_fix_ns = next_picture_ns = clock.now_ns()
+    began_ns = next_fix_ns = next_image_ns = clock.now_ns()
     while not enough():
         now_ns = clock.now_ns()
         assert now_ns - began_ns < _PATIENCE_S * SECOND, "vision makes no fixes"
@@ -65,10 +65,10 @@ def _hover(daemon: Daemon, enough: Callable[[], bool], aligning: bool = False) -
         if aligning and now_ns >= next_fix_ns and not _fixes_of(daemon, 1)():
             mailbox.put(pose_fix(now_ns, PLACE))
             next_fix_ns += SECOND // 2
-        if now_ns >= next_picture_ns:
-            for picture in village().pairs[0]:
-                mailbox.put_bytes(picture.topic, picture.schema, restamped(picture.data, now_ns))
-            next_picture_ns += SECOND // 2
+        if now_ns >= next_image_ns:
+            for image in village().pairs[0]:
+                mailbox.put_bytes(image.topic, image.schema, restamped(image.data, now_ns))
+            next_image_ns += SECOND // 2
         time.sleep(0.01)
 
 
@@ -81,12 +81,12 @@ def _again(log: Path, out: Path, config_file: Path, config: Config) -> ImageCoun
     assert config.rig.file is not None
     assert config.map.landmarks is not None
     sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
-    pictures = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, log)
-    replay(log, out, config, sight=pictures)
-    return pictures.counts
+    images = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    replay(log, out, config, sight=images)
+    return images.counts
 
 
-def test_pictures_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path, Path, int]) -> None:
+def test_images_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path, Path, int]) -> None:
     log, _, killed_ns = flown
     fixes = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/fix")]
     assert sum(t < killed_ns for t in fixes) >= FIXES
@@ -108,7 +108,7 @@ def test_each_sample_has_its_estimate_and_nothing_is_lost_meanwhile(flown: tuple
     assert_sound(log)
 
 
-def test_its_log_replayed_from_pictures_gives_the_same_fixes_and_estimates(flown: tuple[Path, Path, int], tmp_path: Path) -> None:
+def test_its_log_replayed_from_images_gives_the_same_fixes_and_estimates(flown: tuple[Path, Path, int], tmp_path: Path) -> None:
     log, config_file, _ = flown
     config = load(config_file)
     counts = _again(log, tmp_path / "again.mcap", config_file, config)

@@ -13,7 +13,7 @@ from estimator.service.base.clock import Clock, ClockConfig, Stamps
 from estimator.service.base.ports import Arrival
 from estimator.service.vision.odometry import OdometryWorker
 from logs.wire.codec import ODOMETRY_REQUEST_TOPIC, Encoded
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models import so3
 from models.messages import ODOMETRY_DELTA_TOPIC, Estimate, Mode
 from models.state import E, X
@@ -49,7 +49,7 @@ def test_it_answers_with_increments(tmp_path: Path) -> None:
             while clock.now_ns() < t0_ns + k * 1_000_000_000:
                 time.sleep(0.01)
             for topic, image in zip(sides, scene.pair(k), strict=True):
-                said = encode_picture(t0_ns + k * 1_000_000_000, image, topic)
+                said = encode_image(t0_ns + k * 1_000_000_000, image, topic)
                 worker.put(Arrival(said.topic, said.schema, said.data, clock.now_ns()))
         while len(heard) < 3 and time.monotonic() < end_s:
             time.sleep(0.02)

@@ -13,7 +13,7 @@ from estimator.publish import OVERLAY_TOPIC
 from estimator.service.daemon import Daemon
 from estimator.service.zenoh.keys import plain_key, rmw_key
 from logs.wire import schemas
-from logs.wire.pictures import Picture, decode_picture
+from logs.wire.images import Pixels, decode_image
 from logs.wire.stamps import restamped, stamp_of
 from models.messages import ImuSample
 from tests.estimator.scenes import SECOND, pose_fix
@@ -36,8 +36,8 @@ def _hovering(daemon: Daemon) -> Iterator[None]:
             mailbox.put(ImuSample(now_ns, now_ns, (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665)))
             if now_ns >= next_ns:
                 mailbox.put(pose_fix(now_ns, PLACE))
-                for picture in village().pairs[0]:
-                    mailbox.put_bytes(picture.topic, picture.schema, restamped(picture.data, now_ns))
+                for image in village().pairs[0]:
+                    mailbox.put_bytes(image.topic, image.schema, restamped(image.data, now_ns))
                 next_ns = now_ns + SECOND // 4
 
     pilot = threading.Thread(target=fly)
@@ -89,20 +89,20 @@ def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
         assert count("restarts") == 0
     _check(got)
     (log,) = logs_of(tmp_path)
-    assert records(log, OVERLAY_TOPIC) == [], "a picture of a picture is not kept"
+    assert records(log, OVERLAY_TOPIC) == [], "an image of an image is not kept"
 
 
 def _check(got: list[bytes]) -> None:
-    """JPEG pictures of the village with the map drawn in and a strip below, no more often than allowed."""
-    raw: Picture = decode_picture(village().pairs[0][0].schema, village().pairs[0][0].data)
+    """JPEG images of the village with the map drawn in and a strip below, no more often than allowed."""
+    raw: Pixels = decode_image(village().pairs[0][0].schema, village().pairs[0][0].data)
     height, width = raw.shape[:2]
     for data in got:
-        picture = decode_picture(schemas.COMPRESSED_IMAGE, data)
-        assert picture.shape[1] == width
-        assert 1.02 * height < picture.shape[0] < 1.15 * height
-        difference = np.abs(picture[:height].astype(int) - raw).max(axis=2)
+        image = decode_image(schemas.COMPRESSED_IMAGE, data)
+        assert image.shape[1] == width
+        assert 1.02 * height < image.shape[0] < 1.15 * height
+        difference = np.abs(image[:height].astype(int) - raw).max(axis=2)
         assert 0.005 < np.mean(difference > 60) < 0.2, "outlines, names and strokes"
-        assert np.median(difference) < 8, "and elsewhere the picture"
+        assert np.median(difference) < 8, "and elsewhere the image"
     stamps = [stamp_of(data) or 0 for data in got]
     periods = [round(t * OVERLAY_HZ) // SECOND for t in stamps]
     assert len(set(periods)) == len(periods)

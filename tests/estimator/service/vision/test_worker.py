@@ -61,7 +61,7 @@ def _until(true: Callable[[], bool], timeout_s: float = 180.0) -> None:
 
 @contextmanager
 def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[VisionWorker, Heard, Callable[[], None]]]:
-    """A worker that is seeing, what it sends, and take(): two pictures are taken now."""
+    """A worker that is seeing, what it sends, and take(): two images are taken now."""
     clock, track, heard = Clock(), Track(), Heard()
     worker = VisionWorker(
         (files / "rig.yaml", files / "map.geojson", None, None), config or PATIENT, SIDES, clock,
@@ -76,8 +76,8 @@ def _worker(files: Path, config: VisionConfig | None = None) -> Iterator[tuple[V
         sigma = np.zeros(E.SIZE)
         sigma[E.P], sigma[E.V], sigma[E.THETA], sigma[E.BG], sigma[E.BA] = 0.2, 0.1, 0.01, 1e-3, 1e-2
         track.note([Estimate(t_ns, t_ns, nav, np.diag(sigma**2), (0.0, 0.0, 0.0), Mode.AIDED, 0, t_ns)])
-        for picture in village().pairs[0]:
-            worker.put(Arrival(picture.topic, picture.schema, restamped(picture.data, t_ns), clock.now_ns()))
+        for image in village().pairs[0]:
+            worker.put(Arrival(image.topic, image.schema, restamped(image.data, t_ns), clock.now_ns()))
 
     try:
         _until(lambda: worker.report()["state"] != "starting")
@@ -116,7 +116,7 @@ def test_when_it_is_killed_another_takes_over_with_a_new_memory(files: Path) -> 
         heard.wait("/landfix/fix", 1)
         killed = _process_id(worker)
         os.kill(killed, signal.SIGKILL)
-        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")  # no picture has to come first
+        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")  # no image has to come first
         assert _process_id(worker) != killed
         take()
         heard.wait("/landfix/fix", 2)
@@ -181,7 +181,7 @@ def test_a_map_that_is_not_there_is_said_and_tried_again_ever_more_rarely(files:
         assert heard.messages == []
 
 
-def test_more_pictures_than_it_can_see_are_dropped_the_oldest_first(files: Path) -> None:
+def test_more_images_than_it_can_see_are_dropped_the_oldest_first(files: Path) -> None:
     with _worker(files) as (worker, heard, take):
         take()
         heard.wait("/landfix/vision", 1)
@@ -190,7 +190,7 @@ def test_more_pictures_than_it_can_see_are_dropped_the_oldest_first(files: Path)
             take()
             time.sleep(0.01)
         os.kill(_process_id(worker), signal.SIGCONT)
-        _until(lambda: worker.report()["dropped_pictures"] > 0)
+        _until(lambda: worker.report()["dropped_images"] > 0)
         last = max(decode_vision_request(m.data, 0).t_ns for m in heard.of("/landfix/vision_request"))
         take()
         _until(lambda: decode_vision_request(heard.of("/landfix/vision_request")[-1].data, 0).t_ns > last)
@@ -204,8 +204,8 @@ def test_without_an_estimate_nothing_is_asked(files: Path) -> None:
     )  # fmt: skip
     try:
         _until(lambda: worker.report()["state"] == "ready")
-        for picture in village().pairs[0]:
-            worker.put(Arrival(picture.topic, picture.schema, restamped(picture.data, clock.now_ns()), clock.now_ns()))
+        for image in village().pairs[0]:
+            worker.put(Arrival(image.topic, image.schema, restamped(image.data, clock.now_ns()), clock.now_ns()))
         _until(lambda: worker.report()["state"] == "waiting for an estimate")
         assert heard.messages == []
     finally:

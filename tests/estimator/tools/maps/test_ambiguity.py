@@ -71,7 +71,7 @@ def test_what_differs_in_between_breaks_the_repetition() -> None:
 
 
 def test_it_is_written_into_the_map_said_and_drawn(tmp_path: Path) -> None:
-    source, out, picture = tmp_path / "in.geojson", tmp_path / "map.geojson", tmp_path / "map.png"
+    source, out, image = tmp_path / "in.geojson", tmp_path / "map.geojson", tmp_path / "map.png"
     source.write_bytes(LandmarkMap.from_landmarks(ORIGIN, [*terraces(), *village(-200.0)]).to_geojson())
     built = CliRunner().invoke(app, ["map", "build", str(source), "-o", str(out)])
     assert built.exit_code == 0
@@ -84,8 +84,8 @@ def test_it_is_written_into_the_map_said_and_drawn(tmp_path: Path) -> None:
     assert [r["id"] for r in checked["repeats"]] == [landmark.id for landmark in terraces()]
     assert {c["name"]: c["state"] for c in checked["checks"]}["repetition"] == "warn"
     assert "arrangements that stand" in CliRunner().invoke(app, ["map", "check", str(out)]).stdout
-    assert CliRunner().invoke(app, ["map", "show", str(out), "-o", str(picture)]).exit_code == 0
-    drawn = cv2.imread(str(picture))
+    assert CliRunner().invoke(app, ["map", "show", str(out), "-o", str(image)]).exit_code == 0
+    drawn = cv2.imread(str(image))
     assert drawn is not None
     magenta = np.all(np.abs(drawn.astype(int) - (204, 0, 204)) < 40, axis=2)
     rows = np.flatnonzero(magenta.any(axis=1))

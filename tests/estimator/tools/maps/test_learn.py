@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
-from estimator.replay import flight_pictures
+from estimator.replay import flight_images
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
@@ -79,7 +79,7 @@ def things() -> list[Landmark]:
     """All that stands in the village, in the map or not."""
     plan = loads(LEARNING)
     assert plan.cameras is not None
-    world = flight_pictures.plan(plan.cameras, simulate(plan, 3), 3).scene.world
+    world = flight_images.plan(plan.cameras, simulate(plan, 3), 3).scene.world
     return [*world.landmarks, *(Landmark.of(f"c{k}", s.outline_n, s.base_d, s.height_m) for k, s in enumerate(world.clutter))]
 
 
@@ -111,10 +111,10 @@ def test_what_is_learned_is_there_as_exactly_as_it_says(flown: Path) -> None:
     assert np.median(np.abs(sides)) < 0.15
 
 
-def test_the_summary_reports_what_became_of_the_pictures(flown: Path) -> None:
+def test_the_summary_reports_what_became_of_the_images(flown: Path) -> None:
     summary = json.loads((flown / "learned.json").read_text())
-    assert summary["pictures"] + sum(summary["skipped"].values()) == 53
-    assert summary["pictures"] > 40
+    assert summary["images"] + sum(summary["skipped"].values()) == 53
+    assert summary["images"] > 40
     assert min(summary["seen"].values()) >= 4
     assert summary["ground_alt_m"] == pytest.approx(488.0, abs=2.0)
     assert summary["left_out"]["seen in fewer than 4 images"] > 0
@@ -158,7 +158,7 @@ def test_a_log_from_which_nothing_can_be_learned_gets_one_line(flown: Path, tmp_
     (tmp_path / "scenario.toml").write_text(LEARNING.replace("duration_s = 80.0", "duration_s = 40.0"))
     run("simulate", tmp_path / "scenario.toml", "-o", tmp_path / "dark.mcap", "--no-images")
     rest = ["--rig", str(flown / "learn_rig.yaml"), "-o", str(tmp_path / "out.geojson")]
-    for log, words in ((tmp_path / "dark.mcap", "no picture could be used"), (tmp_path / "none.mcap", "no such file")):
+    for log, words in ((tmp_path / "dark.mcap", "no image could be used"), (tmp_path / "none.mcap", "no such file")):
         result = CliRunner().invoke(app, ["map", "learn", str(log), *rest])
         assert result.exit_code == 1
         assert words in result.stderr

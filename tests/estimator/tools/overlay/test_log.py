@@ -1,4 +1,4 @@
-"""The map in recorded pictures: the video plays, the residual is the error of the estimate, nothing is drawn without reason."""
+"""The map in recorded images: the video plays, the residual is the error of the estimate, nothing is drawn without reason."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from estimator.tools.overlay.log import read, views
 from logs.store.reader import LogReader
 from logs.store.recorder import Recorder
 from logs.wire.codec import encode, encode_input
-from models.messages import Estimate, Health, LandmarkFix, Mode, PictureName, VisionRequest, vec3
+from models.messages import Estimate, Health, ImageName, LandmarkFix, Mode, VisionRequest, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X
 from tests.estimator.scenes import SECOND
@@ -39,7 +39,7 @@ def _health(t_ns: int, mode: Mode) -> Health:
 def _write(
     path: Path, east_m: float = 0.0, sigma_m: float = SIGMA_M, *, identified: tuple[str, ...] = (), attached: bool = True
 ) -> Path:
-    """Estimates of 50 Hz around the four pictures, the last two of which are dead reckoned; a fix of the first picture."""
+    """Estimates of 50 Hz around the four images, the last two of which are dead reckoned; a fix of the first image."""
     seen = village()
     messages = [(pair[0], EPOCH_NS + round(s * SECOND)) for s, pair in zip(SEEN_S, seen.pairs, strict=True)]
     for k in range(-5, 105):
@@ -111,7 +111,7 @@ def test_the_video_plays_with_map_and_strip_in_it(tmp_path: Path) -> None:
     log, video = _write(tmp_path / "a.mcap", identified=(marks[0],)), tmp_path / "a.mp4"
     said = _run(log, "-o", video, "--all")
     assert said.exit_code == 0, said.output
-    assert "4 pictures" in said.stdout
+    assert "4 images" in said.stdout
     assert f"{video}  {video.with_suffix('.png')}" in said.stdout
     assert video.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     film = cv2.VideoCapture(str(video))
@@ -129,7 +129,7 @@ def test_the_video_plays_with_map_and_strip_in_it(tmp_path: Path) -> None:
     assert np.median(strip) < 60, "on dark ground"
     assert np.abs(strip - frames[3][camera.height + 2 :]).max() > 100, "another time, another mode"
     green = [np.count_nonzero((f[..., 1] > 180) & (f[..., 1] > f[..., 0] + 60) & (f[..., 1] > f[..., 2] + 60)) for f in frames]
-    assert green[0] > green[1] + 200, "only the first picture has a fix"
+    assert green[0] > green[1] + 200, "only the first image has a fix"
 
 
 def test_only_what_fixes_used_is_measured_unless_all_is_asked_for(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_only_what_fixes_used_is_measured_unless_all_is_asked_for(tmp_path: Path
     assert all(m["radius95_m"] == pytest.approx(2.4477 * SIGMA_M, rel=1e-3) for m in moments)
 
 
-def test_pictures_are_chosen_and_no_video_is_written_unasked(tmp_path: Path) -> None:
+def test_images_are_chosen_and_no_video_is_written_unasked(tmp_path: Path) -> None:
     log = _write(tmp_path / "a.mcap")
     moments = [_numbers(log, *choice)["moments"] for choice in (["--every", 3], ["--start", 0.9], ["--seconds", 0.6])]
     assert [[m["t_s"] for m in rows] for rows in moments if isinstance(rows, list)] == [[0.0, 1.5], [1.0, 1.5], [0.0, 0.5]]
@@ -174,7 +174,7 @@ def test_without_attachments_the_files_beside_the_log_serve_that_its_configurati
     save_rig(tmp_path / "rig.yaml", village().rig)
     (tmp_path / "map.geojson").write_bytes(village().map.to_geojson())
     (tmp_path / "c.toml").write_text('[map]\nlandmarks = "map.geojson"\n[rig]\nfile = "rig.yaml"\n')
-    assert _numbers(log, "-c", tmp_path / "c.toml")["pictures"] == 4
+    assert _numbers(log, "-c", tmp_path / "c.toml")["images"] == 4
     no_map = _run(log, "--rig", tmp_path / "rig.yaml")
     assert "neither holds nor names a map of landmarks; give one with --map FILE" in no_map.stderr
 
@@ -188,7 +188,7 @@ def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
         recorder.write(*village().pairs[0][1], EPOCH_NS)
     expected = {
         empty: f"landfix: {empty}: holds no /landfix/odometry; make an estimate first: landfix replay {empty} -o estimate.mcap\n",
-        blind: f"landfix: {blind}: holds no pictures on /left/image; it holds pictures on /right/image\n",
+        blind: f"landfix: {blind}: holds no images on /left/image; it holds images on /right/image\n",
         tmp_path / "none.mcap": f"landfix: {tmp_path / 'none.mcap'}: no such file or directory\n",
     }
     for log, line in expected.items():
@@ -200,7 +200,7 @@ def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
             recorder.write(r.topic, r.schema, r.data[:200] if r.topic == "/left/image" else r.data, r.log_time_ns)
         for attachment in reader.attachments:
             recorder.attach(*attachment)
-    assert _run(torn).stderr == f"landfix: {torn}: none of the 4 pictures can be read\n"
+    assert _run(torn).stderr == f"landfix: {torn}: none of the 4 images can be read\n"
     log = tmp_path / "a.mcap"
     assert "no kind of video" in _run(log, "-o", tmp_path / "v.gif").stderr
     assert "is no folder" in _run(log, "-o", tmp_path / "nowhere" / "v.mp4").stderr
@@ -208,7 +208,7 @@ def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
     assert "none is chosen" in _run(log, "--start", 100).stderr
 
 
-def test_pictures_of_another_camera_are_refused(tmp_path: Path) -> None:
+def test_images_of_another_camera_are_refused(tmp_path: Path) -> None:
     log = _write(tmp_path / "a.mcap")
     rig = village().rig
     text = tmp_path / "rig.yaml"
@@ -218,7 +218,7 @@ def test_pictures_of_another_camera_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_exposure_is_what_vision_was_reported(tmp_path: Path) -> None:
-    """A picture vision was not asked about is as late as the one before it; the first one as the rig says."""
+    """An image vision was not asked about is as late as the one before it; the first one as the rig says."""
     path = tmp_path / "a.mcap"
     stamps = [round(s * SECOND) for s in SEEN_S]
     late_ns = 40_000_000
@@ -230,7 +230,7 @@ def test_the_exposure_is_what_vision_was_reported(tmp_path: Path) -> None:
             t_ns = EPOCH_NS + stamps[k]
             recorder.write(*pair[0], t_ns)
             if k == 1:
-                name = PictureName("/left/image", t_ns)
+                name = ImageName("/left/image", t_ns)
                 request = VisionRequest(t_ns + late_ns, t_ns, vec3(PLACE), (1.0, 0.0, 0.0, 0.0), np.eye(6), name, None)
                 recorder.write(*encode(request)[0], t_ns)
     flight = read(path)

@@ -1,4 +1,4 @@
-"""A georeferenced image of the ground, an orthophoto or a satellite picture: the map where it holds an image.
+"""A georeferenced image of the ground, an orthophoto or a satellite image: the map where it holds an image.
 
 (north, east) = A (u, v, 1): place [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
 """
@@ -48,7 +48,7 @@ class Heights:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundPicture:
+class GroundImage:
     """image (H, W[, 3]), affine (2, 3), heights; and what its georeference may be wrong by, one error for the whole image.
 
     sigma_m: horizontally, per axis; height_sigma_m: of the ground's height. Raises ValueError where the affine has no inverse.
@@ -102,7 +102,7 @@ def to_pixels(affine: Array, place_n: Array) -> Array:
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
-    """A image in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    """An image in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
     levels = [grey(to_8_bit(image))]
     while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
         levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))

@@ -1,5 +1,5 @@
 """As benchmarks.identification.numbers, on rendered images through the whole pipeline:
-`python -m benchmarks.identification.pictures`.
+`python -m benchmarks.identification.images`.
 
 Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), houses of all shapes (village), the same along streets
 (grid); 30 % of them are not in the map, 10 % of the map is gone; cars, trees and patches of colour beside them. Map errors 0.3 m,
@@ -211,7 +211,7 @@ def main() -> None:
     )
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--resume", action="store_true", help="keep the worlds that were done before, of any seed")
-    parser.add_argument("--one-camera", action="store_true", help="the left pictures alone")
+    parser.add_argument("--one-camera", action="store_true", help="the left images alone")
     parser.add_argument("--out", type=Path, default=Path("out/identification"))
     args = parser.parse_args()
     names, worlds = list(itertools.product(LAYOUTS, PRIORS_M)), math.ceil(args.frames / FRAMES_PER_WORLD)
@@ -224,7 +224,7 @@ def main() -> None:
     done = run_jobs(jobs, run_world, list[Outcome], kept, processes=args.processes, resume=args.resume)
     for (layout, prior_m, *_), outcomes in zip(jobs, done, strict=True):
         cells[layout, prior_m] += outcomes
-    text = report(cells, "left pictures alone" if args.one_camera else "stereo pairs")
+    text = report(cells, "left images alone" if args.one_camera else "stereo pairs")
     print(text)
     (args.out / f"identification_pictures{which}.md").write_text(text)
     draw(cells, args.out / f"identification_pictures{which}.png")

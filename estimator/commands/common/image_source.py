@@ -1,4 +1,4 @@
-"""Where a command gets pictures from: files, folders, patterns, videos, logs, a live camera; one at a time."""
+"""Where a command gets images from: files, folders, patterns, videos, logs, a live camera; one at a time."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re
@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from calib.errors import CalibrationError
 
-_PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
+_IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
 _VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"}
 MOST_FRAMES = 300  # of a video or a log; evenly spread
-_LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: a picture so often, for so long
+_LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: an image so often, for so long
 
 
-class Picture(NamedTuple):
+class SourceImage(NamedTuple):
     """key: what pairs it with the other camera's (a number in its name, frame, or stamp in ns); done: fraction of the source.
 
     fault: why it cannot be read; its image is None then.
@@ -28,18 +28,18 @@ class Picture(NamedTuple):
     fault: str = ""
 
 
-def picture(path: Path) -> Any:
-    """The one picture of a file. Raises CalibrationError where it cannot be read."""
-    first = next(pictures([str(path)], "", 1))
+def read_image(path: Path) -> Any:
+    """The one image of a file. Raises CalibrationError where it cannot be read."""
+    first = next(read_images([str(path)], "", 1))
     if first.fault:
         raise CalibrationError(f"{path}: {first.fault}")
     return first.image
 
 
-def pictures(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[Picture]:
-    """All pictures of the sources in order, of a video or log at most so many. Raises CalibrationError where there is none."""
+def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[SourceImage]:
+    """All images of the sources in order, of a video or log at most so many. Raises CalibrationError where there is none."""
     files = files_of(sources)
-    source: Iterator[Picture]
+    source: Iterator[SourceImage]
     for k, file in enumerate(files):
         if is_live(file):
             source = (taken for (taken,) in live([file]))
@@ -49,8 +49,8 @@ def pictures(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Ite
             source = _video(Path(file), most)
         else:
             source = _still(Path(file), k)
-        for picture in source:
-            yield picture._replace(done=(k + picture.done) / len(files))
+        for image in source:
+            yield image._replace(done=(k + image.done) / len(files))
 
 
 def is_video(path: Path) -> bool:
@@ -68,9 +68,9 @@ def _files(source: str) -> list[str]:
     if is_live(source):
         return [source]
     if path.is_dir():
-        found = sorted(str(p) for p in path.iterdir() if p.suffix.lower() in _PICTURES)
+        found = sorted(str(p) for p in path.iterdir() if p.suffix.lower() in _IMAGES)
         if not found:
-            raise CalibrationError(f"{source}: no pictures in this folder")
+            raise CalibrationError(f"{source}: no images in this folder")
         return found
     if any(c in source for c in "*?["):
         base = Path(path.anchor or ".")
@@ -83,7 +83,7 @@ def _files(source: str) -> list[str]:
     return [source]
 
 
-def _still(path: Path, k: int) -> Iterator[Picture]:
+def _still(path: Path, k: int) -> Iterator[SourceImage]:
     import cv2
     import numpy as np
 
@@ -95,12 +95,14 @@ def _still(path: Path, k: int) -> Iterator[Picture]:
     numbers = re.findall(r"\d+", path.stem)
     key = int(numbers[-1]) if numbers else -1 - k
     if image is None:
-        yield Picture(path.name, key, None, 1.0, "no picture that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)")
+        yield SourceImage(
+            path.name, key, None, 1.0, "no image that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)"
+        )
     else:
-        yield Picture(path.name, key, image[..., :3] if image.ndim == 3 else image, 1.0)
+        yield SourceImage(path.name, key, image[..., :3] if image.ndim == 3 else image, 1.0)
 
 
-def _video(path: Path, most: int) -> Iterator[Picture]:
+def _video(path: Path, most: int) -> Iterator[SourceImage]:
     import cv2
 
     video = cv2.VideoCapture(str(path))
@@ -114,7 +116,7 @@ def _video(path: Path, most: int) -> Iterator[Picture]:
         if frame % step == 0:
             ok, image = video.retrieve()
             if ok:
-                yield Picture(f"{path.name} frame {frame}", frame, image, (frame + 1) / count)
+                yield SourceImage(f"{path.name} frame {frame}", frame, image, (frame + 1) / count)
 
 
 def is_live(source: str) -> bool:
@@ -122,8 +124,8 @@ def is_live(source: str) -> bool:
     return source.startswith("camera:")
 
 
-def live(sources: Sequence[str]) -> Iterator[tuple[Picture, ...]]:
-    """Pictures of one or more cameras, each time of all at once. Raises CalibrationError where one gives none."""
+def live(sources: Sequence[str]) -> Iterator[tuple[SourceImage, ...]]:
+    """Images of one or more cameras, each time of all at once. Raises CalibrationError where one gives none."""
     cameras = [_opened(source.removeprefix("camera:")) for source in sources]
     began, taken, count = time.monotonic(), -_LIVE_S, 0
     while (elapsed := time.monotonic() - began) < _LIVE_FOR_S and all(c.grab() for c in cameras):
@@ -131,9 +133,9 @@ def live(sources: Sequence[str]) -> Iterator[tuple[Picture, ...]]:
             shots = [c.retrieve() for c in cameras]
             if all(ok for ok, _ in shots):
                 taken, count = elapsed, count + 1
-                yield tuple(Picture(f"picture {count}", count, image, elapsed / _LIVE_FOR_S) for _, image in shots)
+                yield tuple(SourceImage(f"image {count}", count, image, elapsed / _LIVE_FOR_S) for _, image in shots)
     if count == 0:
-        raise CalibrationError(f"{', '.join(sources)}: opened, but gives no picture: is another program using it?")
+        raise CalibrationError(f"{', '.join(sources)}: opened, but gives no image: is another program using it?")
 
 
 def _opened(device: str) -> Any:
@@ -146,13 +148,13 @@ def _opened(device: str) -> Any:
     return camera
 
 
-def _log(path: Path, topic: str, most: int) -> Iterator[Picture]:
+def _log(path: Path, topic: str, most: int) -> Iterator[SourceImage]:
     from logs.store.reader import LogReader
 
     with LogReader(path) as log:
         stamps = [r.log_time_ns for r in log if r.topic == topic]
     if not stamps:
-        raise CalibrationError(f"{path}: no pictures under {topic} in it; name their topic")
+        raise CalibrationError(f"{path}: no images under {topic} in it; name their topic")
     step = max(1, -(-len(stamps) // most))
     with LogReader(path) as log:
         for k, record in enumerate(r for r in log if r.topic == topic):
@@ -160,17 +162,17 @@ def _log(path: Path, topic: str, most: int) -> Iterator[Picture]:
                 yield _of_record(record.schema, record.data, topic, (k + 1) / len(stamps))
 
 
-def _of_record(schema: str, data: bytes, topic: str, done: float) -> Picture:
-    """The picture in a sensor_msgs Image or CompressedImage."""
+def _of_record(schema: str, data: bytes, topic: str, done: float) -> SourceImage:
+    """The image in a sensor_msgs Image or CompressedImage."""
     from logs.wire import schemas
-    from logs.wire.pictures import PictureError, decode_picture
+    from logs.wire.images import ImageError, decode_image
     from logs.wire.stamps import stamp_of
 
     if schema not in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}:
-        raise CalibrationError(f"{topic} carries {schema}, not pictures")
+        raise CalibrationError(f"{topic} carries {schema}, not images")
     t_ns = stamp_of(data) or 0
     name = f"{topic} at {t_ns * 1e-9:.3f} s"
     try:
-        return Picture(name, t_ns, decode_picture(schema, data), done)
-    except PictureError as error:
-        return Picture(name, t_ns, None, done, str(error))
+        return SourceImage(name, t_ns, decode_image(schema, data), done)
+    except ImageError as error:
+        return SourceImage(name, t_ns, None, done, str(error))

@@ -1,4 +1,4 @@
-"""The stereo pictures of a simulated flight: rendered along the true trajectory, each pair on its own, on all cores.
+"""The stereo images of a simulated flight: rendered along the true trajectory, each pair on its own, on all cores.
 
     pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calib.files.formats import save_rig
 from estimator.frontend.workers import pool
 from logs.wire.encoding import Encoded
-from logs.wire.pictures import Picture, encode_picture
+from logs.wire.images import Pixels, encode_image
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
@@ -37,7 +37,7 @@ _CHUNK: Final = 4  # pairs a process draws at a time
 
 @dataclass(frozen=True)
 class Flight:
-    """A scene, and where the rig is when pictures are taken. Made once; iterating it renders the pairs in order of arrival."""
+    """A scene, and where the rig is when images are taken. Made once; iterating it renders the pairs in order of arrival."""
 
     cameras: Cameras
     scene: Scene
@@ -71,8 +71,8 @@ class Flight:
         pair = render_pair(self.scene.world, self.scene.rig, p_n, R_nb, self._conditions(since_s, p_n, R_nb, v_n, omega_b), rng)
         quality = None if cameras.sees == "thermal" else cameras.jpeg_quality or None
         left, right = (
-            encode_picture(t_ns, _sensed(picture, cameras), topic, jpeg_quality=quality)
-            for picture, topic in zip(pair, (LEFT, RIGHT), strict=True)
+            encode_image(t_ns, _sensed(image, cameras), topic, jpeg_quality=quality)
+            for image, topic in zip(pair, (LEFT, RIGHT), strict=True)
         )
         return left, right
 
@@ -118,16 +118,16 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
 
 
 def configuration(simulation: Simulation, map_name: str, rig_name: str) -> str:
-    """The flight's configuration, with pictures, map and rig; the files are relative to it."""
+    """The flight's configuration, with images, map and rig; the files are relative to it."""
     text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = "{RIGHT}"\n')
     return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n'
 
 
-def _sensed(picture: Image, cameras: Cameras) -> Picture:
+def _sensed(image: Image, cameras: Cameras) -> Pixels:
     """What this kind of camera makes of the light."""
     if cameras.sees == "thermal":
-        return counts(picture)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8) if cameras.sees == "grey" else picture
+        return counts(image)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if cameras.sees == "grey" else image
 
 
 def _rig(cameras: Cameras) -> StereoRig:

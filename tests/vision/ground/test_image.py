@@ -1,23 +1,23 @@
-"""A georeferenced picture: places, heights, and grey values without aliasing."""
+"""A georeferenced image: places, heights, and grey values without aliasing."""
 
 import numpy as np
 import pytest
 
-from vision.ground.picture import GroundPicture, Heights, pyramid, sample
+from vision.ground.image import GroundImage, Heights, pyramid, sample
 
 AFFINE = np.array([[0.1, -0.5, 40.0], [0.5, 0.1, -30.0]])
 
 
 def test_pixels_and_places_are_inverse_to_each_other() -> None:
-    picture = GroundPicture("x", np.zeros((60, 80), np.uint8), AFFINE, Heights.level(3.0))
+    image = GroundImage("x", np.zeros((60, 80), np.uint8), AFFINE, Heights.level(3.0))
     px = np.array([[0.0, 0.0], [79.0, 59.0], [12.3, 45.6]])
     place = px @ AFFINE[:, :2].T + AFFINE[:, 2]
-    np.testing.assert_allclose(picture.to_pixels(place), px, atol=1e-9)
-    assert picture.pixel_m == pytest.approx(np.sqrt(0.26))
-    np.testing.assert_allclose(picture.points(place)[:, 2], 3.0)
+    np.testing.assert_allclose(image.to_pixels(place), px, atol=1e-9)
+    assert image.pixel_m == pytest.approx(np.sqrt(0.26))
+    np.testing.assert_allclose(image.points(place)[:, 2], 3.0)
     outside = np.array([[-0.1, 5.0], [5.0, 59.1]]) @ AFFINE[:, :2].T + AFFINE[:, 2]
-    assert picture.contains(place).all()
-    assert not picture.contains(outside).any()
+    assert image.contains(place).all()
+    assert not image.contains(outside).any()
 
 
 def test_heights_are_bilinear_and_end_at_the_border() -> None:
@@ -29,7 +29,7 @@ def test_heights_are_bilinear_and_end_at_the_border() -> None:
 
 def test_a_georeference_without_area_is_refused() -> None:
     with pytest.raises(ValueError, match="x: its georeference"):
-        GroundPicture("x", np.zeros((9, 9), np.uint8), np.zeros((2, 3)), Heights.level(0.0))
+        GroundImage("x", np.zeros((9, 9), np.uint8), np.zeros((2, 3)), Heights.level(0.0))
 
 
 def test_values_are_taken_where_they_are_and_beyond_the_border_the_borders() -> None:
@@ -49,8 +49,8 @@ def test_fine_stripes_do_not_alias() -> None:
     assert values.std() < 8.0
 
 
-def test_only_the_part_in_view_of_a_large_picture_is_touched() -> None:
-    """A picture wider than OpenCV's remap takes."""
+def test_only_the_part_in_view_of_a_large_image_is_touched() -> None:
+    """An image wider than OpenCV's remap takes."""
     wide = np.zeros((64, 40_000), np.uint8)
     wide[:, 39_990:] = 200
     px = np.stack(np.meshgrid(np.arange(39_980.0, 39_999.0), np.arange(10.0, 20.0)), axis=-1)

@@ -1,4 +1,4 @@
-"""A log of pictures gives fixes; a log of fixes and pictures gives the same fixes again, bit for bit."""
+"""A log of images gives fixes; a log of fixes and images gives the same fixes again, bit for bit."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from estimator.config import ConfigError, load
 from estimator.frontend.files import load_sight
-from estimator.frontend.replay_pictures import ImageCounts, SightReplay
+from estimator.frontend.replay_images import ImageCounts, SightReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
@@ -20,14 +20,14 @@ from tests.estimator.sights import PLACE, SEEN_S, write_flight
 
 
 def _again(source: Path, out: Path, config_file: Path) -> ImageCounts:
-    """Replay from pictures."""
+    """Replay from images."""
     config = load(config_file)
     assert config.rig.file is not None
     assert config.map.landmarks is not None
     sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
-    pictures = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
-    replay(source, out, config, sight=pictures)
-    return pictures.counts
+    images = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
+    replay(source, out, config, sight=images)
+    return images.counts
 
 
 def _records(path: Path, *topics: str) -> list[Record]:
@@ -50,7 +50,7 @@ def seen(flight: tuple[Path, Path]) -> Path:
     return out
 
 
-def test_fixes_come_from_pictures_where_the_vehicle_is(seen: Path) -> None:
+def test_fixes_come_from_images_where_the_vehicle_is(seen: Path) -> None:
     fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in _records(seen, "/landfix/fix")]
     assert len(fixes) >= 3
     for fix in fixes:
@@ -72,7 +72,7 @@ def test_viewers_get_the_landmarks_at_the_first_image_and_those_in_use(seen: Pat
     looks = _records(seen, "/landfix/vision", "/landfix/fix", "/landfix/landmarks")
     assert "/landfix/landmarks" in {r.topic for r in looks[1:3]}, "behind the first report and fix"
     sent = [r for r in looks if r.topic == "/landfix/landmarks"]
-    assert 1 <= len(sent) <= 2, "four pictures within 1.5 s"
+    assert 1 <= len(sent) <= 2, "four images within 1.5 s"
     fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in looks if r.topic == "/landfix/fix"]
     markers = STORE.deserialize_cdr(sent[0].data, sent[0].schema).markers  # type: ignore[attr-defined]
     green = {m.text for m in markers if m.text and m.color.g > m.color.r}
@@ -92,7 +92,7 @@ def test_a_replay_from_fixes_gives_the_same_too(seen: Path, flight: tuple[Path, 
     assert (tmp_path / "fixes.mcap").read_bytes() == seen.read_bytes()
 
 
-def test_a_fix_that_is_not_what_the_pictures_show_is_found_out(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_fix_that_is_not_what_the_images_show_is_found_out(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
     forged, first = tmp_path / "forged.mcap", _records(seen, "/landfix/fix")[0]
     with Recorder(forged) as recorder:
         for r in _records(seen):
@@ -102,7 +102,7 @@ def test_a_fix_that_is_not_what_the_pictures_show_is_found_out(seen: Path, fligh
     assert (counts.same, counts.different) == (counts.fixes - 1, 1)
 
 
-def test_pictures_that_are_not_in_the_log_are_counted(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
+def test_images_that_are_not_in_the_log_are_counted(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
     less = tmp_path / "less.mcap"
     lost = _records(seen, "/right/image")[1]
     with Recorder(less) as recorder:
@@ -112,7 +112,7 @@ def test_pictures_that_are_not_in_the_log_are_counted(seen: Path, flight: tuple[
     assert _again(less, tmp_path / "again.mcap", flight[1]).missing == 1
 
 
-def test_broken_pictures_give_a_reason_and_no_fix(flight: tuple[Path, Path], tmp_path: Path) -> None:
+def test_broken_images_give_a_reason_and_no_fix(flight: tuple[Path, Path], tmp_path: Path) -> None:
     broken = tmp_path / "broken.mcap"
     with Recorder(broken) as recorder:
         for r in _records(flight[0]):

@@ -1,6 +1,6 @@
-"""How many real footprints come out of a satellite picture: `python -m benchmarks.maps.from_picture`.
+"""How many real footprints come out of a satellite image: `python -m benchmarks.maps.from_image`.
 
-43 footprints in a panchromatic picture of 0.5 m (SpaceNet, Atlanta: houses among trees), against the regions that `landfix map
+43 footprints in a panchromatic image of 0.5 m (SpaceNet, Atlanta: houses among trees), against the regions that `landfix map
 build` takes from it, with colours of its own choice and with greys to look for. A region is right if its intersection with a
 footprint is half of their union.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.flights.tasks import data_folder
 from estimator.map_files import orthophoto
 from estimator.map_files import store as map_store
-from estimator.tools.maps import from_picture
+from estimator.tools.maps import from_image
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.maps.table import Defaults
 from models.messages import Array
@@ -44,12 +44,12 @@ def main() -> None:
     """A line per choice of greys."""
     folder = data_folder() / "images" / "spacenet_atlanta_footprints"
     if not folder.is_dir():
-        raise SystemExit(f"{folder} not found: set LANDFIX_DATA to the folder of recorded pictures")
+        raise SystemExit(f"{folder} not found: set LANDFIX_DATA to the folder of recorded images")
     footprints = map_store.load(folder / "geotiff_labels.geojson")
-    picture = orthophoto.load(folder / "sample_geotiff.tif")
-    print(f"{len(footprints)} footprints, a pixel of {from_picture.resolution_m(picture):.2f} m")
+    image = orthophoto.load(folder / "sample_geotiff.tif")
+    print(f"{len(footprints)} footprints, a pixel of {from_image.resolution_m(image):.2f} m")
     for greys in GREYS:
-        data = from_picture.landmarks(picture, tuple((grey,) * 3 for grey in greys), LEAST_M2)
+        data = from_image.landmarks(image, tuple((grey,) * 3 for grey in greys), LEAST_M2)
         found = LandmarkMap.from_geojson(data, Defaults(origin=footprints.origin))
         recalled, right = best(list(footprints), found) >= RIGHT, best(list(found), footprints) >= RIGHT
         shares = f"recall {np.mean(recalled):.0%}, precision {np.mean(right):.1%}"

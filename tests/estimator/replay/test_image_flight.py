@@ -1,4 +1,4 @@
-"""A map that holds a picture, from the configuration to the fix: in a replay, again to the bit, and by landfix locate."""
+"""A map that holds an image, from the configuration to the fix: in a replay, again to the bit, and by landfix locate."""
 
 import json
 from hashlib import sha256
@@ -17,16 +17,16 @@ from estimator.tools.doctor.machine import configuration
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
 from logs.wire.codec import Decoder, decode_odometry, encode_input
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from models.messages import LandmarkFix, PoseFix
 from models.sim.scenario import EPOCH_NS
-from tests.estimator.map_files.picture_files import ORIGIN, UTM, write
+from tests.estimator.map_files.image_files import ORIGIN, UTM, write
 from tests.estimator.scenes import SECOND, hover
 from tests.vision.ground import scene
 
 PLACE = (20.0, -15.0, -110.0)
 SEEN_S = (6.0, 6.5, 7.0, 7.5)
-LOOKS = len(SEEN_S) - 1  # the last picture waits for the other camera's till the end
+LOOKS = len(SEEN_S) - 1  # the last image waits for the other camera's till the end
 ALIGNED_S = 5.0
 
 
@@ -37,9 +37,9 @@ def _records(path: Path, *topics: str) -> list[Record]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """ortho.png, rig.yaml, flight.toml, flight.mcap: aligned by pose fixes, then pictures of one camera only."""
-    out, rng, ground = tmp_path_factory.mktemp("picture"), np.random.default_rng(0), scene.drawing(1)
-    write(scene.map_picture(ground), out / "ortho.png")
+    """ortho.png, rig.yaml, flight.toml, flight.mcap: aligned by pose fixes, then images of one camera only."""
+    out, rng, ground = tmp_path_factory.mktemp("image"), np.random.default_rng(0), scene.drawing(1)
+    write(scene.map_image(ground), out / "ortho.png")
     save_rig(out / "rig.yaml", scene.RIG)
     origin = ", ".join(map(str, ORIGIN))
     (out / "flight.toml").write_text(
@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seen_s in SEEN_S:
         t_ns = EPOCH_NS + round(seen_s * SECOND)
         image = scene.shot(ground, np.array(PLACE), np.eye(3), rng)
-        messages.append((t_ns + SECOND // 50, encode_picture(t_ns, image, "/left/image")))
+        messages.append((t_ns + SECOND // 50, encode_image(t_ns, image, "/left/image")))
     cv2.imwrite(str(out / "left.png"), image)
     with Recorder(out / "flight.mcap") as recorder:
         for arrived_ns, message in sorted(messages, key=lambda item: item[0]):
@@ -74,7 +74,7 @@ def seen(folder: Path) -> Path:
     return folder / "seen.mcap"
 
 
-def test_fixes_come_from_the_picture_and_are_fused(seen: Path) -> None:
+def test_fixes_come_from_the_image_and_are_fused(seen: Path) -> None:
     fixes = [Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns) for r in _records(seen, "/landfix/fix")]
     assert len(fixes) == LOOKS
     for fix in fixes:
@@ -90,7 +90,7 @@ def test_the_same_again_to_the_bit(folder: Path, seen: Path, tmp_path: Path) -> 
     assert (tmp_path / "again.mcap").read_bytes() == seen.read_bytes()
 
 
-def test_the_origin_is_the_pictures_where_none_is_given(folder: Path) -> None:
+def test_the_origin_is_the_images_where_none_is_given(folder: Path) -> None:
     text = "".join(line for line in (folder / "flight.toml").read_text().splitlines(True) if "origin" not in line)
     config = folder / "no_origin.toml"
     config.write_text(text)
@@ -99,7 +99,7 @@ def test_the_origin_is_the_pictures_where_none_is_given(folder: Path) -> None:
     assert origin == pytest.approx((ORIGIN[0] + 160.0 / 111_200.0, ORIGIN[1] - 160.0 / 75_400.0, 488.0), abs=2e-5)
 
 
-def test_doctor_misses_a_picture_that_is_not_there(folder: Path) -> None:
+def test_doctor_misses_an_image_that_is_not_there(folder: Path) -> None:
     config = folder / "missing.toml"
     config.write_text('[map]\npicture = "nowhere.tif"\n')
     checks, _ = configuration(config)
@@ -113,7 +113,7 @@ def _locate(folder: Path, image: Path, *more: str) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_locate_with_a_picture(folder: Path, tmp_path: Path) -> None:
+def test_locate_with_an_image(folder: Path, tmp_path: Path) -> None:
     known = ["--picture", str(folder / "ortho.png"), "--picture-epsg", str(UTM), "--picture-height-m", "488"]
     code, out, err = _locate(folder, folder / "left.png", *known, "--json", "-o", str(tmp_path / "seen.png"))
     assert code == 0, err
@@ -135,13 +135,13 @@ def test_locate_says_what_is_missing(folder: Path, tmp_path: Path) -> None:
     code, _, err = _locate(folder, folder / "left.png", "--picture", str(tmp_path / "nowhere.tif"))
     assert (code, "nowhere.tif" in err, "Traceback" in err) == (1, True, False)
     wrong = tmp_path / "wrong.png"
-    write(scene.map_picture(scene.drawing(2)), wrong)
+    write(scene.map_image(scene.drawing(2)), wrong)
     code, out, err = _locate(folder, folder / "left.png", "--picture", str(wrong), "--picture-epsg", str(UTM), "--json")
     assert (code, json.loads(out)["fix"]) == (1, None)
     assert "no fix" in err
 
 
-def test_the_log_names_the_picture_and_its_checksum(folder: Path) -> None:
+def test_the_log_names_the_image_and_its_checksum(folder: Path) -> None:
     config = load(folder / "flight.toml")
     metadata = _metadata(config, folder, "digest")
     assert metadata["picture"] == "ortho.png"

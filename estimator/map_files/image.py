@@ -1,4 +1,4 @@
-"""The map's picture from disk: where its pixels lie in n, and how high its ground is."""
+"""The map's image from disk: where its pixels lie in n, and how high its ground is."""
 
 from pathlib import Path
 
@@ -7,13 +7,13 @@ import numpy as np
 import pymap3d
 
 from estimator.map_files import orthophoto
-from estimator.map_files.picture_file import PictureFile
+from estimator.map_files.image_file import ImageFile
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
 from vision.describe.survey import grey
-from vision.ground.picture import GroundPicture, Heights
-from vision.recognisers import MapPicture
+from vision.ground.image import GroundImage, Heights
+from vision.recognisers import MapImage
 
 _SPACING_PX = 400  # of the nodes that carry the georeference over to n
 _WORST_PX = 0.3  # of that
@@ -21,19 +21,19 @@ _DEEPEST_M, _HIGHEST_M = -1000.0, 10_000.0  # of ground: beyond lies "no data"
 _RASTER_UNEVEN_M = 1.0  # of what a raster of heights leaves out
 
 
-def origin(file: PictureFile) -> Vec3:
-    """Latitude, longitude [deg] and height [m] of a picture's first pixel. Raises MapError; OSError where it cannot be read."""
+def origin(file: ImageFile) -> Vec3:
+    """Latitude, longitude [deg] and height [m] of an image's first pixel. Raises MapError; OSError where it cannot be read."""
     affine, epsg = orthophoto.georeference(file.path, file.path.read_bytes(), file.epsg)
     lonlat = projection.to_lonlat(epsg, affine[None, :, 2])
     assert lonlat is not None
     return float(lonlat[0, 1]), float(lonlat[0, 0]), file.height_m or 0.0
 
 
-def load(file: PictureFile, at: Vec3) -> MapPicture:
-    """The picture in the frame n at an origin, with its keypoints. Raises MapError, one line; OSError where it cannot be read."""
+def load(file: ImageFile, at: Vec3) -> MapImage:
+    """The image in the frame n at an origin, with its keypoints. Raises MapError, one line; OSError where it cannot be read."""
     photo = orthophoto.load(file.path, file.epsg)
     height_m = at[2] if file.height_m is None else file.height_m
-    nodes = _nodes(photo.picture.shape[1], photo.picture.shape[0])
+    nodes = _nodes(photo.image.shape[1], photo.image.shape[0])
     points = _to_n(_on_earth(photo.affine, photo.epsg, nodes.reshape(-1, 2)), height_m, at)
     affine = _affine(nodes.reshape(-1, 2), points[:, :2], file.path)
     if file.heights:
@@ -44,7 +44,7 @@ def load(file: PictureFile, at: Vec3) -> MapPicture:
         of_nodes[:, :2] *= step
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
-    return MapPicture.of(GroundPicture(file.path.name, grey(photo.picture), affine, heights, file.sigma_m, file.height_sigma_m))
+    return MapImage.of(GroundImage(file.path.name, grey(photo.image), affine, heights, file.sigma_m, file.height_sigma_m))
 
 
 def _nodes(width: int, height: int) -> Array:
@@ -73,7 +73,7 @@ def _affine(px: Array, place_n: Array, path: Path) -> Array:
     pixel_m = float(np.sqrt(abs(np.linalg.det(solution[:2]))))
     worst = float(np.abs(terms @ solution - place_n).max())
     if not worst < _WORST_PX * pixel_m:
-        raise MapError(f"{path}: is too large for one plane ({worst:.1f} m off): cut it into pictures of a few kilometres")
+        raise MapError(f"{path}: is too large for one plane ({worst:.1f} m off): cut it into images of a few kilometres")
     return np.ascontiguousarray(solution.T)
 
 

@@ -8,7 +8,7 @@ import pymap3d
 
 from models.maps.projection import from_lonlat
 from models.messages import Array, Vec3
-from vision.ground.picture import GroundPicture
+from vision.ground.image import GroundImage
 
 ORIGIN: Vec3 = (47.3977, 8.5456, 488.0)
 UTM = 32632
@@ -24,10 +24,10 @@ def utm_affine(affine: Array, width: int, height: int) -> Array:
     return solution
 
 
-def write(picture: GroundPicture, path: Path) -> Path:
-    """The picture, and its world file beside it."""
-    cv2.imwrite(str(path), picture.image)
-    height, width = picture.image.shape[:2]
-    numbers = utm_affine(picture.affine, width, height).T.ravel()
+def write(image: GroundImage, path: Path) -> Path:
+    """The image, and its world file beside it."""
+    cv2.imwrite(str(path), image.image)
+    height, width = image.image.shape[:2]
+    numbers = utm_affine(image.affine, width, height).T.ravel()
     path.with_suffix(".pgw").write_text("\n".join(f"{x:.9f}" for x in numbers))
     return path

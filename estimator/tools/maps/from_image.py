@@ -1,4 +1,4 @@
-"""A map from a georeferenced picture: its regions, found by the segmentation that looks for them in flight."""
+"""A map from a georeferenced image: its regions, found by the segmentation that looks for them in flight."""
 
 import cv2
 import msgspec
@@ -15,22 +15,22 @@ from vision.describe.survey import Settings, segment_regions
 
 _LEAST_PX = 4
 _WOBBLES_PX = (1.5, 3.0)  # of an outline that is no polygon: what is no corner; the second where the first crosses itself
-_PLACE_PX = 1.0  # standard deviation of the picture's own place: what a good orthophoto is worth, and no better
+_PLACE_PX = 1.0  # standard deviation of the image's own place: what a good orthophoto is worth, and no better
 _EDGE_PX = 0.5  # by which a whole outline may be larger: blur, mixed pixels, shadow along one side
 _MOST_REGIONS = 100_000
 
 
 def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: float, sigma_m: float | None = None) -> bytes:
-    """GeoJSON of the picture's regions of these colours, marked as an automatic map; none: of whatever colours it has.
+    """GeoJSON of the image's regions of these colours, marked as an automatic map; none: of whatever colours it has.
 
-    sigma_m: of the picture's place on Earth; None: one pixel. Regions that the border cuts are left out. A grey picture tells no
+    sigma_m: of the image's place on Earth; None: one pixel. Regions that the border cuts are left out. A grey image tells no
     colours of roofs, and none are written.
     """
     pixel_m = resolution_m(ortho)
     limits = Limits(least_px=max(_LEAST_PX, round(least_m2 / pixel_m**2)), least_side_px=3, most=_MOST_REGIONS)
     seeds_of_grey = ortho.is_grey and not colours_bgr
-    picture = np.ascontiguousarray(ortho.picture[:, :, 0]) if seeds_of_grey else ortho.picture
-    regions = segment_regions(picture, None, Settings(colours_bgr, limits=limits))
+    image = np.ascontiguousarray(ortho.image[:, :, 0]) if seeds_of_grey else ortho.image
+    regions = segment_regions(image, None, Settings(colours_bgr, limits=limits))
     regions = [region for region in regions if not region.touches_border]
     sigmas = {"sigma_m": _PLACE_PX * pixel_m if sigma_m is None else sigma_m, "outline_sigma_m": _EDGE_PX * pixel_m}
     features = []
@@ -45,8 +45,8 @@ def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: floa
 
 
 def resolution_m(ortho: Orthophoto) -> float:
-    """Side of a square as large as one pixel in the picture's middle."""
-    middle = ortho.affine[:, :2] @ (0.5 * np.array(ortho.picture.shape[1::-1])) + ortho.affine[:, 2]
+    """Side of a square as large as one pixel in the image's middle."""
+    middle = ortho.affine[:, :2] @ (0.5 * np.array(ortho.image.shape[1::-1])) + ortho.affine[:, 2]
     square = projection.to_lonlat(ortho.epsg, middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) @ ortho.affine[:, :2].T)
     assert square is not None
     north, east, _ = pymap3d.geodetic2ned(square[:, 1], square[:, 0], 0.0, square[0, 1], square[0, 0], 0.0)

@@ -1,6 +1,6 @@
 """What the cameras of benchmarks.service.vehicle see on one turn of its circle, rendered beforehand.
 
-    python -m benchmarks.service.pictures FOLDER
+    python -m benchmarks.service.images FOLDER
 
 It writes turn.mcap (300 stereo pairs, JPEG), map.geojson and rig.yaml.
 """
@@ -21,7 +21,7 @@ from benchmarks.service.vehicle import ORIGIN, PERIOD_NS, truth
 from calib.files.formats import save_rig
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded
-from logs.wire.pictures import encode_picture
+from logs.wire.images import encode_image
 from vision.synthetic import Conditions, Scene, WorldSpec, make_world, render_pair
 
 PAIRS: Final = 300  # a turn of 30 s at 10 Hz
@@ -65,8 +65,8 @@ def _draw(k: int) -> tuple[Encoded, Encoded]:
     p_n, _, R_nb = truth(t_ns)
     left, right = render_pair(scene.world, scene.rig, p_n, R_nb, Conditions(), np.random.default_rng(k))
     return (
-        encode_picture(t_ns, left, "/left/image", jpeg_quality=_JPEG_QUALITY),
-        encode_picture(t_ns, right, "/right/image", jpeg_quality=_JPEG_QUALITY),
+        encode_image(t_ns, left, "/left/image", jpeg_quality=_JPEG_QUALITY),
+        encode_image(t_ns, right, "/right/image", jpeg_quality=_JPEG_QUALITY),
     )
 
 

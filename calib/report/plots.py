@@ -43,7 +43,7 @@ def stereo_figure(result: Stereo) -> Figure:
     draw_views(axes[2, 0], [[p.left.name for p in result.pairs]], rms, ["left", "right"])
     rows = np.concatenate(row_errors(result.rig, result.pairs))
     axes[2, 1].hist(rows, bins=41, color=BLUE)
-    axes[2, 1].set_xlabel("row in the left minus row in the right rectified picture [px]")
+    axes[2, 1].set_xlabel("row in the left minus row in the right rectified image [px]")
     axes[2, 1].set_ylabel("corners")
     axes[2, 1].set_title(
         f"rectified row error: RMS {result.epipolar_after_px:.3f} px (not rectified: {result.epipolar_before_px:.2f} px)",

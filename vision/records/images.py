@@ -6,12 +6,12 @@ import numpy as np
 
 from models.camera import StereoRig
 from vision.describe.survey import to_8_bit
-from vision.image.check import pair_flaw, picture_flaw
+from vision.image.check import image_flaw, pair_flaw
 from vision.image.rectify import Image
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class Images:
     """As the cameras took them, 8 bit, None where there is no good one; remark: what is wrong with the other."""
 
     left: Image | None
@@ -29,10 +29,10 @@ class Pictures:
         return any(image is not None and image.ndim == 2 for image in (self.left, self.right))
 
 
-def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures | str:
+def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Images | str:
     """The usable images, or why there is none."""
     flaws = [
-        "missing" if image is None else picture_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
+        "missing" if image is None else image_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
     ]
     if all(flaws):
         return str(flaws[0]) if rig.one_camera else f"left: {flaws[0]}; right: {flaws[1]}"
@@ -44,4 +44,4 @@ def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Pictures 
         None if image is None or flaw else np.require(to_8_bit(image), np.uint8, ["C", "W"])  # as the kernels are compiled
         for image, flaw in zip((left, right), flaws, strict=True)
     )
-    return Pictures(first, second, remark)
+    return Images(first, second, remark)

@@ -1,4 +1,4 @@
-"""Pictures of a simulated flight: in the log, in order, and of what the truth says is there."""
+"""Images of a simulated flight: in the log, in order, and of what the truth says is there."""
 
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from calib.files.formats import load_rig
 from estimator.cli import app
 from estimator.config import load
 from estimator.map_files import store as map_store
-from estimator.replay import flight_pictures
+from estimator.replay import flight_images
 from logs.store.reader import LogReader
-from logs.wire.pictures import decode_picture
+from logs.wire.images import decode_image
 from logs.wire.schemas import COMPRESSED_IMAGE, IMAGE
 from logs.wire.stamps import stamp_of
 from models.sim.scenario import EPOCH_NS, simulate
@@ -55,20 +55,20 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return fly(tmp_path_factory.mktemp("flight"))
 
 
-def pictures(log: Path) -> dict[str, list[tuple[int, int, np.ndarray]]]:
-    """(exposure, arrival, picture) by topic."""
-    found: dict[str, list[tuple[int, int, np.ndarray]]] = {flight_pictures.LEFT: [], flight_pictures.RIGHT: []}
+def images(log: Path) -> dict[str, list[tuple[int, int, np.ndarray]]]:
+    """(exposure, arrival, image) by topic."""
+    found: dict[str, list[tuple[int, int, np.ndarray]]] = {flight_images.LEFT: [], flight_images.RIGHT: []}
     with LogReader(log) as reader:
         for record in reader:
             if record.topic in found:
                 stamp = stamp_of(record.data)
                 assert stamp is not None
-                found[record.topic].append((stamp, record.log_time_ns, decode_picture(record.schema, record.data)))
+                found[record.topic].append((stamp, record.log_time_ns, decode_image(record.schema, record.data)))
     return found
 
 
 def test_pairs_at_their_rate_but_in_outages(log: Path) -> None:
-    left, right = pictures(log).values()
+    left, right = images(log).values()
     assert [p[0] for p in left] == [p[0] for p in right]
     since_s = np.array([p[0] - EPOCH_NS for p in left]) * 1e-9
     np.testing.assert_allclose(since_s, [k + 1 / 3 for k in range(24) if not 5 <= k < 8], atol=1e-6)
@@ -77,7 +77,7 @@ def test_pairs_at_their_rate_but_in_outages(log: Path) -> None:
 
 
 def test_a_covered_lens_is_dark_and_light_swings(log: Path) -> None:
-    left, _ = pictures(log).values()
+    left, _ = images(log).values()
     dark = [float(p[2].mean()) for p in left if 15 <= (p[0] - EPOCH_NS) * 1e-9 < 17]
     light = [float(p[2].mean()) for p in left if not 15 <= (p[0] - EPOCH_NS) * 1e-9 < 17]
     assert max(dark) < 3.0
@@ -89,23 +89,23 @@ def test_roofs_are_where_truth_and_rig_put_them(log: Path) -> None:
     simulation = simulate(loads(SCENARIO.format(quality=92)), 4)
     cameras = loads(SCENARIO.format(quality=92)).cameras
     assert cameras
-    scene = flight_pictures.plan(cameras, simulation, 4).scene
+    scene = flight_images.plan(cameras, simulation, 4).scene
     checked, near = 0, 0
-    for side, shots in enumerate(pictures(log).values()):
-        for t_ns, _, picture in shots[12:]:
+    for side, shots in enumerate(images(log).values()):
+        for t_ns, _, image in shots[12:]:
             k = int(np.searchsorted(simulation.truth.t_ns, t_ns, side="right")) - 1
             p_n = simulation.truth.p_n[k] + simulation.truth.v_n[k] * (t_ns - simulation.truth.t_ns[k]) * 1e-9
             R_nb = simulation.truth.R_nb[k]
             p, R = scene.rig.right_camera_pose(p_n, R_nb) if side else scene.rig.camera_pose(p_n, R_nb)
             camera = scene.rig.right if side else scene.rig.left
-            if picture.mean() < 5.0:
+            if image.mean() < 5.0:
                 continue
             for mark, look in zip(scene.world.landmarks, scene.world.looks, strict=True):
                 shrunk = mark.outline_n + 0.2 * (np.array(mark.centre_n) - mark.outline_n)
                 px = camera.project((np.column_stack([shrunk, np.full(len(shrunk), mark.roof_d)]) - p) @ R)
                 if camera.contains(px, 2.0).all():
                     u, v = np.rint(px).astype(int).T
-                    seen = np.median(picture[v, u].astype(float), axis=0)
+                    seen = np.median(image[v, u].astype(float), axis=0)
                     chroma = [c / c.sum() for c in (seen, np.array(look.roof_bgr))]
                     checked += 1
                     near += bool(np.abs(chroma[0] - chroma[1]).max() < 0.1)
@@ -118,10 +118,10 @@ def test_what_the_vehicle_is_reported(log: Path) -> None:
     config = load(log.with_suffix(".toml"))
     assert config.rig.file == "flight_rig.yaml"
     assert config.map.landmarks == "flight_map.geojson"
-    assert (config.inputs.left_image, config.inputs.right_image) == ((flight_pictures.LEFT,), (flight_pictures.RIGHT,))
+    assert (config.inputs.left_image, config.inputs.right_image) == ((flight_images.LEFT,), (flight_images.RIGHT,))
     cameras = loads(SCENARIO.format(quality=92)).cameras
     assert cameras
-    scene = flight_pictures.plan(cameras, simulate(loads(SCENARIO.format(quality=92)), 4), 4).scene
+    scene = flight_images.plan(cameras, simulate(loads(SCENARIO.format(quality=92)), 4), 4).scene
     rig, landmarks = load_rig(log.with_name("flight_rig.yaml")), map_store.load(log.with_name("flight_map.geojson"))
     np.testing.assert_allclose(rig.R_bc, scene.rig_calibrated.R_bc, atol=1e-9)
     assert not np.allclose(rig.R_bc, scene.rig.R_bc, atol=1e-6)
@@ -133,9 +133,9 @@ def test_what_the_vehicle_is_reported(log: Path) -> None:
 def test_equal_seeds_give_equal_logs_and_raw_pixels_on_request(log: Path, tmp_path: Path) -> None:
     assert fly(tmp_path).read_bytes() == log.read_bytes()
     with LogReader(log) as reader:
-        assert {r.schema for r in reader if r.topic == flight_pictures.LEFT} == {COMPRESSED_IMAGE}
+        assert {r.schema for r in reader if r.topic == flight_images.LEFT} == {COMPRESSED_IMAGE}
     with LogReader(fly(tmp_path, 0)) as reader:
-        assert {r.schema for r in reader if r.topic == flight_pictures.LEFT} == {IMAGE}
+        assert {r.schema for r in reader if r.topic == flight_images.LEFT} == {IMAGE}
 
 
 def test_no_images_on_request(tmp_path: Path) -> None:

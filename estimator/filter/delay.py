@@ -1,0 +1,148 @@
+"""The delay of a source that the configuration does not know: found in its innovations, then estimated with its sigma.
+
+A reading is valid tau before its stamp:  z = h(x(t - tau)) + v = h(x(t)) + J tau + v,   J = - d h / d t:
+
+    position  J = -(v + R_nb (w x l))        velocity  J = -(R_nb f + g)        attitude  J = -R_nb w
+
+The filter counts on tau = 0, and what it makes of earlier readings depends on tau, too. So tau is a considered error, of a sigma
+s0 that is too small to matter. Its covariance with the innovation shows how much that depends on it. The scores of a minute are
+summed (Rao 1948; the bias filter of Friedland 1969):
+
+    J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
+
+Where that is beyond its limit, tau becomes a state with the estimate b / A, and the rest of the state follows from P.
+A filter that has been aligned with this source alone knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from msgspec.structs import replace
+
+from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.hypotheses import Hypothesis
+from estimator.sources.source import Aid, SlowError
+from models import so3
+from models.frames import GRAVITY
+from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
+from models.messages import Array
+from models.state import E, X
+
+_ANEW_S = 60.0  # the sums begin anew
+_SIGMAS = 6.0
+_KNOWN_S = 0.02  # sigma of tau that the sums must reach
+_SIGMA_S = 0.1  # of tau, to begin with, where it is a state
+_PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
+_WALK = np.array([2e-3**2])  # s^2 / s
+_G_N = np.array([0.0, 0.0, GRAVITY])
+_XYZ = 3
+
+
+class Delay(NamedTuple):
+    """The sums of one source since since_ns; is_state: whether its delay is estimated."""
+
+    since_ns: int
+    information: float = 0.0
+    score: float = 0.0
+    is_state: bool = False
+
+    def also(self, t_ns: int, seen: Innovation, column: int) -> "Delay":
+        """With one more innovation; column: where tau stands in P."""
+        if self.is_state:
+            return self
+        sums = self if 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S else Delay(t_ns)
+        j = seen.hp[:, column] / _PROBE_S**2
+        weighed = np.linalg.solve(seen.s, j)
+        information, score = sums.information + float(weighed @ j), sums.score + float(weighed @ seen.nu)
+        shown = information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
+        return Delay(sums.since_ns, information, score, shown)
+
+
+Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions
+
+
+def block(topic: str) -> str:
+    """The slow error that the delay of a source is."""
+    return f"{topic}.delay"
+
+
+def carried(aid: Aid, z: Measurement, u: Array, delays: Delays, members: Sequence[Hypothesis], *, alone: bool) -> Aid:
+    """The reading with the delay of its source among its errors; u (6,): rate and specific force then; alone: without others."""
+    if not aid.absolute and not aid.receiver:
+        return aid
+    topic = aid.witness
+    if topic not in delays and alone:
+        for member in members:
+            begin(member.filter, topic, u)
+    is_state = topic in delays and delays[topic].is_state
+    sigma, walk = (_SIGMA_S, _WALK) if is_state else (_PROBE_S, None)
+    error = SlowError(block(topic), np.array([[sigma**2]]), np.inf, partial(_column, z, u), walk, starts_at_zero=True)
+    return replace(aid, slow_errors=(*aid.slow_errors, error))
+
+
+def noted(aid: Aid, seen: Innovation, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
+    """After a reading that the leading filter has fused; once the innovations show a delay, it is a state of each filter."""
+    topic = aid.witness
+    before = delays.get(topic) or Delay(aid.t_ns)
+    name, lead = block(topic), members[0].filter
+    now = before
+    if not before.is_state and name in lead.slow.columns and lead.slow.columns[name].stop <= seen.hp.shape[1]:
+        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start)
+    if now.is_state and not before.is_state:
+        for member in members:
+            if name in member.filter.slow.columns:
+                estimate(member.filter, topic, now)
+    return {**delays, topic: now}
+
+
+def remarks(delays: Delays, lead: Eskf) -> list[str]:
+    """Which sources are late, or early, by how much."""
+    found: list[str] = []
+    for topic in sorted(topic for topic, delay in delays.items() if delay.is_state and block(topic) in lead.slow.columns):
+        at = lead.slow.columns[block(topic)].start
+        late_ms, sigma_ms = 1e3 * float(lead.slow.mean[at - E.SIZE]), 1e3 * float(np.sqrt(lead.cov[at, at]))
+        found.append(f"{topic} is {late_ms:.0f} ms (sigma {sigma_ms:.0f} ms) later than its stamps and the configuration say")
+    return found
+
+
+def begin(eskf: Eskf, topic: str, u: Array) -> None:
+    """The delay of the source that the filter has been aligned with alone."""
+    eskf.consider(block(topic), np.array([[_PROBE_S**2]]), np.inf)
+    rotation, rate, force = so3.matrix(eskf.x[X.Q]), u[:_XYZ] - eskf.x[X.BG], u[_XYZ:] - eskf.x[X.BA]
+    v = np.zeros(len(eskf.cov))
+    v[E.P], v[E.V], v[E.THETA] = eskf.x[X.V], rotation @ force + _G_N, rate
+    v[-1] = 1.0
+    eskf.cov[-1, -1] = 0.0
+    eskf.cov += _PROBE_S**2 * np.outer(v, v)
+
+
+def estimate(eskf: Eskf, topic: str, found: Delay) -> None:
+    """From now on the delay is a state, with what the sums have found, of four times their variance: S is an estimate, too."""
+    at = eskf.slow.columns[block(topic)].start
+    v = eskf.cov[:, at] / eskf.cov[at, at]
+    eskf.cov += (_SIGMA_S**2 - eskf.cov[at, at]) * np.outer(v, v)
+    eskf.slow = eskf.slow.as_state(block(topic), _WALK)
+    nu, noise, h = np.array([found.score / found.information]), np.array([[4.0 / found.information]]), np.zeros((1, len(v)))
+    h[0, at] = 1.0
+    for part in (E.P, E.V, E.THETA, E.BG, E.BA):  # the correction is linear, and may be wrong by its own size
+        eskf.cov[part, part] += float(nu[0]) ** 2 * float(v[part] @ v[part]) * np.eye(_XYZ)
+    eskf.update(Innovation(nu, h, h @ eskf.cov, noise, eskf.cov[at : at + 1, at : at + 1] + noise, 0.0, 0.0))
+
+
+def _column(z: Measurement, u: Array, x: Array) -> Array:
+    return jacobian(z, x, u)[:, None]
+
+
+def jacobian(z: Measurement, x: Array, u: Array) -> Array:
+    """J of all components of a measurement, (m,), 1/s; zero for what has no delay here."""
+    rotation, rate, force = so3.matrix(x[X.Q]), u[:_XYZ] - x[X.BG], u[_XYZ:] - x[X.BA]
+    if isinstance(z, Position):
+        return np.asarray(-(x[X.V] + rotation @ np.cross(rate, z.lever_b)))
+    if isinstance(z, Velocity):
+        return np.asarray(-(rotation @ force + _G_N))
+    if isinstance(z, Pose | PartialPose):
+        moved = -np.concatenate((x[X.V], rotation @ rate))
+        return np.asarray(z.directions @ moved if isinstance(z, PartialPose) else moved)
+    return np.zeros(len(z.rows))

@@ -1,0 +1,15 @@
+"""Which image a map has, and how good it is; apart from its reader, so that a configuration loads no image library."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+
+class ImageFile(NamedTuple):
+    """A map's image on disk: georeferenced image, and how well it is; height of its ground above the ellipsoid or a raster."""
+
+    path: Path
+    sigma_m: float
+    height_m: float | None
+    height_sigma_m: float
+    heights: Path | None = None
+    epsg: int = 0

@@ -1,0 +1,97 @@
+"""Images, to and from the wire.
+
+sensor_msgs/msg/Image holds the pixels, CompressedImage a JPEG or PNG file. Inside, an image is an array: (H, W) grey of 8 or 16
+bit, or (H, W, 3) BGR of 8 bit.
+"""
+
+from typing import Any, Final, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.wire import schemas
+from logs.wire.encoding import Encoded, header_of, packed
+from logs.wire.schemas import STORE
+
+Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+_ENCODINGS: Final[dict[str, tuple[int, type[np.generic]]]] = {
+    "mono8": (1, np.uint8),
+    "8UC1": (1, np.uint8),
+    "bgr8": (3, np.uint8),
+    "8UC3": (3, np.uint8),
+    "rgb8": (3, np.uint8),
+    "mono16": (1, np.uint16),
+    "16UC1": (1, np.uint16),
+}
+
+
+class ImageError(Exception):
+    """Bytes that are no image: one line that says why."""
+
+
+def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | None = None) -> Encoded:
+    """An image taken at t_ns: its pixels, or a JPEG file of that quality (1 to 100)."""
+    header = header_of(t_ns, "camera")
+    if jpeg_quality is not None:
+        _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+        return packed(topic, schemas.COMPRESSED_IMAGE, header=header, format="jpeg", data=file.ravel())
+    height, width = image.shape[:2]
+    encoding = "bgr8" if image.ndim == 3 else "mono16" if image.dtype == np.uint16 else "mono8"
+    raw = np.ascontiguousarray(image)
+    step = raw.strides[0]
+    return packed(
+        topic,
+        schemas.IMAGE,
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=step,
+        data=np.frombuffer(raw.tobytes(), np.uint8),
+    )
+
+
+def decode_image(schema: str, data: bytes) -> Pixels:
+    """The image in an Image or CompressedImage. Raises ImageError."""
+    try:
+        message: Any = STORE.deserialize_cdr(data, schema)
+        return _unpacked(message) if schema == schemas.IMAGE else _read(message)
+    except ImageError:
+        raise
+    except Exception as error:  # bytes from outside: whatever they trip over, they are no image
+        raise ImageError(f"not a {schema}: {type(error).__name__}") from None
+
+
+def _unpacked(message: Any) -> Pixels:
+    """The pixels of an Image."""
+    if message.encoding not in _ENCODINGS:
+        raise ImageError(f"encoding {message.encoding!r} is not read (known: {', '.join(_ENCODINGS)})")
+    channels, kind = _ENCODINGS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    height, width, step = message.height, message.width, message.step
+    row = width * channels * dtype.itemsize
+    if not (height and width and step >= row and len(message.data) >= height * step):
+        raise ImageError(f"{width} x {height} pixels need {height * row} bytes; there are {len(message.data)}")
+    rows = np.asarray(message.data[: height * step], np.uint8).reshape(height, step)[:, :row]
+    image = np.ascontiguousarray(rows).view(dtype).astype(kind, copy=False).reshape(height, width, channels)
+    if message.encoding == "rgb8":
+        image = np.ascontiguousarray(image[:, :, ::-1])
+    return image if channels == 3 else image[:, :, 0]
+
+
+def _read(message: Any) -> Pixels:
+    """The image in a JPEG or PNG file, not turned by what its EXIF says."""
+    data = np.asarray(message.data, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    if image is None:
+        raise ImageError(f"not an image file that can be read ({message.format or 'unknown format'}, {len(data)} bytes)")
+    if image.ndim == 3 and image.shape[2] == 4:
+        image = image[:, :, :3]
+    if image.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)} or (image.ndim == 3 and image.dtype != np.uint8):
+        raise ImageError(f"images of {image.dtype} are not read")
+    if image.dtype == np.uint16:
+        return np.ascontiguousarray(image, np.uint16)
+    return np.ascontiguousarray(image, np.uint8)

@@ -1,0 +1,134 @@
+"""The delay of a source: found where there is one, with its sigma, and never where there is none."""
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from estimator.filter import delay
+from estimator.filter.eskf import Eskf
+from models import so3
+from models.imu import Coast, ImuNoise, constants
+from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
+from models.messages import Array, GnssFix, GnssVelocity, Input, PoseFix
+from models.sim.scenario import EPOCH_NS, Simulation
+from models.state import E, X
+from tests.estimator.scenes import SECOND, Run, fly, position_errors, simulated, within
+
+U = np.array([0.2, -0.1, 0.4, 1.0, -0.5, -9.0])  # rate, specific force
+LEVER = np.array([0.3, -0.2, 0.1])
+POSE_ROWS = np.arange(6)
+
+
+def _state(t_s: float) -> Array:
+    """A motion of constant rate and specific force in n, at t_s, exact to the second order."""
+    q0 = np.array([0.9, 0.1, -0.2, 0.3])
+    q0 /= np.linalg.norm(q0)
+    x = np.zeros(X.SIZE)
+    a_n = so3.matrix(q0) @ U[3:] + np.array([0.0, 0.0, 9.80665])
+    v0 = np.array([5.0, -3.0, 1.0])
+    x[X.P], x[X.V] = v0 * t_s + 0.5 * a_n * t_s**2, v0 + a_n * t_s
+    x[X.Q] = so3.multiply(q0, so3.quat_exp(U[:3] * t_s))
+    return x
+
+
+MEASUREMENTS = {
+    "position": Position(np.zeros(3), np.eye(3), np.arange(3), LEVER),
+    "velocity": Velocity(np.zeros(3), np.eye(3), np.zeros(3)),
+    "pose": Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.eye(6), POSE_ROWS),
+    "directions": PartialPose(
+        np.zeros(3), _state(0.0)[X.Q], np.random.default_rng(1).normal(size=(4, 6)), np.zeros(4), np.eye(4)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_the_jacobian_is_how_the_reading_of_an_earlier_state_differs(name: str) -> None:
+    z, late = MEASUREMENTS[name], 1e-4
+    if isinstance(z, Pose):
+        z = replace_pose(z, _state(0.0)[X.Q])
+    now, before = (z.evaluate(_state(t), U[:3])[0] for t in (0.0, -late))  # nu = z - h(x)
+    np.testing.assert_allclose(delay.jacobian(z, _state(0.0), U), (now - before) / late, atol=5e-3)
+
+
+def replace_pose(z: Pose, q: Array) -> Pose:
+    """The small attitude error is linear about the state's own."""
+    return Pose(z.z_n, q, z.noise, z.rows)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "pose"])
+def test_a_filter_that_was_aligned_with_late_readings_foresees_late_readings(name: str) -> None:
+    eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
+    delay.begin(eskf, "/fix", U)
+    z: Measurement = MEASUREMENTS[name]
+    if isinstance(z, Pose):
+        z = replace_pose(z, eskf.x[X.Q])
+    seen = eskf.innovation(z, U[:3], [(delay.block("/fix"), delay.jacobian(z, eskf.x, U)[:, None])])
+    lever_free = 0.02 if name == "position" else 1e-12  # the lever's own speed is not in the state
+    assert np.abs(seen.hp[:, -1]).max() < lever_free * 1e-8 * 10.0
+
+
+FLIGHT = """
+duration_s = 90.0
+[imu]
+rate_hz = 100.0
+[gnss]
+rate_hz = 5.0
+sigma_m = [0.5, 0.5, 0.8]
+[pose_fix]
+rate_hz = 2.0
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+RECEIVER, FIXES = (GnssFix, GnssVelocity), (PoseFix,)
+
+
+def _flown(late_ms: float, late: tuple[type, ...], *, without: tuple[type, ...] = (), seed: int) -> tuple[Simulation, Run]:
+    flight, by_ns = simulated(FLIGHT, seed=seed), round(late_ms * 1e6)
+
+    def delayed(m: Input) -> Input:
+        return replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns) if isinstance(m, late) else m
+
+    messages = sorted((delayed(m) for m in flight.messages if not isinstance(m, without)), key=lambda m: m.arrived_ns)
+    return flight, fly(flight, messages=messages)
+
+
+def _found_ms(run: Run, topic: str) -> tuple[float, float]:
+    tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
+    assert tracker.hypotheses is not None
+    assert tracker.delays[topic].is_state
+    lead = tracker.hypotheses.lead
+    at = lead.slow.columns[delay.block(topic)].start
+    return 1e3 * float(lead.slow.mean[at - E.SIZE]), 1e3 * math.sqrt(lead.cov[at, at])
+
+
+@pytest.mark.parametrize("late_ms", [80.0, -80.0, 200.0])
+def test_fixes_that_are_late_are_found_to_be_and_no_longer_mislead(late_ms: float) -> None:
+    flight, run = _flown(late_ms, FIXES, without=RECEIVER, seed=2)
+    found, sigma = _found_ms(run, "/pose_fix")
+    assert abs(found - late_ms) < max(3.0 * sigma, 10.0)
+    assert sigma < 15.0
+    off = position_errors(within(run.estimates, 60.0, 90.0), flight.truth)
+    assert math.sqrt((off**2).mean()) < 0.35
+    assert f"/pose_fix is {found:.0f} ms" in run.health[-1].detail
+
+
+def test_a_receiver_that_is_late_is_found_to_be() -> None:
+    _, run = _flown(150.0, RECEIVER, without=FIXES, seed=2)
+    found, sigma = _found_ms(run, "/gnss")
+    assert abs(found - 150.0) < max(3.0 * sigma, 20.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_delay_is_found_where_there_is_none(seed: int) -> None:
+    _, run = _flown(0.0, FIXES, seed=seed)
+    tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
+    assert set(tracker.delays) == {"/gnss", "/pose_fix"}
+    for found in tracker.delays.values():
+        assert not found.is_state
+        assert found.score**2 < 16.0 * found.information
+    assert " ms (sigma" not in run.health[-1].detail
+    assert run.estimates[-1].t_ns > EPOCH_NS + 89 * SECOND
