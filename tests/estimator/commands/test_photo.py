@@ -85,9 +85,7 @@ def test_accuracy_is_what_the_camera_says_of_it(tmp_path: Path) -> None:
     assert tags_of(tmp_path, {"Camera:GPSXYAccuracy": "0", "Camera:GPSZAccuracy": "0"}).sigma_m is None
 
 
-@pytest.mark.parametrize(
-    "xmp", [b"<x", b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', b"\0" * 50, b"<a " + b" " * 2_000_000 + b"/>"]
-)
+@pytest.mark.parametrize("xmp", [b"<x", b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', b"\0" * 50, b"<a>" * 9000])
 def test_xmp_that_is_none_is_left_out(tmp_path: Path, xmp: bytes) -> None:
     path = tmp_path / "photo.jpg"
     save(path, GREY, exif(46.8, -91.9), xmp)
