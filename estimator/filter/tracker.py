@@ -11,8 +11,9 @@ from msgspec.structs import replace
 
 from estimator.filter import contradiction, delay
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
+from estimator.filter.bias_walk import BiasWalk
 from estimator.filter.delay import Delays
-from estimator.filter.eskf import Eskf
+from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.path_scale import PathScale
@@ -72,6 +73,7 @@ class Tracker(Alignment):
         self.anchor: GnssAnchor | None = None
         self.path_scale = PathScale()
         self.delays: Delays = {}
+        self.bias_walk = BiasWalk()
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -309,6 +311,7 @@ class Tracker(Alignment):
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
+            self._note_biases(aid, verdict.seen)
             self._note_variance(aid, verdict.seen)
         if verdict.fused and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
@@ -358,6 +361,16 @@ class Tracker(Alignment):
             return _NO_IMU
         index = samples.first_after(self.t_ns)
         return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)
+
+    def _note_biases(self, aid: Aid, seen: Innovation) -> None:
+        """Whether they walk faster than configured."""
+        assert self.hypotheses is not None
+        before = self.bias_walk
+        self.bias_walk = before.also(aid.topic, aid.t_ns, seen, self.variance_factor.value)
+        if self.bias_walk.factor != before.factor:
+            self.constants = imu.constants(self.bias_walk.of_noise(self.config.imu), self.config.coast, self.origin)
+            for member in self.hypotheses.members:
+                member.filter.constants = self.constants
 
     def _alone(self, aid: Aid) -> bool:
         """No other absolute source is active to compare this one with."""

@@ -1,0 +1,108 @@
+"""The walk of the biases is taken as larger while innovations show that the motion is wrong, and only then."""
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from estimator.filter.bias_walk import BiasWalk
+from estimator.filter.eskf import Innovation
+from models.imu import ImuNoise
+from models.messages import Array, ImuSample, Input, vec3
+from models.sim.scenario import EPOCH_NS
+from tests.estimator.scenes import SECOND, fly, position_errors, simulated, within
+
+NOISE = ImuNoise(gyro_walk=1e-5, accel_walk=1e-4)
+
+
+def _seen(nu: Array) -> Innovation:
+    identity = np.eye(len(nu))
+    return Innovation(nu, identity, identity, identity, identity, float(nu @ nu), 0.0)
+
+
+def _after(walk: BiasWalk, innovations: Array, *, variance_factor: float = 1.0, topic: str = "/fix") -> BiasWalk:
+    for k, nu in enumerate(innovations):
+        walk = walk.also(topic, max(walk.t_ns, EPOCH_NS) + (k % 5) * SECOND // 2, _seen(nu), variance_factor)
+    return walk
+
+
+def _white(n: int, sigma: float = 1.0, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).normal(0.0, sigma, (n, 6))
+
+
+@pytest.mark.parametrize("sigma", [0.3, 1.0])
+def test_white_innovations_leave_the_walk_as_configured(sigma: float) -> None:
+    walk = _after(BiasWalk(), _white(400, sigma))
+    assert walk.factor == 1.0
+    assert walk.of_noise(NOISE) == NOISE
+
+
+def test_large_innovations_without_a_direction_are_the_noise_of_the_source() -> None:
+    raised = sum(_after(BiasWalk(), _white(100, 4.0, seed)).factor > 1.0 for seed in range(20))
+    assert raised <= 2
+
+
+def test_innovations_that_follow_one_another_raise_it_and_it_comes_back() -> None:
+    wrong = _after(BiasWalk(), _white(40, 0.5) + np.array([2.0, -1.5, 0.0, 0.0, 1.0, 0.0]))
+    assert wrong.factor >= 1e4
+    larger = wrong.of_noise(NOISE)
+    assert larger.gyro_walk == pytest.approx(min(NOISE.gyro_walk * math.sqrt(wrong.factor), 1e-3))
+    assert larger.accel_walk > 10.0 * NOISE.accel_walk
+    right = _after(wrong, _white(2000, 1.0))
+    assert right.factor == 1.0
+
+
+def test_small_innovations_in_one_direction_are_no_error() -> None:
+    assert _after(BiasWalk(), np.tile([0.5, 0.3, 0.0, 0.0, 0.0, 0.0], (100, 1))).factor == 1.0
+
+
+def test_what_is_seen_is_compared_with_the_covariance_before_it_was_widened() -> None:
+    ramp = _white(40, 0.2) + np.array([0.6, -0.5, 0.0, 0.0, 0.4, 0.0])
+    assert _after(BiasWalk(), ramp).factor == 1.0
+    assert _after(BiasWalk(), ramp, variance_factor=16.0).factor > 1.0
+
+
+def test_a_walk_that_is_configured_larger_is_never_made_smaller() -> None:
+    rough = ImuNoise(gyro_walk=0.5, accel_walk=5.0)
+    assert BiasWalk(factor=1e6).of_noise(rough) == rough
+
+
+FLIGHT = """
+duration_s = 90.0
+[imu]
+rate_hz = 100.0
+[pose_fix]
+rate_hz = 2.0
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+def _walk_of(run_messages: list[Input], seed: int) -> tuple[float, float]:
+    """The factor at the end, and the RMSE of the last 40 s."""
+    flight = simulated(FLIGHT, seed=seed)
+    run = fly(flight, messages=run_messages)
+    factor = run.fusion._history.advance(run.estimates[-1].t_ns).bias_walk.factor
+    off = position_errors(within(run.estimates, 50.0, 90.0), flight.truth)
+    return factor, math.sqrt((off**2).mean())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_flight_as_configured_keeps_its_walk(seed: int) -> None:
+    factor, rmse_m = _walk_of([m for m in simulated(FLIGHT, seed=seed).messages if "gnss" not in type(m).__name__.lower()], seed)
+    assert factor == 1.0
+    assert rmse_m < 0.25
+
+
+def test_a_gyroscope_that_warms_up_costs_decimetres_and_no_more() -> None:
+    def warming(m: Input) -> Input:
+        if not isinstance(m, ImuSample):
+            return m
+        bias = math.radians(2.0) * max((m.t_ns - EPOCH_NS) * 1e-9 - 10.0, 0.0) / 60.0
+        return replace(m, gyro_b=vec3(np.array(m.gyro_b) + bias * np.array([0.6, 0.0, 0.8])))
+
+    flight = simulated(FLIGHT, seed=1)
+    factor, rmse_m = _walk_of([warming(m) for m in flight.messages if "gnss" not in type(m).__name__.lower()], 1)
+    assert factor > 1e2
+    assert rmse_m < 0.6
