@@ -191,11 +191,13 @@ def _priors(
     priors = [prior_of(tags[path], frame, ground_d, given.height_m, str(path)) for path in files]
     if given.prior_sigma:
         priors = [Prior(prior.p_n, prior.q_nb_wxyz, _covariance(given.prior_sigma)) for prior in priors]
-    remarks += [
-        f"{path}: saved by {t.edited_by}, which may have turned or cropped it without a trace in its tags"
-        for path, t in tags.items()
-        if t.edited_by
-    ]
+    edited = [path for path, t in tags.items() if t.edited_by]
+    if edited:
+        others = f" (and {len(edited) - 1} others)" if len(edited) > 1 else ""
+        remarks.append(
+            f"{edited[0]}{others}: saved by {tags[edited[0]].edited_by}, which may have turned or cropped it without a trace in its "
+            "tags"
+        )
     return priors
 
 

@@ -282,7 +282,7 @@ def _print(answer: dict[str, Any], result: "Result") -> None:
             for p in answer["photos"]
         ]
         print_table("Photos", rows, ("photo", "outcome", "known to (95 %)", "why"))
-        note(f"{answer['photo']}:")
+        typer.echo(f"{answer['photo']}:")
     if result.regions:
         rows = [
             (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)
