@@ -195,8 +195,8 @@ def _priors(
     if edited:
         others = f" (and {len(edited) - 1} others)" if len(edited) > 1 else ""
         remarks.append(
-            f"{edited[0]}{others}: saved by {tags[edited[0]].edited_by}, which may have turned or cropped it without a trace in its "
-            "tags"
+            f"{edited[0]}{others}: saved by {tags[edited[0]].edited_by}, which may have turned or cropped it without a trace in "
+            "its tags"
         )
     return priors
 
