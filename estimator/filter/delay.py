@@ -15,7 +15,6 @@ A filter that has been aligned with this source alone knows x(t - tau): E[dx tau
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -78,7 +77,8 @@ def carried(aid: Aid, z: Measurement, u: Array, delays: Delays, members: Sequenc
             begin(member.filter, topic, u)
     is_state = topic in delays and delays[topic].is_state
     sigma, walk = (_SIGMA_S, _WALK) if is_state else (_PROBE_S, None)
-    error = SlowError(block(topic), np.array([[sigma**2]]), np.inf, partial(_column, z, u), walk, starts_at_zero=True)
+    j = jacobian(z, members[0].filter.x, u)[:, None]
+    error = SlowError(block(topic), np.array([[sigma**2]]), np.inf, j, walk, starts_at_zero=True)
     return replace(aid, slow_errors=(*aid.slow_errors, error))
 
 
@@ -131,15 +131,11 @@ def estimate(eskf: Eskf, topic: str, found: Delay) -> None:
     eskf.update(Innovation(nu, h, h @ eskf.cov, noise, eskf.cov[at : at + 1, at : at + 1] + noise, 0.0, 0.0))
 
 
-def _column(z: Measurement, u: Array, x: Array) -> Array:
-    return jacobian(z, x, u)[:, None]
-
-
 def jacobian(z: Measurement, x: Array, u: Array) -> Array:
     """J of all components of a measurement, (m,), 1/s; zero for what has no delay here."""
     rotation, rate, force = so3.matrix(x[X.Q]), u[:_XYZ] - x[X.BG], u[_XYZ:] - x[X.BA]
     if isinstance(z, Position):
-        return np.asarray(-(x[X.V] + rotation @ np.cross(rate, z.lever_b)))
+        return np.asarray(-(x[X.V] + rotation @ (so3.skew(rate) @ z.lever_b)))
     if isinstance(z, Velocity):
         return np.asarray(-(rotation @ force + _G_N))
     if isinstance(z, Pose | PartialPose):

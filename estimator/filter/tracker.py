@@ -311,8 +311,9 @@ class Tracker(Alignment):
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
-            self._note_biases(aid, verdict.seen)
             self._note_variance(aid, verdict.seen)
+        if verdict.fused and aid.absolute and not aid.geodetic:  # a receiver may be pulled off: that is no motion
+            self._note_biases(aid, verdict.seen)
         if verdict.fused and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
             if self.delays[aid.witness].is_state:

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from estimator.filter.bias_walk import BiasWalk
 from estimator.filter.eskf import Innovation
 from models.imu import ImuNoise
-from models.messages import Array, ImuSample, Input, vec3
+from models.messages import Array, GnssFix, ImuSample, Input, vec3
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.scenes import SECOND, fly, position_errors, simulated, within
 
@@ -106,3 +106,15 @@ def test_a_gyroscope_that_warms_up_costs_decimetres_and_no_more() -> None:
     factor, rmse_m = _walk_of([warming(m) for m in flight.messages if "gnss" not in type(m).__name__.lower()], 1)
     assert factor > 1e2
     assert rmse_m < 0.6
+
+
+def test_readings_of_a_receiver_do_not_raise_it_for_a_receiver_may_be_pulled_off() -> None:
+    def pulled(m: Input) -> Input:
+        seconds = max((m.t_ns - EPOCH_NS) * 1e-9 - 20.0, 0.0)
+        return replace(m, lat_deg=m.lat_deg + 3.0 * seconds / 111_320.0) if isinstance(m, GnssFix) else m
+
+    flight = simulated(FLIGHT + "[gnss]\nrate_hz = 5.0\n", seed=1)
+    run = fly(flight, messages=[pulled(m) for m in flight.messages])
+    walk = run.fusion._history.advance(run.estimates[-1].t_ns).bias_walk
+    assert {topic for topic, _ in walk.sources} == {"/pose_fix"}
+    assert walk.factor == 1.0
