@@ -48,13 +48,14 @@ class Given(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """One image, or a pair."""
+    """One image, or a pair. follows: a video's frame, whose prior is where the last fix was, as uncertain as the given one."""
 
     name: str
     t_ns: int
     left: Image
     right: Image | None
     prior: Prior
+    follows: bool = False
 
 
 class Shots(NamedTuple):
@@ -224,5 +225,6 @@ def _photos(rig: StereoRig, files: list[Path], turns: list[int], priors: list[Pr
             if image.fault:
                 raise CalibrationError(f"{path}: {image.fault}")
             name = image.name if image_source.is_video(path) else str(path)
-            yield Shot(name, t_ns, fitted.fitted(path, image.image, rig.left, turn)[0], None, prior)
+            seen = fitted.fitted(path, image.image, rig.left, turn)[0]
+            yield Shot(name, t_ns, seen, None, prior, image_source.is_video(path))
             t_ns += _APART_NS

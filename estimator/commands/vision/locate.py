@@ -84,7 +84,8 @@ def command(
     point and the camera's angles; the vehicle is the camera then. Without --rig they tell the camera, too, less exactly.
     A camera file of landfix calibrate mono with --prior needs --mount (0,0,0,0,-90,0 looks down with the photo's upper edge
     forward), which is that of the photo as a viewer shows it. Photos of another size are scaled where the aspect ratio is the
-    camera's. Of several photos a later one may confirm an earlier one; the answer is that of the last photo with a fix.
+    camera's. A video begins at --prior, its later frames where the last fix was. Of several photos a later one may confirm
+    an earlier one; the answer is that of the last photo with a fix.
 
     Regions are measured and looked up in the map near the prior; where that gives nothing, the left image is laid onto an
     orthophoto. The fix is that of the images, "with the prior" what both give together. Every region says what became of it.
@@ -149,12 +150,27 @@ def _results(
         recognisers = Recognisers(shots.rig, landmarks, map_image)
     except ValueError as error:
         raise LocateError(f"{rig_file or 'camera'}: {error}") from None
-    results = []
+    results: list[tuple[Shot, Result]] = []
     with progress("locate") as report:
         for k, shot in enumerate(shots.images):
             report(k / shots.total, Path(shot.name).name)
+            shot = _following(shot, results)  # noqa: PLW2901
             results.append((shot, recognisers.process(shot.left, shot.right, shot.t_ns, shot.prior)))
     return results
+
+
+def _following(shot: "Shot", before: "list[tuple[Shot, Result]]") -> "Shot":
+    """A video's frame with the last fix as its prior; any other as it is."""
+    import numpy as np
+
+    from models import so3
+    from vision.identify.identify import Prior
+
+    pose = next((result.pose for _, result in reversed(before) if result.pose is not None), None)
+    if not shot.follows or pose is None:
+        return shot
+    q_nb = so3.normalise(so3.from_matrix(np.ascontiguousarray(pose.joint_R_nb)))
+    return shot._replace(prior=Prior(pose.joint_p_n, q_nb, shot.prior.covariance))
 
 
 def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap, MapImage | None]":

@@ -4,22 +4,27 @@ import json
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from calib.errors import CalibrationError
 from calib.files.formats import save_camera
+from calib.files.rig_yaml import FORWARD
 from estimator.cli import app
 from estimator.commands.photo.camera import camera_of
 from estimator.commands.photo.fitted import at_width
 from estimator.commands.photo.pose import DOWN, prior_of
 from estimator.commands.photo.tags import Tags, read
 from estimator.map_files.geoid import geoid_m
+from models import so3
 from models.camera import CameraModel
 from models.frames import Origin
 from models.messages import Array
 from tests.estimator.commands.photos import DJI, exif, of_scene, packet, save
+from vision.synthetic.camera_effects import Conditions
+from vision.synthetic.render import render_pair
 from vision.synthetic.scenes import Scene, WorldSpec, make_world
 
 GREY = np.full((60, 80, 3), 128, np.uint8)
@@ -246,6 +251,28 @@ def test_a_folder_of_photos_with_a_calibrated_camera(scene: Scene, town: Path, t
     photos = json.loads(result.stdout)["photos"]
     assert [photo["outcome"] for photo in photos] == ["fixed", "fixed"]
     assert photos[1]["lat_deg"] - photos[0]["lat_deg"] == pytest.approx(12.0 / 111_200.0, abs=1.0 / 111_200.0)
+
+
+def test_a_video_goes_on_from_its_last_fix(scene: Scene, town: Path, tmp_path: Path) -> None:
+    """Three frames, 12 m apart; the prior, good to 5 m, is that of the first one."""
+    rig, euler = scene.rig_calibrated, (0.04, -0.03, 0.7)
+    save_camera(tmp_path / "camera.yaml", rig.left)
+    film = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 1.0, (rig.left.width, rig.left.height))
+    R_nb = so3.matrix(so3.from_euler(*euler))
+    for k in range(3):
+        place = np.array([12.0 * k, 0.0, -80.0])
+        film.write(render_pair(scene.world, scene.rig, place, R_nb, Conditions(), np.random.default_rng(k))[0])
+    film.release()
+    prior = (*scene.map.frame.to_geodetic(np.array([2.0, -1.0, -79.0])), *map(math.degrees, euler))
+    mount = (*rig.p_bc, *map(math.degrees, so3.to_euler(so3.from_matrix(rig.R_bc @ FORWARD.T))))
+    options = ["--rig", tmp_path / "camera.yaml", "--map", town, "--prior-sigma", "4,1", "--json"]
+    texts = [",".join(f"{x:.9f}" for x in numbers) for numbers in (prior, mount)]
+    result = locate(tmp_path / "film.avi", *options, "--prior", texts[0], "--mount", texts[1])
+    assert result.exit_code == 0, result.output
+    photos = json.loads(result.stdout)["photos"]
+    assert [photo["outcome"] for photo in photos] == ["fixed"] * 3
+    way_m = (photos[2]["lat_deg"] - photos[0]["lat_deg"]) * 111_200.0
+    assert way_m == pytest.approx(24.0, abs=1.5)
 
 
 def test_wrong_usage_of_photos(scene: Scene, town: Path, tmp_path: Path) -> None:
