@@ -61,7 +61,8 @@ class LandmarkPipeline:
         self._rig, self._map, self._config = rig, landmarks, c
         segment = SegmentConfig(c.space, c.least_px, c.most_regions, c.most_landmarks, c.identify, c.memory)
         self._segment = SegmentPath(rig, rectification(rig), segment)
-        self._predict = PredictPath(rig, c.predict, c.pose, c.identify.assumptions.gone_fraction)
+        gone = c.identify.assumptions.gone_fraction
+        self._predict = PredictPath(rig, c.predict, c.pose, gone, alone=not landmarks.automatic)
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
         """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""

@@ -93,7 +93,7 @@ def _nust(data: Path, seed: int) -> Iterator[Flight]:
 def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     """The photos from which the orthophoto was made: light and season are the same, it shows no more than that it works."""
     landmarks = brighton.landmark_map()
-    known = image_store.load(_brighton_files(data, out), landmarks.origin)
+    known = image_store.load(brighton_files(data, out), landmarks.origin)
     rig = nadir_rig(brighton.camera())
     taken = []
     for k, (name, where) in enumerate(brighton.references(data, landmarks, brighton.photo_names(data)).items()):
@@ -103,7 +103,7 @@ def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     yield Flight("Brighton decoys, map turned", rig, decoy, _shots(taken, LOW, (seed, "brighton", 1)), decoy=True)
 
 
-def _brighton_files(data: Path, out: Path) -> ImageFile:
+def brighton_files(data: Path, out: Path) -> ImageFile:
     """The set's orthophoto and heights as files that a configuration can name."""
     out.mkdir(parents=True, exist_ok=True)
     with np.load(data / brighton.FOLDER / "dsm_0.1m_utm15n.npz") as archive:

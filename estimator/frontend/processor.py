@@ -13,11 +13,12 @@ from estimator.publish import OVERLAY_TOPIC
 from logs.wire.codec import Encoded, encode, encode_input
 from logs.wire.images import ImageError, Pixels, decode_image, encode_image
 from models import so3
-from models.camera import StereoRig
+from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import VisionReport, VisionRequest
 from models.radius import horizontal_radius
 from vision.identify.identify import Prior
+from vision.image.scaled import scaled
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
 _JPEG_QUALITY: Final = 80
@@ -61,7 +62,7 @@ class Sight:
             self._run = request.run
             self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
             self._board = LandmarkBoard(self._landmarks)
-        decoded = [_decoded(shot) for shot in images]
+        decoded = [_decoded(shot, camera) for shot, camera in zip(images, (self._rig.left, self._rig.right), strict=True)]
         left, right = (image if not isinstance(image, str) else None for image in decoded)
         prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
         result = self._recognisers.process(left, right, request.t_ns, prior)
@@ -96,11 +97,11 @@ class Sight:
         return encode_image(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
 
 
-def _decoded(shot: Shot | None) -> Pixels | str | None:
-    """The image, or why it cannot be read."""
+def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:
+    """The image at the camera's size, where its aspect ratio fits, or why it cannot be read."""
     if shot is None:
         return None
     try:
-        return decode_image(shot.schema, shot.data)
+        return scaled(decode_image(shot.schema, shot.data), camera)
     except ImageError as error:
         return f"{shot.topic}: {error}"

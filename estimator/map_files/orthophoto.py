@@ -104,6 +104,7 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
         msgspec.structs.replace(columns, colour_bgr=colours),
         msgspec.structs.replace(report, missing=lacking),
         the_map.common_sigma_m,
+        the_map.automatic,
     )
 
 

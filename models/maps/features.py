@@ -79,6 +79,7 @@ class _Feature(msgspec.Struct):
 class _Own(msgspec.Struct):
     origin: Vec3 | None = None
     common_sigma_m: tuple[_Sigma, _Sigma] = (0.0, 0.0)
+    automatic: bool = False
 
 
 class File(msgspec.Struct):

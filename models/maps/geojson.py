@@ -38,8 +38,8 @@ _VERDICTS = {
 }
 
 
-def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tuple[float, float]]:
-    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings and common_sigma_m of a GeoJSON file. Raises MapError."""
+def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tuple[float, float], bool]:
+    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings, common_sigma_m, automatic of a GeoJSON file. Raises MapError."""
     head, raw_features = features(data.removeprefix(b"\xef\xbb\xbf"))
     parts = Parts(defaults)
     for number, raw in enumerate(raw_features, 1):
@@ -77,7 +77,8 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
     rejected = tuple(sorted(parts.rejected, key=lambda finding: finding.feature))
     doubt = _EXCHANGED if exchanged(lonlat[np.repeat(good, counts)], np.concatenate(([0], np.cumsum(counts[good])))) else ""
     common = defaults.common_sigma_m or (head.landfix.common_sigma_m if head.landfix else (0.0, 0.0))
-    return origin, columns, MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept), doubt), common
+    report = MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept), doubt)
+    return origin, columns, report, common, head.landfix is not None and head.landfix.automatic
 
 
 def origin_of(data: bytes) -> Vec3 | None:
@@ -203,7 +204,12 @@ def _unique(parts: Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def write(
-    origin: Vec3, columns: Columns, description: Array, common_sigma_m: tuple[float, float], alike: Alike | None = None
+    origin: Vec3,
+    columns: Columns,
+    description: Array,
+    common_sigma_m: tuple[float, float],
+    automatic: bool = False,
+    alike: Alike | None = None,
 ) -> bytes:
     """The file of a map; one feature a line. Places to 0.1 mm, lengths to 1 mm. alike: what can be taken for something else."""
     counts = np.diff(columns.offsets)
@@ -228,5 +234,5 @@ def write(
             properties.repeats_m = round(float(alike.repeats_m[i]), 1) if alike.repeats_m[i] < math.inf else 0.0
         lines.append(encode(OurFeature(columns.ids[i], OurPolygon([[*lonlat[a:b], lonlat[a]]]), properties)))
     common = {"common_sigma_m": [round(sigma, 3) for sigma in common_sigma_m]} if any(common_sigma_m) else {}
-    head = encode({"origin": origin, "version": 1, **common})
+    head = encode({"origin": origin, "version": 1, **common, **({"automatic": True} if automatic else {})})
     return b'{"type":"FeatureCollection","landfix":' + head + b',"features":[\n' + b",\n".join(lines) + b"\n]}\n"

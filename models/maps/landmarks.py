@@ -96,16 +96,23 @@ class LandmarkMap:
     """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index.
 
     report: what was found while reading the file it comes from; common_sigma_m: by how much all of it may be shifted, horizontal
-    and vertical standard deviation, beside what each landmark says of itself.
+    and vertical standard deviation, beside what each landmark says of itself; automatic: picked from an image by a program and
+    checked by nobody, so that one of its landmarks alone founds no fix.
     """
 
     def __init__(
-        self, origin: Vec3, columns: Columns, report: MapReport | None = None, common_sigma_m: tuple[float, float] = (0.0, 0.0)
+        self,
+        origin: Vec3,
+        columns: Columns,
+        report: MapReport | None = None,
+        common_sigma_m: tuple[float, float] = (0.0, 0.0),
+        automatic: bool = False,
     ) -> None:
         self.origin = origin
         self.columns = columns
         self.report = report or MapReport(len(columns.ids))
         self.common_sigma_m = common_sigma_m
+        self.automatic = automatic
         self.description = polygon.describe(columns.vertices, columns.offsets)  # (N, 8), columns: models/maps/outline.py
         self._index = _Grid(self.description)
 
@@ -140,7 +147,7 @@ class LandmarkMap:
 
     def to_geojson(self, alike: Alike | None = None) -> bytes:
         """The file, with the description of each landmark written in, and what looks like it, where that is given."""
-        return geojson.write(self.origin, self.columns, self.description, self.common_sigma_m, alike)
+        return geojson.write(self.origin, self.columns, self.description, self.common_sigma_m, self.automatic, alike)
 
     def __len__(self) -> int:
         return len(self.columns.ids)

@@ -4,6 +4,7 @@ In these pages ```sh is run here, each page in a folder of its own; ```console i
 prompt, a simulator, a daemon that flies until it is stopped. Those are listed below, with where else they are tested.
 """
 
+import json
 import os
 import re
 import shutil
@@ -34,6 +35,8 @@ from models.frames import GRAVITY
 from models.messages import GnssFix, GnssVelocity, ImuSample, vec3
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
+from tests.estimator.commands.photos import of_scene
+from vision.synthetic.scenes import WorldSpec, make_world
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -115,7 +118,25 @@ def a_board_and_an_imu(folder: Path) -> None:
             log.write(*encode_image(t_ns, image, "/left/image", jpeg_quality=95), t_ns)
 
 
-BROUGHT: dict[str, Callable[[Path], None]] = {"README": a_csv_flight, "tutorial_calibrate": a_board_and_an_imu}
+def a_photo_and_footprints(folder: Path) -> None:
+    """A rendered photo with a drone's tags, 3 m off; outlines, heights and colours of the buildings, nothing else."""
+    spec = WorldSpec("lookalikes", painted=1.0, area_m=240.0, sigma_m=0.2, height_sigma_m=0.1, outline_sigma_m=0.05)
+    scene = make_world(2, spec)
+    off, place = np.array([2.5, -1.5, 2.0]), np.array([0.0, 0.0, -80.0])
+    p_nc = of_scene(folder / "DJI_0001.JPG", scene, place, (0.04, -0.03, 0.7), off=off)
+    file = json.loads(scene.map.to_geojson())
+    for feature in file["features"]:
+        theirs = feature["properties"]
+        feature["properties"] = {"height": str(theirs["height_m"]), "roof:colour": theirs.get("colour", "")}
+    (folder / "footprints.geojson").write_text(json.dumps({"type": file["type"], "features": file["features"]}))
+    (folder / "truth.json").write_text(json.dumps(scene.map.frame.to_geodetic(p_nc)))
+
+
+BROUGHT: dict[str, Callable[[Path], None]] = {
+    "README": a_csv_flight,
+    "tutorial_calibrate": a_board_and_an_imu,
+    "tutorial_photo": a_photo_and_footprints,
+}
 
 
 # -------------------------------------------------------------------------------------------------------------- what it must give
@@ -138,6 +159,14 @@ def mapped(folder: Path, said: str) -> None:
     assert (folder / "out/tutorial/map.png").stat().st_size > 20_000
 
 
+def located(folder: Path, said: str) -> None:
+    true = json.loads((folder / "truth.json").read_text())
+    lat, lon = (float(re.findall(rf"{name} +(-?[\d.]+) deg", said)[-1]) for name in ("latitude", "longitude"))
+    off_m = np.hypot((lat - true[0]) * 111_200.0, (lon - true[1]) * 111_200.0 * np.cos(np.radians(lat)))
+    assert off_m < 1.5
+    assert (folder / "seen.png").stat().st_size > 100_000
+
+
 def tuned(folder: Path, said: str) -> None:
     noise, default = load(folder / "out/tune/tuned.toml").imu, load(None).imu
     assert noise.accel_noise < default.accel_noise
@@ -155,6 +184,7 @@ GIVES: dict[str, Callable[[Path, str], None]] = {
     "tutorial_replay": replayed,
     "tutorial_calibrate": calibrated,
     "tutorial_map": mapped,
+    "tutorial_photo": located,
     "tutorial_tune": tuned,
 }
 

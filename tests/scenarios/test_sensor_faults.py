@@ -4,6 +4,7 @@ Airspeed has its own in test_air.py.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -20,7 +21,12 @@ from tests.scenarios.senses import HOME, Ride, heading, magnetometer, range_down
 BEGIN_S, DARK_S, END_S = 22.0, 40.0, 65.0  # of the fault, of the dark
 LATE_NS = 1_000_000_000
 CONFIG = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla)
-SENSORS = {"heading": heading, "magnetometer": magnetometer, "velocity_body": velocity_body, "range": range_down}
+SENSORS: dict[str, Callable[..., list[Reading]]] = {
+    "heading": heading,
+    "magnetometer": magnetometer,
+    "velocity_body": velocity_body,
+    "range": range_down,
+}
 BIASES = {"heading": math.radians(30.0), "magnetometer": 2e-5, "velocity_body": 3.0, "range": 10.0}
 FAULTS = ("stuck", "biased", "negative", "exchanged", "late", "in feet")
 NOT_SEEN = {("magnetometer", "late"), ("range", "late")}  # a second late, in gentle loops at a constant height: no harm is done

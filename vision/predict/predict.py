@@ -71,11 +71,12 @@ class _Decided(NamedTuple):
 class PredictPath:
     """Images of one rig, looked at where the prior says."""
 
-    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float) -> None:
-        """gone: share of the map assumed to stand no longer."""
+    def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
+        """gone: share of the map assumed to stand no longer; alone: whether one landmark alone may be a fix."""
         self._rig, self._config = rig, config
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
+        self._alone = alone
 
     def moves(self, images: Images, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
         """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
@@ -95,7 +96,7 @@ class PredictPath:
         eye, candidates = self._eye(images), self._candidates(images, marks, move)
         found = self._decide(images, marks, candidates, prior)
         place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
-        found = self._confirmed(found, t_ns, prior) if isinstance(found, _Decided) else found
+        found = self._confirmed(found, marks, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
             said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
             if found.outcome != "waiting":
@@ -190,14 +191,19 @@ class PredictPath:
             grade, reason = "weak", "another position has more votes"
         return _Decided(places[at], outcome, grade, reason, evidence.rival)
 
-    def _confirmed(self, found: _Decided, t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """What is weak, or not what the image before showed, waits until the next one agrees."""
+    def _confirmed(self, found: _Decided, marks: list[Landmark], t_ns: int, prior: Prior) -> _Decided | _Refused:
+        """What is weak waits for an image from elsewhere that agrees; what the image before contradicts for the next one."""
+        fitted, weak = found.fitted, found.grade == "weak"
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
-        doubtful = found.grade == "weak" or self._waiting.holds(t_ns, found.fitted.odds)
-        if doubtful and not self._waiting.agrees(found.fitted, t_ns, prior):
-            return _Refused("waiting", f"{found.reason or 'the image before showed another position'}: the next image must agree")
-        return found
+        if not self._alone and len(fitted.used) == 1:
+            return _Refused("ambiguous", "one landmark alone, of a map that was picked automatically")
+        if not weak and not self._waiting.holds(t_ns, fitted.odds):
+            return found
+        roofs_n = np.array([[*marks[k].centre_n, marks[k].roof_d] for k in fitted.used])
+        doubt = self._waiting.doubt(fitted, t_ns, prior, roofs_n, weak=weak)
+        reason = found.reason or "the image before showed another position"
+        return _Refused("waiting", f"{reason}: {doubt}") if doubt else found
 
     def _trusted(self, place: Candidate) -> Mask:
         """Landmarks (L,) that count as seen."""

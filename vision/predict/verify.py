@@ -63,6 +63,9 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     weak_factor: Annotated[float, Meta(gt=1, description="above it the next image must agree")] = 2.2
     memory_s: Annotated[float, Meta(gt=0, description="how long a weak position waits for another that agrees")] = 3.0
     agree: Annotated[float, Meta(gt=0, description="chi-square (6) below which two positions agree")] = 16.8
+    view_deg: Annotated[
+        float, Meta(ge=0, description="by which lines of sight must have turned for another image to confirm a weak position")
+    ] = 0.5
     drift_m: Annotated[float, Meta(gt=0, description="by which dead reckoning may be off from image to image")] = 0.05
 
 
@@ -194,7 +197,7 @@ class _Held:
     t_ns: int
     error: Array  # x (-) x0, (6,)
     covariance: Array
-    prior: Array  # its variances
+    prior: Prior
     odds: float
     sure: bool
 
@@ -202,7 +205,13 @@ class _Held:
     def of(cls, fitted: Fitted, t_ns: int, prior: Prior, *, sure: bool) -> "_Held":
         fit = fitted.pose
         error = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
-        return cls(t_ns, error, fit.joint_covariance, np.diag(prior.covariance).copy(), fitted.odds, sure)
+        return cls(t_ns, error, fit.joint_covariance, prior, fitted.odds, sure)
+
+    def view_change(self, now: Prior, points_n: Array) -> float:
+        """By which angle, in the body's axes, the lines of sight to points (N, 3) have turned until now: the mean, rad."""
+        then_b, now_b = ((points_n - prior.p_n) @ prior.R_nb for prior in (self.prior, now))
+        across = np.linalg.norm(np.cross(then_b, now_b), axis=1)
+        return float(np.mean(np.arctan2(across, np.sum(then_b * now_b, axis=1))))
 
 
 class Waiting:
@@ -236,16 +245,27 @@ class Waiting:
             return None
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
-    def agrees(self, fitted: Fitted, t_ns: int, prior: Prior) -> bool:
-        """Whether the position held before shows the same error of the prior; this one is held from now on.
+    def doubt(self, fitted: Fitted, t_ns: int, prior: Prior, roofs_n: Array, *, weak: bool) -> str:
+        """Why the position held before does not settle this one; empty where it shows the same error of the prior.
 
-        One landmark looks in both images as it does in one, so that together they must be likelier than each of them.
+        One landmark looks in both images as it does in one, so that together they must be likelier than each of them. Two weak
+        ones confirm each other only where the lines of sight to the roofs (L, 3) have turned, by the filter's motion: a false
+        match repeats in the same view, as while hovering. Then the earlier one waits on, else this one does from now on.
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
+        alone = before is not None and len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds
+        if before is not None and self._same_error(before, now) and not alone:
+            if before.sure or not weak or before.view_change(prior, roofs_n) >= math.radians(self._config.view_deg):
+                self._held, self._nothing_ns = now, None
+                return ""
+            self._nothing_ns = None
+            return "the image before agrees, but from the same viewpoint; one from elsewhere must agree"
         self._held, self._nothing_ns = now, None
-        if before is None or (len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds):
-            return False
-        drift = np.maximum(now.prior - before.prior, 0.0)
+        return "the next image must agree"
+
+    def _same_error(self, before: _Held, now: _Held) -> bool:
+        variances, variances_before = (np.diag(held.prior.covariance) for held in (now, before))
+        drift = np.maximum(variances - variances_before, 0.0)
         drift[:3] += self._config.drift_m**2
         apart = now.error - before.error
         spread = now.covariance + before.covariance + np.diag(drift)

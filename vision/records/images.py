@@ -35,10 +35,11 @@ def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Images | 
         "missing" if image is None else image_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
     ]
     if all(flaws):
-        return f"left: {flaws[0]}; right: {flaws[1]}"
+        return str(flaws[0]) if rig.one_camera else f"left: {flaws[0]}; right: {flaws[1]}"
     if not any(flaws) and left is not None and right is not None and (flaw := pair_flaw(left, right)):
         flaws[1] = flaw
-    remark = "".join(f"{name} camera not used: {flaw}; " for name, flaw in zip(("left", "right"), flaws, strict=True) if flaw)
+    sides = ("left",) if rig.one_camera else ("left", "right")
+    remark = "".join(f"{name} camera not used: {flaw}; " for name, flaw in zip(sides, flaws, strict=False) if flaw)
     first, second = (
         None if image is None or flaw else np.require(to_8_bit(image), np.uint8, ["C", "W"])  # as the kernels are compiled
         for image, flaw in zip((left, right), flaws, strict=True)

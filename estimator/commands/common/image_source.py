@@ -45,12 +45,17 @@ def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> 
             source = (taken for (taken,) in live([file]))
         elif Path(file).suffix.lower() == ".mcap":
             source = _log(Path(file), topic, most)
-        elif Path(file).suffix.lower() in _VIDEOS:
+        elif is_video(Path(file)):
             source = _video(Path(file), most)
         else:
             source = _still(Path(file), k)
         for image in source:
             yield image._replace(done=(k + image.done) / len(files))
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is a video, by its name."""
+    return path.suffix.lower() in _VIDEOS
 
 
 def files_of(sources: Sequence[str]) -> list[str]:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from estimator.commands.common.console import Json, note, print_json, print_table
+from estimator.commands.common.console import Json, note, print_json, print_table, progress
 from estimator.commands.common.mount import Mount, MountSigma, mount_of
 
 if TYPE_CHECKING:
+    from estimator.commands.photo.shots import Shot, Shots
     from estimator.map_files.image_file import ImageFile
     from models.camera import StereoRig
     from models.maps.landmarks import LandmarkMap
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
     from vision.recognisers import MapImage
 
 
-_APART_NS = 1_000_000_000  # of photos, whose time nobody has said
-_WIDEST_M = 1e7  # a quarter of the way around the Earth
+_AROUND_M, _NEAREST = 300.0, 20  # landmarks that tell how high the ground is
 
 
 class LocateError(ValueError):
@@ -32,20 +32,32 @@ class LocateError(ValueError):
 def command(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGES...", help="LEFT [RIGHT] of a rig, or photos of one camera in order: PNG, JPEG, TIFF."),
+        typer.Argument(metavar="IMAGES...", help="Photos, folders or a video of one camera, in order; or LEFT [RIGHT] of a rig."),
     ],
-    rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of rig or camera (YAML or XML).")],
+    rig_file: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="RIG", help="Calibration of rig or camera (YAML or XML); else what the photo's tags tell."),
+    ] = None,
     prior: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             metavar="LAT,LON,ALT,ROLL,PITCH,YAW",
-            help="Prior pose of the vehicle: deg, m above the ellipsoid, deg. One for all photos, or repeated, one for each.",
+            help="Prior pose of the vehicle: deg, m above the ellipsoid, deg. One for all photos, or repeated, one for each; "
+            "else what each photo's tags tell.",
         ),
-    ],
+    ] = None,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map (landfix map build).")] = None,
     mount: Mount = "",
     mount_sigma: MountSigma = "0.02,1",
-    prior_sigma: Annotated[str, typer.Option(metavar="M,DEG", help="Standard deviation of --prior, each axis.")] = "10,2",
+    prior_sigma: Annotated[
+        str, typer.Option(metavar="M,DEG", help="Standard deviation of the prior, each axis; 10,2 with --prior.")
+    ] = "",
+    height_m: Annotated[
+        float | None, typer.Option(min=1, max=5000, help="Height above the ground, in place of that in the photos' tags.")
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=320, max=20_000, help="Photos are scaled to it [px]; 800 where tags tell of the camera.")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="IMAGE", help="Orthophoto or satellite image: GeoTIFF, or with a world file.")
     ] = None,
@@ -67,11 +79,14 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="PNG of the left image, the map drawn into it.")] = None,
     json: Json = False,
 ) -> None:
-    """Locate the vehicle: a fix from a stereo pair, from one image, or from several photos of one camera.
+    """Locate the vehicle: a fix from photos of a drone, a video, one image, or a stereo pair.
 
-    A camera file of landfix calibrate mono needs --mount: the mount of the photo as a viewer shows it (0,0,0,0,-90,0 looks down
-    with the photo's upper edge forward). Photos of another size are scaled if their aspect ratio is the camera's. A later photo
-    may confirm an earlier one; the result is that of the last photo with a fix.
+    Without --prior a photo's own tags (EXIF, and XMP of DJI, Autel, Parrot, senseFly) give position, height above the take-off
+    point and the camera's angles; the vehicle is the camera then. Without --rig they give the camera, too, less exactly.
+    A camera file of landfix calibrate mono with --prior needs --mount: the mount of the photo as a viewer shows it (0,0,0,0,-90,0
+    looks down with the photo's upper edge forward). Photos of another size are scaled if their aspect ratio is the camera's. A
+    video begins at --prior, and its later frames at the last fix. A later photo may confirm an earlier one; the result is that
+    of the last photo with a fix.
 
     Regions are measured and matched with the map near the prior. Without a match the left image is registered with the
     orthophoto. The fix is that of the images alone; "with the prior" combines both. Each region is listed with its result. The
@@ -79,6 +94,8 @@ def command(
 
     \b
     Examples:
+      landfix locate DJI_0001.JPG --map town.geojson -o seen.png
+      landfix locate flight/ --map town.geojson --rig camera.yaml
       landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
       landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
@@ -86,43 +103,31 @@ def command(
       landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
-    from calib.files.formats import load_cameras
+    from estimator.commands.photo.shots import Given, check, take
     from estimator.map_files.image_file import ImageFile
 
-    poses = [_numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90") for text in prior]
-    sigma = _numbers(prior_sigma, 2, "--prior-sigma", "10,2")
+    given = Given(files, rig_file, mount_of(mount, mount_sigma), prior or [], prior_sigma, height_m, width)
+    check(given)
     if within_m is not None and not within_m > 0.0:
         raise typer.BadParameter(f"--within {within_m:g} must be above 0")
     if map_file is None and picture is None:
         raise typer.BadParameter("a map is needed: --map, --picture, or both")
-    rig = load_cameras(rig_file, mount_of(mount, mount_sigma))
-    if not rig.one_camera and len(files) > 2:
-        raise typer.BadParameter(
-            f"{len(files)} files: a rig of two cameras takes LEFT [RIGHT]; several photos are for one camera"
-        )
-    pair = [(files[0], files[1] if len(files) == 2 else None)]
-    shots: list[tuple[Path, Path | None]] = [(path, None) for path in files] if rig.one_camera else pair
-    if len(poses) not in {1, len(shots)}:
-        raise typer.BadParameter(f"--prior given {len(poses)} times for {len(shots)} photos: give one for all, or one for each")
     known = None
     if picture is not None:
         known = ImageFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
     landmarks, map_image = _map(map_file, known)
-    starts = [_prior(landmarks, pose, sigma) for pose in poses] * (len(shots) if len(poses) == 1 else 1)
-    rig, images = _images(shots, rig, bool(mount))
-    results = _results(rig_file, rig, landmarks, map_image, images, starts)
-    k = max((k for k, result in enumerate(results) if result.fix is not None), default=len(results) - 1)
-    start, result = starts[k], results[k]
-    left = images[k][0]
-    if out is not None and left is not None:
-        _write_overlay(out, left, rig, landmarks, start, result)
+    shots = take(given, landmarks.frame, lambda north, east: _ground_d(landmarks, map_image, north, east))
+    for remark in shots.remarks:
+        note(remark)
+    results = _results(rig_file, shots, landmarks, map_image)
+    shot, result = next((one for one in reversed(results) if one[1].fix is not None), results[-1])
+    start = shot.prior
+    if out is not None:
+        _write_overlay(out, shot.left, shots.rig, landmarks, start, result)
     answer = _as_json(landmarks, start, result)
-    if len(shots) > 1:
-        answer["photo"] = str(files[k])
-        answer["photos"] = [
-            {"file": str(path), "outcome": r.report.outcome, "detail": r.report.detail}
-            for path, r in zip(files, results, strict=True)
-        ]
+    if len(results) > 1:
+        answer["photo"] = shot.name
+        answer["photos"] = [_photo_json(landmarks, *one) for one in results]
     if json:
         print_json(answer)
     else:
@@ -136,54 +141,37 @@ def command(
         raise LocateError(f"no fix good to {within_m:g} m: with the prior it is good to {known_m:.2f} m (95 %)")
 
 
-def _images(
-    shots: "list[tuple[Path, Path | None]]", rig: "StereoRig", shown: bool
-) -> "tuple[StereoRig, list[tuple[Image, Image | None]]]":
-    """The images at the cameras' size; shown: the camera's mount is that of the photo as a viewer shows it."""
-    import msgspec
-
-    from estimator.commands.common import photo
-    from estimator.commands.common.image_source import read_image
-
-    if not rig.one_camera:
-        return rig, [
-            (
-                photo.fitted(left, read_image(left), rig.left, 0)[0],
-                None if right is None else photo.fitted(right, read_image(right), rig.right, 0)[0],
-            )
-            for left, right in shots
-        ]
-    turns = [photo.quarter_turns(left) for left, _ in shots]
-    fitted = [photo.fitted(left, read_image(left), rig.left, n) for (left, _), n in zip(shots, turns, strict=True)]
-    if shown:
-        left_to_turn = {0 if turned else n for n, (_, turned) in zip(turns, fitted, strict=True)}
-        if len(left_to_turn) > 1:
-            raise LocateError(
-                "the photos' EXIF orientations differ, so that --mount is not the same for all: locate them one by one"
-            )
-        rig = msgspec.structs.replace(rig, R_bc=photo.turned_mount(rig.R_bc, left_to_turn.pop()))
-    return rig, [(image, None) for image, _ in fitted]
-
-
 def _results(
-    rig_file: Path,
-    rig: "StereoRig",
-    landmarks: "LandmarkMap",
-    map_image: "MapImage | None",
-    images: "list[tuple[Image, Image | None]]",
-    starts: "list[Prior]",
-) -> "list[Result]":
+    rig_file: Path | None, shots: "Shots", landmarks: "LandmarkMap", map_image: "MapImage | None"
+) -> "list[tuple[Shot, Result]]":
     """What is found in each image, one after the other, as a later one may confirm an earlier one."""
     from vision.recognisers import Recognisers
 
     try:
-        recognisers = Recognisers(rig, landmarks, map_image)
+        recognisers = Recognisers(shots.rig, landmarks, map_image)
     except ValueError as error:
-        raise LocateError(f"{rig_file}: {error}") from None
-    return [
-        recognisers.process(left, right, k * _APART_NS, start)
-        for k, ((left, right), start) in enumerate(zip(images, starts, strict=True))
-    ]
+        raise LocateError(f"{rig_file or 'camera'}: {error}") from None
+    results: list[tuple[Shot, Result]] = []
+    with progress("locate") as report:
+        for k, shot in enumerate(shots.images):
+            report(k / shots.total, Path(shot.name).name)
+            shot = _following(shot, results)  # noqa: PLW2901
+            results.append((shot, recognisers.process(shot.left, shot.right, shot.t_ns, shot.prior)))
+    return results
+
+
+def _following(shot: "Shot", before: "list[tuple[Shot, Result]]") -> "Shot":
+    """A video's frame with the last fix as its prior; any other as it is."""
+    import numpy as np
+
+    from models import so3
+    from vision.identify.identify import Prior
+
+    pose = next((result.pose for _, result in reversed(before) if result.pose is not None), None)
+    if not shot.follows or pose is None:
+        return shot
+    q_nb = so3.normalise(so3.from_matrix(np.ascontiguousarray(pose.joint_R_nb)))
+    return shot._replace(prior=Prior(pose.joint_p_n, q_nb, shot.prior.covariance))
 
 
 def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap, MapImage | None]":
@@ -200,6 +188,16 @@ def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap
         assert known is not None
         landmarks = LandmarkMap.from_landmarks(image_store.origin(known), [])
     return landmarks, image_store.load(known, landmarks.origin) if known else None
+
+
+def _ground_d(landmarks: "LandmarkMap", known: "MapImage | None", north: float, east: float) -> float:
+    """Down of the map's ground at a place: of the landmarks near there, else of the image's ground, else the origin's."""
+    import numpy as np
+
+    rows = landmarks.rows_near(north, east, _AROUND_M)[:_NEAREST]
+    if len(rows):
+        return float(np.median(landmarks.columns.base_d[rows]))
+    return 0.0 if known is None else float(known.image.heights.at(np.array([[north, east]]))[0])
 
 
 def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
@@ -232,32 +230,6 @@ def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
     return combine(
         prior, np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)), fix.covariance + common, fix.directions, fix.readings
     )
-
-
-def _numbers(text: str, count: int, option: str, example: str) -> list[float]:
-    try:
-        numbers = [float(x) for x in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise typer.BadParameter(f"{option} '{text}' must be {count} numbers with commas between, as in {example}")
-    return numbers
-
-
-def _prior(landmarks: "LandmarkMap", pose_prior: list[float], sigma: list[float]) -> "Prior":
-    import numpy as np
-
-    from models import so3
-    from vision.identify.identify import Prior
-
-    lat, lon, alt, roll, pitch, yaw = pose_prior
-    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
-        raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
-    if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):
-        raise typer.BadParameter(f"--prior-sigma must be positive, at most {_WIDEST_M:.0f} m and 180 degrees")
-    variance = [sigma[0] ** 2] * 3 + [math.radians(sigma[1]) ** 2] * 3
-    q = so3.from_euler(math.radians(roll), math.radians(pitch), math.radians(yaw))
-    return Prior(np.array(landmarks.frame.to_ned(lat, lon, alt)), q, np.diag(variance))
 
 
 def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance: "Array") -> dict[str, Any]:
@@ -306,9 +278,28 @@ def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict
     return answer
 
 
+def _photo_json(landmarks: "LandmarkMap", shot: "Shot", result: "Result") -> dict[str, Any]:
+    """One of several: outcome, and where it was taken, with the prior."""
+    found: dict[str, Any] = {"file": shot.name, "outcome": result.report.outcome, "detail": result.report.detail}
+    if result.fix is not None:
+        pose = _as_json(landmarks, shot.prior, result)["with_prior"]
+        found |= {key: pose[key] for key in ("lat_deg", "lon_deg", "alt_m", "within_m")}
+    return found
+
+
 def _print(answer: dict[str, Any], result: "Result") -> None:
     if "photos" in answer:
-        print_table("Photos", [(p["file"], p["outcome"].replace("_", " "), p["detail"]) for p in answer["photos"]])
+        rows = [
+            (
+                Path(p["file"]).name,
+                p["outcome"].replace("_", " "),
+                f"{p['within_m']:.2f} m" if "within_m" in p else "-",
+                p["detail"],
+            )
+            for p in answer["photos"]
+        ]
+        print_table("Photos", rows, ("photo", "outcome", "known to (95 %)", "why"))
+        typer.echo(f"{answer['photo']}:")
     if result.regions:
         rows = [
             (r.landmark or "-", r.state.replace("_", " "), f"{r.similarity:.0%}" if r.similarity else "-", r.reason)

@@ -21,7 +21,7 @@ _MOST_REGIONS = 100_000
 
 
 def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: float, sigma_m: float | None = None) -> bytes:
-    """GeoJSON of the image's regions of these colours; none: of whatever colours it has.
+    """GeoJSON of the image's regions of these colours, marked as an automatic map; none: of whatever colours it has.
 
     sigma_m: of the image's place on Earth; None: one pixel. Regions that the border cuts are left out. A grey image tells no
     colours of roofs, and none are written.
@@ -41,7 +41,7 @@ def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: floa
         colour = {} if ortho.is_grey else {"colour": to_hex((blue, green, red))}
         geometry = {"type": "Polygon", "coordinates": [lonlat.tolist()]}
         features.append({"type": "Feature", "id": f"{k}", "properties": {**sigmas, **colour}, "geometry": geometry})
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features})
+    return msgspec.json.encode({"type": "FeatureCollection", "landfix": {"automatic": True}, "features": features})
 
 
 def resolution_m(ortho: Orthophoto) -> float:

@@ -14,7 +14,7 @@ from calib.errors import CalibrationError
 from calib.files.formats import load_rig, save_camera, save_rig
 from calib.files.rig_yaml import FORWARD
 from estimator.cli import app
-from estimator.commands.common import photo
+from estimator.commands.photo import fitted as photo
 from models import so3
 from models.camera import CameraModel
 from models.frames import Origin

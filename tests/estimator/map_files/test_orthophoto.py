@@ -104,6 +104,8 @@ def test_landmarks_are_picked_from_an_image(tmp_path: Path) -> None:
     picked = LandmarkMap.from_geojson(out.read_bytes())
     expected = build(footprints(tmp_path / "in.geojson", NORTH_UP), path, "--origin", ",".join(map(repr, picked.origin)))
     assert len(picked) == len(PATCHES)
+    assert picked.automatic
+    assert not expected.automatic
     for there in expected:
         (found,) = picked.near(*there.centre_n, 1.0)
         assert found.centre_n == pytest.approx(there.centre_n, abs=0.1)

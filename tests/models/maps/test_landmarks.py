@@ -133,6 +133,15 @@ def test_one_in_another() -> None:
     assert len(LandmarkMap.from_landmarks(ORIGIN, []).nested()) == 0
 
 
+def test_a_map_that_a_program_picked_says_so_in_its_file() -> None:
+    pad = Landmark.of("pad", [(0, 0), (0, 4), (4, 4), (4, 0)])
+    picked = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [pad])
+    assert b"automatic" not in picked.to_geojson()
+    assert not LandmarkMap.from_geojson(picked.to_geojson()).automatic
+    picked.automatic = True
+    assert LandmarkMap.from_geojson(picked.to_geojson()).automatic
+
+
 def test_by_how_much_the_whole_map_may_be_shifted_is_kept_in_its_file() -> None:
     pad = Landmark.of("pad", [(0, 0), (0, 4), (4, 4), (4, 0)])
     the_map = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [pad], (0.4, 0.8))

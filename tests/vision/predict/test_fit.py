@@ -1,5 +1,6 @@
 """From a place of the coarse search to a fit."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -9,8 +10,9 @@ import pytest
 
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from models.so3 import from_matrix
+from models.so3 import from_matrix, matrix, multiply, quat_exp
 from tests.vision.predict.test_predict import MARKS, RIG, View, drawn, look_at, whole
+from vision.identify.identify import Prior
 from vision.outline.visibility import MapError
 from vision.pose.observation import LookConfig
 from vision.pose.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, retract
@@ -255,22 +257,65 @@ def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: flo
     assert stood.tolist() == [used] * len(MARKS)
 
 
+ROOFS = np.array([[*mark.centre_n, mark.roof_d] for mark in MARKS])
+
+
+def beside(prior: Prior, metres: float, turn_rad: float = 0.0) -> Prior:
+    """The filter's estimate, moved north and turned about its own forward axis; its error stays."""
+    q = multiply(prior.q_nb_wxyz, quat_exp(np.array([turn_rad, 0.0, 0.0])))
+    return Prior(prior.p_n + np.array([metres, 0.0, 0.0]), q, prior.covariance)
+
+
+def moved(fit: Fitted, metres: float, turn_rad: float = 0.0) -> Fitted:
+    """The same error of the prior from there: a false match that repeats."""
+    p_n, R_nb = fit.pose.joint_p_n, fit.pose.joint_R_nb @ matrix(quat_exp(np.array([turn_rad, 0.0, 0.0])))
+    return replace(fit, pose=replace(fit.pose, joint_p_n=p_n + np.array([metres, 0.0, 0.0]), joint_R_nb=R_nb))
+
+
 def test_a_second_look_at_an_image_still_knows_the_image_before() -> None:
     """Where prediction finds nothing and segmentation then does; the image after one that showed nothing does not."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
-    assert not memory.agrees(fit, 1, prior)
+    assert memory.doubt(fit, 1, prior, ROOFS, weak=True)
     memory.nothing(2)
-    assert memory.agrees(fit, 2, prior)
+    assert not memory.doubt(moved(fit, 3.0), 2, beside(prior, 3.0), ROOFS, weak=True)
     assert memory.holds(3, fit.odds)
     memory.nothing(3)
     assert not memory.holds(4, fit.odds)
-    assert not memory.agrees(fit, 4, prior)
+    assert memory.doubt(fit, 4, prior, ROOFS, weak=True)
+
+
+def test_a_false_match_that_repeats_while_hovering_confirms_nothing() -> None:
+    """Ten images from a place that drifts by 6 cm, then one from 3 m farther on."""
+    fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
+    for k in range(10):
+        drift = 0.03 * (k % 3)
+        said = memory.doubt(moved(fit, drift), 1 + k * 100_000_000, beside(prior, drift), ROOFS, weak=True)
+        assert said.endswith("one from elsewhere must agree" if k else "the next image must agree")
+    assert not memory.doubt(moved(fit, 3.0), 1_100_000_000, beside(prior, 3.0), ROOFS, weak=True)
+
+
+def test_a_turn_is_a_change_of_viewpoint() -> None:
+    fit, prior = fitted(whole(), MARKS), drawn(whole(), 1)
+    for degrees, confirms in ((0.3, False), (1.0, True)):
+        memory, turn = Waiting(VerifyConfig()), math.radians(degrees)
+        memory.doubt(fit, 1, prior, ROOFS, weak=True)
+        assert bool(memory.doubt(moved(fit, 0.0, turn), 2, beside(prior, 0.0, turn), ROOFS, weak=True)) is not confirms
+
+
+def test_what_is_sure_by_itself_needs_no_other_viewpoint() -> None:
+    """Neither where the earlier image was sure, nor where this one is and only has to agree."""
+    fit, prior = fitted(whole(), MARKS), drawn(whole(), 1)
+    after_a_fix, after_a_doubt = Waiting(VerifyConfig()), Waiting(VerifyConfig())
+    after_a_fix.fixed(fit, 1, prior)
+    assert not after_a_fix.doubt(fit, 2, prior, ROOFS, weak=True)
+    after_a_doubt.doubt(fit, 1, prior, ROOFS, weak=True)
+    assert not after_a_doubt.doubt(fit, 2, prior, ROOFS, weak=False)
 
 
 def test_a_much_likelier_place_does_not_wait_for_one_that_does() -> None:
     """Ten times, ln 10 = 2.3: as where two places in one image are compared."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
-    memory.agrees(replace(fit, odds=4.0), 1, prior)
+    memory.doubt(replace(fit, odds=4.0), 1, prior, ROOFS, weak=True)
     assert memory.holds(2, 6.2)
     assert not memory.holds(2, 6.4)
 
@@ -279,6 +324,6 @@ def test_a_fix_speaks_for_a_weak_place_that_agrees_and_makes_none_wait() -> None
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     memory.fixed(fit, 1, prior)
     assert not memory.holds(2, fit.odds)
-    assert memory.agrees(fit, 2, prior)
+    assert not memory.doubt(fit, 2, prior, ROOFS, weak=True)
     memory.fixed(fit, 3, prior)
-    assert not memory.agrees(fit, 4, replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0])))
+    assert memory.doubt(fit, 4, replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0])), ROOFS, weak=True)

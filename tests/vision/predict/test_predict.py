@@ -163,6 +163,19 @@ def test_one_camera_alone(lost: str) -> None:
     assert f"{lost} camera not used: missing" in result.report.detail
 
 
+def test_one_landmark_of_a_map_that_a_program_picked_is_no_fix_however_often_it_is_seen() -> None:
+    """Two of them are; of a map that somebody has checked one is, too."""
+    view = look_at(MARKS[:2], np.array([0.0, 0.0, -40.0]))
+    fixes = []
+    for marks, automatic in ((MARKS[:1], False), (MARKS[:1], True), (MARKS[:2], True)):
+        the_map = LandmarkMap.from_landmarks(ORIGIN, marks)
+        the_map.automatic = automatic
+        one = LandmarkPipeline(RIG, the_map, PipelineConfig(path="predict"))
+        results = [one.process(view.left, view.right, k * 10**8, drawn(view, 1)) for k in range(3)]
+        fixes.append(any(result.fix is not None for result in results))
+    assert fixes == [True, False, True]
+
+
 def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
     view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=MARKS[:2])
     result = pipeline(MARKS).process(view.left, view.right, 0, drawn(view, 1))
@@ -305,12 +318,23 @@ def doubting(path: Literal["auto", "predict"] = "predict") -> LandmarkPipeline:
     return LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), msgspec.structs.replace(config, predict=predict))
 
 
-def test_little_to_be_seen_waits_for_an_image_that_agrees() -> None:
-    view, one, late = whole(), doubting(), doubting()
+ON = np.array([1.0, 0.5, 0.0])
+
+
+@cache
+def farther_on() -> View:
+    """The same place, seen from a metre farther on."""
+    return look_at(MARKS, np.array([0.0, 0.0, -40.0]) + ON)
+
+
+def test_little_to_be_seen_waits_for_an_image_from_elsewhere_that_agrees() -> None:
+    """The same view says the same again, which is nothing new."""
+    view, later, one, late = whole(), farther_on(), doubting(), doubting()
     prior = drawn(view, 1, 0.3 * SIGMA)
     first, second = (one.process(view.left, view.right, k * 10**8, prior) for k in (1, 2))
-    assert (first.fix, first.report.outcome) == (None, "waiting")
-    assert_right(second, view)
+    assert [(said.fix, said.report.outcome) for said in (first, second)] == [(None, "waiting")] * 2
+    assert "from the same viewpoint" in second.report.detail
+    assert_right(one.process(later.left, later.right, 3 * 10**8, replace(prior, p_n=prior.p_n + ON)), later)
     assert [late.process(view.left, view.right, t, prior).fix for t in (10**8, 10 * 10**9)] == [None, None]
 
 
@@ -322,12 +346,12 @@ def test_a_likely_place_is_not_overruled_by_segmentation() -> None:
 
 def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
     """The prior moved by a metre and a half between the images, the vehicle did not: the two places say different errors."""
-    view, one = whole(), doubting()
+    view, later, one = whole(), farther_on(), doubting()
     prior = drawn(view, 1)
     other = replace(prior, p_n=prior.p_n + np.array([1.5, 0.0, 0.0]))
     assert one.process(view.left, view.right, 10**8, prior).report.outcome == "waiting"
     assert one.process(view.left, view.right, 2 * 10**8, other).report.outcome == "waiting"
-    assert_right(one.process(view.left, view.right, 3 * 10**8, other), view)
+    assert_right(one.process(later.left, later.right, 3 * 10**8, replace(other, p_n=other.p_n + ON)), later)
 
 
 def test_a_sure_place_that_does_not_agree_with_the_weak_one_before_waits_too() -> None:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _ORIENTATION: Final = 0x0112
 _QUARTERS: Final = {1: 0, 6: 1, 3: 2, 8: 3}
-_SAME_ASPECT: Final = 3e-3  # one row of an image of 480, for which sizes are rounded
 
 
 def quarter_turns(path: Path) -> int:
@@ -37,22 +36,50 @@ def quarter_turns(path: Path) -> int:
 
 def fitted(path: Path, image: "Image", camera: "CameraModel", turns: int) -> "tuple[Image, bool]":
     """The photo at the camera's size, and whether it was turned upright for that. Raises CalibrationError for another aspect."""
-    import cv2
     import numpy as np
 
-    turned = turns % 2 == 1 and not _fits(image, camera) and _fits(np.rot90(image), camera)
+    from vision.image.scaled import fits, scaled
+
+    def has_aspect(seen: "Image") -> bool:
+        return fits(seen.shape[1], seen.shape[0], camera)
+
+    turned = turns % 2 == 1 and not has_aspect(image) and has_aspect(np.rot90(image))
     if turned:
         image = np.ascontiguousarray(np.rot90(image, -turns))
     height, width = image.shape[:2]
-    if (width, height) == (camera.width, camera.height):
-        return image, turned
-    if not _fits(image, camera):
+    if not has_aspect(image):
         raise CalibrationError(
             f"{path}: {width} x {height} is of another aspect ratio than the camera, {camera.width} x {camera.height}: "
             "calibrate the camera in the mode in which the photo was taken"
         )
-    way = cv2.INTER_AREA if width > camera.width else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=way), dtype=image.dtype), turned
+    return scaled(image, camera), turned
+
+
+def turns_left(path: Path, camera: "CameraModel", turns: int) -> int:
+    """Quarters by which a viewer turns the photo beyond what `fitted` does."""
+    from PIL import Image
+
+    from vision.image.scaled import fits
+
+    if turns % 2 == 0:
+        return turns
+    with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
+        width, height = photo.size
+    return 0 if not fits(width, height, camera) and fits(height, width, camera) else turns
+
+
+def at_width(camera: "CameraModel", width: int) -> "CameraModel":
+    """The camera of the same photos at another width: u + 1/2 is scaled, since pixel centres are at integers."""
+    import msgspec
+    import numpy as np
+
+    s = width / camera.width
+    scales = np.array([s] * 4 + [1.0] * len(camera.distortion))
+    covariance = None if camera.covariance is None else camera.covariance * np.outer(scales, scales)
+    return msgspec.structs.replace(
+        camera, width=width, height=round(s * camera.height), fx=s * camera.fx, fy=s * camera.fy,
+        cx=s * (camera.cx + 0.5) - 0.5, cy=s * (camera.cy + 0.5) - 0.5, covariance=covariance,
+    )  # fmt: skip
 
 
 def turned_mount(R_bc: "Array", turns: int) -> "Array":
@@ -62,8 +89,3 @@ def turned_mount(R_bc: "Array", turns: int) -> "Array":
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned: Array = R_bc @ np.linalg.matrix_power(quarter, turns)
     return turned
-
-
-def _fits(image: "Image", camera: "CameraModel") -> bool:
-    height, width = image.shape[:2]
-    return bool(abs(width * camera.height / (height * camera.width) - 1.0) < _SAME_ASPECT)
