@@ -21,7 +21,7 @@ from tests.scenarios.senses import HOME, Ride, heading, magnetometer, range_down
 BEGIN_S, DARK_S, END_S = 22.0, 40.0, 65.0  # of the fault, of the dark
 LATE_NS = 1_000_000_000
 CONFIG = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla)
-SENSORS: dict[str, Callable[..., list[Reading]]] = {
+SENSORS: dict[str, Callable[..., list[Input]]] = {
     "heading": heading,
     "magnetometer": magnetometer,
     "velocity_body": velocity_body,
