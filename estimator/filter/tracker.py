@@ -260,7 +260,7 @@ class Tracker(Alignment):
             self._wait_for_heading(aid, z, gyro_b)
         else:
             hypotheses, switches = self.hypotheses, self.hypotheses.switches
-            aid = delay.carried(aid, z, self._imu(samples), self.delays, hypotheses.members, alone=alone)
+            aid = delay.carried(aid, z, self._last_imu(samples), self.delays, hypotheses.members, alone=alone)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
             if decision.reason is Reason.GATED:
                 self._forget_estimated(aid, z)
@@ -402,6 +402,11 @@ class Tracker(Alignment):
             self.stretch = None
         elif is_long:
             self.stretch = Stretch.of(self.hypotheses.lead)
+
+    def _last_imu(self, samples: ImuBuffer) -> Array | None:
+        """The last sample up to now, (6,), which none that comes later changes; None in a gap."""
+        last = samples.first_after(self.t_ns) - 1
+        return samples.u[last] if last >= 0 and self.t_ns - samples.t_ns[last] <= self._gap_ns else None
 
     def _imu(self, samples: ImuBuffer) -> Array:
         """The raw angular rate and specific force now, (6,)."""

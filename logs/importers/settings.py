@@ -52,7 +52,7 @@ class Settings(msgspec.Struct, frozen=True):
             "odometry": [t for t in topics if t == ODOMETRY_TOPIC and kind == "csv"],  # elsewhere it may be our own
             "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
-        offered = [_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs["odometry"] else []
+        offered = [_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs.get("odometry") else []
         return self.text(kind, source, inputs, offered)
 
     def text(
@@ -81,7 +81,7 @@ class Settings(msgspec.Struct, frozen=True):
             lines += [f"{name} = {value!r}" for name, value in self.receiver.items()]
         if inputs.get("magnetometer") and self.hard_iron_ut is not None:
             lines += ["", "[magnetometer]", f"offset_ut = {list(self.hard_iron_ut)}"]
-        if inputs["airspeed"] and self.airspeed:
+        if inputs.get("airspeed") and self.airspeed:
             lines += ["", "[airspeed]", *(f"{name} = {str(value).lower()}" for name, value in self.airspeed.items())]
         if self.origin is not None:
             lat, lon, alt = self.origin

@@ -67,9 +67,9 @@ def block(topic: str) -> str:
     return f"{topic}.delay"
 
 
-def carried(aid: Aid, z: Measurement, u: Array, delays: Delays, members: Sequence[Hypothesis], *, alone: bool) -> Aid:
+def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: Sequence[Hypothesis], *, alone: bool) -> Aid:
     """The reading with the delay of its source among its errors; u (6,): rate and specific force then; alone: without others."""
-    if not aid.absolute and not aid.receiver:
+    if u is None or not (aid.absolute or aid.receiver):
         return aid
     topic = aid.witness
     if topic not in delays and alone:
@@ -108,7 +108,9 @@ def remarks(delays: Delays, lead: Eskf) -> list[str]:
 
 
 def begin(eskf: Eskf, topic: str, u: Array) -> None:
-    """The delay of the source that the filter has been aligned with alone."""
+    """The delay of the source that the filter has been aligned with alone; nothing where that is known already."""
+    if block(topic) in eskf.slow.columns:
+        return
     eskf.consider(block(topic), np.array([[_PROBE_S**2]]), np.inf)
     rotation, rate, force = so3.matrix(eskf.x[X.Q]), u[:_XYZ] - eskf.x[X.BG], u[_XYZ:] - eskf.x[X.BA]
     v = np.zeros(len(eskf.cov))

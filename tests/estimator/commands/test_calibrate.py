@@ -248,7 +248,7 @@ def test_dlt(tmp_path: Path) -> None:
     facts = json.loads(run("dlt", shifted, "--json").stdout)
     np.testing.assert_allclose(facts["location_m"], (0.0, 0.0, -5.0), atol=1e-6)
     assert facts["rms_px"] < 1e-6
-    assert "own plane" in fails("dlt", tmp_path / "points.csv")
+    assert "in the plane of the camera" in fails("dlt", tmp_path / "points.csv")
     (tmp_path / "torn.csv").write_text("\n".join([*rows, "1,2,3"]))
     assert "line 13" in fails("dlt", tmp_path / "torn.csv")
     assert "No such file" in fails("dlt", tmp_path / "none.csv")

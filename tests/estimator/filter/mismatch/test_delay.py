@@ -132,3 +132,12 @@ def test_no_delay_is_found_where_there_is_none(seed: int) -> None:
         assert found.score**2 < 16.0 * found.information
     assert " ms (sigma" not in run.health[-1].detail
     assert run.estimates[-1].t_ns > EPOCH_NS + 89 * SECOND
+
+
+def test_a_delay_that_is_known_is_not_begun_again() -> None:
+    eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
+    delay.begin(eskf, "/fix", U)
+    eskf.consider("gnss", np.eye(3), 60.0)
+    before = eskf.cov.copy()
+    delay.begin(eskf, "/fix", U)
+    np.testing.assert_array_equal(eskf.cov, before)

@@ -83,7 +83,7 @@ def test_it_is_written_into_the_map_said_and_drawn(tmp_path: Path) -> None:
     checked = json.loads(CliRunner().invoke(app, ["map", "check", str(out), "--json"]).stdout)
     assert [r["id"] for r in checked["repeats"]] == [landmark.id for landmark in terraces()]
     assert {c["name"]: c["state"] for c in checked["checks"]}["repetition"] == "warn"
-    assert "arrangements that stand" in CliRunner().invoke(app, ["map", "check", str(out)]).stdout
+    assert "repeated arrangements" in CliRunner().invoke(app, ["map", "check", str(out)]).stdout
     assert CliRunner().invoke(app, ["map", "show", str(out), "-o", str(image)]).exit_code == 0
     drawn = cv2.imread(str(image))
     assert drawn is not None
