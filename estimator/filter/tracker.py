@@ -336,7 +336,7 @@ class Tracker(Alignment):
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
             self._note_variance(aid, verdict.seen)
-        if verdict.fused and aid.absolute and not aid.geodetic:  # a receiver may be pulled off: that is no motion
+        if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
         if verdict.fused and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
