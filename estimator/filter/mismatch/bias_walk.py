@@ -5,8 +5,8 @@ are larger and follow one another in direction, the filter is wrong about the mo
 
     e <- e + a (nu^T S^-1 nu / m - e),   r <- r + a (cos(nu_k, nu_k-1) - r),      wrong where e > e1 and r > r1
 
-While that lasts, the variance that the biases gain per second is taken as a hundred times larger every two seconds; afterwards it
-comes back slowly. A source of too small a covariance has large innovations, but without a direction.
+Then the variance that the biases gain per second is taken as ten times larger, and a hundred times every two seconds while that
+lasts; afterwards it comes back. A source of too small a covariance has large innovations, but without a direction.
 (Mehra, Approaches to adaptive filtering, 1972; covariance inflation as in Sage and Husa 1969.)
 """
 
@@ -21,8 +21,8 @@ from models.imu import ImuNoise
 
 _SHARE = 0.15  # a: of one innovation
 _LARGER, _SAME_WAY = 1.3, 0.3  # e1, r1
-_STEP, _STEP_S = 100.0, 2.0
-_BACK_S = 30.0  # time constant
+_FIRST, _STEP, _STEP_S = 10.0, 100.0, 2.0
+_BACK_S = 15.0  # time constant
 _MOST = 1e6
 _MOST_GYRO, _MOST_ACCEL = 1e-3, 0.03  # rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz): no IMU is worse
 
@@ -55,6 +55,7 @@ class BiasWalk(NamedTuple):
     sources: tuple[tuple[str, Whiteness], ...] = ()
     factor: float = 1.0
     t_ns: int = 0
+    was_wrong: bool = False
 
     def also(self, topic: str, t_ns: int, seen: Innovation, variance_factor: float) -> "BiasWalk":
         """After a reading of an absolute source."""
@@ -63,8 +64,11 @@ class BiasWalk(NamedTuple):
         sources, seconds = tuple({**known, topic: now}.items()), (t_ns - self.t_ns) * 1e-9
         if seconds < _STEP_S:
             return self._replace(sources=sources)
-        factor = min(_STEP * self.factor, _MOST) if now.is_wrong else 1.0 + (self.factor - 1.0) * math.exp(-_STEP_S / _BACK_S)
-        return BiasWalk(sources, factor if factor > 1.1 else 1.0, t_ns)
+        if now.is_wrong:
+            factor = min((_STEP if self.was_wrong else _FIRST) * self.factor, _MOST)
+        else:
+            factor = 1.0 + (self.factor - 1.0) * math.exp(-_STEP_S / _BACK_S)
+        return BiasWalk(sources, factor if factor > 1.1 else 1.0, t_ns, now.is_wrong)
 
     def of_noise(self, noise: ImuNoise) -> ImuNoise:
         """The IMU with the larger walks."""
