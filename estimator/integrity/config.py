@@ -18,7 +18,12 @@ class IntegrityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=1e-9, le=0.1, description="1/h: how often the error may exceed the protection level without an alert")
     ] = 1e-5
     time_to_alert_s: Annotated[
-        float, Meta(ge=0.1, le=60, description="s: within it an alert is due; protection levels come five times as often")
+        float,
+        Meta(
+            ge=0.1,
+            le=60,
+            description="s: within it an alert is due; five protection levels come in it; without a limit half of one",
+        ),
     ] = 1.0
     correlation_s: Annotated[
         float, Meta(ge=0.1, le=3600, description="s: an hour holds 3600 / this independent errors of position")

@@ -1,4 +1,7 @@
-"""Protection levels and alert of what is published, five times in `time_to_alert_s`; reads the tracker, changes nothing of it."""
+"""Protection levels and alert of what is published; reads the tracker, changes nothing of it.
+
+Five times in `time_to_alert_s` where there is an alert limit, else once in twice that time: they cost as much as 20 IMU samples.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,7 +28,8 @@ class Monitor:
     def __init__(self, config: IntegrityConfig) -> None:
         self._config = config
         self._tail = Tail(config.core_scale, config.tail_scale, config.tail_share)
-        self._period_ns = round(config.time_to_alert_s * 1e9) // _PER_ALERT
+        is_judged = config.hal_m is not None or config.val_m is not None
+        self._period_ns = round(config.time_to_alert_s * 1e9 * (1.0 / _PER_ALERT if is_judged else 2.0))
         self._judge = Judge(config)
         self._positions: dict[str, Position] = {}
         self._next_ns: int | None = None
