@@ -229,7 +229,7 @@ def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
 
 def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(tmp_path: Path) -> None:
     flight = tmp_path / "flight.mcap"
-    simulation = simulate(loads("duration_s = 100.0\n"), seed=1)
+    simulation = simulate(loads("duration_s = 200.0\n[pose_fix]\nrate_hz = 2.0\n"), seed=1)  # seconds of work
     simulated.write(simulation, flight)
     flight.with_suffix(".toml").write_text(simulation.config_toml)
     for attempt in range(5):  # on a busy machine the replay may have ended before the signal comes
