@@ -94,6 +94,7 @@ class Tracker(Alignment):
         other.origin, other.place, other.constants = self.origin, self.place, self.constants
         other.sources, other.absolute = self.sources.copy(), self.absolute
         other.last_absolute_ns, other.anchor, other.given_up = self.last_absolute_ns, self.anchor, self.given_up
+        other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
         return other
 
     @property

@@ -47,7 +47,9 @@ def test_the_bound_holds_and_is_tight(of: list[tuple[float, float, float]], prob
         level = protection_level(modes, probability, HEAVY, exceeds)
         assert sum(exceeded(modes, level, HEAVY, exceeds)) <= probability * (1.0 + 1e-9)
         if level > 0.0:
-            assert sum(exceeded(modes, 0.997 * level, HEAVY, exceeds)) > probability
+            assert (
+                sum(exceeded(modes, 0.997 * level, HEAVY, exceeds)) >= probability
+            )  # as much, where a fault has its whole probability
 
 
 def test_a_rarer_risk_needs_a_wider_bound() -> None:

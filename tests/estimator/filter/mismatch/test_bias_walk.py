@@ -118,3 +118,14 @@ def test_readings_of_a_receiver_do_not_raise_it_for_a_receiver_may_be_pulled_off
     walk = run.fusion._history.advance(run.estimates[-1].t_ns).bias_walk
     assert {topic for topic, _ in walk.sources} == {"/pose_fix"}
     assert walk.factor == 1.0
+
+
+def test_a_restarted_estimate_knows_what_was_learnt_of_the_world() -> None:
+    flight = simulated(FLIGHT, seed=1)
+    run = fly(flight, messages=flight.messages[:2000])
+    tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
+    tracker.bias_walk = BiasWalk(factor=100.0)
+    again = tracker.restarted()
+    assert again.bias_walk.factor == 100.0
+    assert again.path_scale is tracker.path_scale
+    assert again.delays == tracker.delays
