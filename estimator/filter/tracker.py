@@ -229,8 +229,9 @@ class Tracker(Alignment):
             return self._take_prior(aid, z)
         self.path_scale = self.path_scale.also(aid, z)
         if why := self.path_scale.objection(aid.topic):
-            if self.sources.pop(aid.topic, _UNKNOWN).fused_ns > NEVER:
+            if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
                 self._leave(self.path_scale.last[-1][1])
+            self.sources[aid.topic] = _UNKNOWN
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):

@@ -106,3 +106,7 @@ def test_a_flight_with_fixes_in_centimetres_follows_gnss_and_says_why() -> None:
     assert {s.topic for s in refused} == {FIX}
     assert refused[-1].detail.endswith("between /pose_fix and /gnss: centimetres?")
     assert "centimetres?" in run.health[-1].detail
+    tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
+    assert tracker.absolute == {FIX, "/gnss"}
+    assert tracker.absolute <= tracker.sources.keys()  # what a conflict names is there
+    assert run.internal_errors() == []
