@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.filter import contradiction
+from estimator.filter import contradiction, remarks
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
@@ -38,11 +38,9 @@ _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
-_VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare a receiver with
 _XYZ = 3
 _ON_THE_GROUND = RestConfig()
 _FELT = frozenset({rest.TOPIC, drag.TOPIC})
-_WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,32 +148,19 @@ class Tracker(Alignment):
     @property
     def remarks(self) -> list[str]:
         """What makes an estimate that is published less certain than configured."""
-        found: list[str] = []
         if self.shown is None:
-            return found
-        found += filter(None, (self._conflict(), *(self.path_scale.objection(topic) for topic in sorted(self.absolute))))
-        if self.is_aligned and self.without_sensor is not None:
-            found.append(f"the heading is that of {self.without_sensor.topic} alone until the vehicle accelerates")
-        found += [
-            f"{topic} and the IMU have contradicted each other: each may be wrong by {s.drift_m_s:.2g} m/s"
-            for topic, s in sorted(self.sources.items())
-            if s.drift_m_s
+            return []
+        beside = self.without_sensor if self.is_aligned else None
+        return [
+            *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
+            *remarks.units(self.path_scale, self.absolute),
+            *remarks.drifts(self.sources),
+            *remarks.delays(self.delays, self.hypotheses),
+            *remarks.variance(self.variance_factor.value),
         ]
-        if self.hypotheses is not None:
-            found += delay.remarks(self.delays, self.hypotheses.lead)
-        if (f := self.variance_factor.value) >= _WORTH_SAYING:
-            found.append(f"innovations are {math.sqrt(f):.1f} times as large as configured: the covariance is widened")
-        return found
 
     def _conflict(self) -> str:
-        """Which absolute sources disagree, by how much and for how long; "" where none do."""
-        hypotheses = self.hypotheses
-        if hypotheses is None or hypotheses.conflict_ns is None or (found := hypotheses.conflict) is None:
-            return ""
-        (rejected, distance_m), since_s = found, (self.t_ns - hypotheses.conflict_ns) * 1e-9
-        used = {topic for topic in self.absolute - rejected if self.t_ns - self.sources[topic].fused_ns < _VOUCHED_NS}
-        sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
-        return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
+        return remarks.conflict(self.hypotheses, self.absolute, self.sources, self.t_ns)
 
     @property
     def needs_from_ns(self) -> int:
@@ -451,7 +436,7 @@ class Tracker(Alignment):
     def _vouched(self, aid: Aid) -> bool:
         """Another absolute source has been fused lately."""
         return any(
-            topic != aid.topic and topic in self.absolute and aid.t_ns - s.fused_ns < _VOUCHED_NS
+            topic != aid.topic and topic in self.absolute and aid.t_ns - s.fused_ns < remarks.VOUCHED_NS
             for topic, s in self.sources.items()
         )
 

@@ -1,0 +1,52 @@
+"""What makes a published estimate less certain than configured, in one sentence each: for health and AidStatus."""
+
+import math
+from collections.abc import Iterable, Mapping
+
+from estimator.filter.hypotheses import Hypotheses
+from estimator.filter.mismatch import Delays, PathScale, delay
+from estimator.sources.source import SourceState
+
+VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
+_WORTH_SAYING = 2.0  # of the variance of unit weight
+
+
+def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Mapping[str, SourceState], t_ns: int) -> str:
+    """Which absolute sources disagree, by how much and for how long; "" where none do."""
+    if hypotheses is None or hypotheses.conflict_ns is None or (found := hypotheses.conflict) is None:
+        return ""
+    (rejected, distance_m), since_s = found, (t_ns - hypotheses.conflict_ns) * 1e-9
+    used = {topic for topic in set(absolute) - rejected if t_ns - sources[topic].fused_ns < VOUCHED_NS}
+    sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
+    return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
+
+
+def units(path_scale: PathScale, absolute: Iterable[str]) -> list[str]:
+    """Which fixes are in a wrong unit."""
+    return [*filter(None, (path_scale.objection(topic) for topic in sorted(absolute)))]
+
+
+def heading(topic: str) -> str:
+    """The heading rests on one sensor."""
+    return f"the heading is that of {topic} alone until the vehicle accelerates"
+
+
+def drifts(sources: Mapping[str, SourceState]) -> list[str]:
+    """Which odometry has contradicted the IMU while no position decided."""
+    return [
+        f"{topic} and the IMU have contradicted each other: each may be wrong by {s.drift_m_s:.2g} m/s"
+        for topic, s in sorted(sources.items())
+        if s.drift_m_s
+    ]
+
+
+def delays(found: Delays, hypotheses: Hypotheses | None) -> list[str]:
+    """Which sources are later than configured."""
+    return delay.remarks(found, hypotheses.lead) if hypotheses is not None else []
+
+
+def variance(factor: float) -> list[str]:
+    """Whether innovations are larger than configured."""
+    if factor < _WORTH_SAYING:
+        return []
+    return [f"innovations are {math.sqrt(factor):.1f} times as large as configured: the covariance is widened"]
