@@ -4,7 +4,6 @@ A tracker takes measurements in the order of their validity and changes by nothi
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -12,6 +11,7 @@ from msgspec.structs import replace
 from estimator.filter import contradiction, remarks
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.mismatch import BiasWalk, Delays, PathScale, delay
@@ -27,7 +27,7 @@ from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceSta
 from models import imu, so3
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
-from models.messages import Array, Checkpoint, LastGnss, Mode, Reason
+from models.messages import Array, Checkpoint, Mode, Reason
 from models.state import E, X
 
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
@@ -41,21 +41,6 @@ _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mount
 _XYZ = 3
 _ON_THE_GROUND = RestConfig()
 _FELT = frozenset({rest.TOPIC, drag.TOPIC})
-
-
-@dataclass(frozen=True, slots=True)
-class GnssAnchor:
-    """The last trusted GNSS fix: place (lat, lon, alt), time, 1-sigma radius [m] and speed then [m/s]."""
-
-    place: tuple[float, float, float]
-    t_ns: int
-    sigma_m: float
-    speed_m_s: float
-
-    def at(self, t_ns: int) -> LastGnss:
-        """Grown with its age: the vehicle may have gone on at the speed it had."""
-        age_s = (t_ns - self.t_ns) * 1e-9
-        return LastGnss(*self.place, age_s=age_s, sigma_m=float(np.hypot(self.sigma_m, self.speed_m_s * age_s)))
 
 
 class Tracker(Alignment):

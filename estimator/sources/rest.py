@@ -16,9 +16,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.source import Aid, SlowError, SourceRules, log_false, order
+from estimator.sources.source import Aid, SlowError, SourceRules, asked
 from models import so3
-from models.measurements import Heading, Measurement
+from models.measurements import Heading
 from models.messages import Array
 from models.state import E, X
 
@@ -73,25 +73,10 @@ class Rest:
         return nu, h
 
 
-def _unmeasured(_: object) -> Measurement | None:
-    return None
-
-
 def rest_aid(t_ns: int, config: RestConfig) -> Aid:
     """The question whether the vehicle is at rest at t_ns, which the IMU samples before it answer."""
-    return Aid(
-        t_ns=t_ns,
-        arrived_ns=t_ns,
-        topic=TOPIC,
-        kind=TOPIC,
-        order=order(t_ns, TOPIC, TOPIC),
-        rules=config,
-        absolute=False,
-        log_false=log_false(config, [math.pi] + [10.0] * 3 + [1.0] * 3),
-        measurement=_unmeasured,
-        slow_errors=(SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK])),),
-        weighs=False,
-    )
+    heading = SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK]))
+    return asked(t_ns, TOPIC, config, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
 
 
 def is_quiet(u: Array, config: RestConfig) -> bool:

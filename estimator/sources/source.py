@@ -179,6 +179,27 @@ def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[in
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
 
 
+def _no_reading(_: object) -> "Measurement | None":
+    return None
+
+
+def asked(t_ns: int, topic: str, rules: SourceRules, half_widths: Sequence[float], slow: "tuple[SlowError, ...]") -> Aid:
+    """What the IMU itself shows at t_ns, with no reading of a sensor: the samples before it give the measurement."""
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=t_ns,
+        topic=topic,
+        kind=topic,
+        order=order(t_ns, topic, topic),
+        rules=rules,
+        absolute=False,
+        log_false=log_false(rules, half_widths),
+        measurement=_no_reading,
+        slow_errors=slow,
+        weighs=False,
+    )
+
+
 def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bool]:
     """The covariance (k, k) with sigma_i^2 where nothing is known of component i, and whether there was such a component.
 

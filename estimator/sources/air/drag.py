@@ -15,9 +15,8 @@ from msgspec.structs import replace
 
 from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
-from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, log_false, order
+from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, asked
 from models.frames import GRAVITY
-from models.measurements import Measurement
 from models.messages import Array
 
 TOPIC = "drag"
@@ -45,25 +44,9 @@ class DragConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     )
 
 
-def _unmeasured(_: object) -> Measurement | None:
-    return None
-
-
 def drag_aid(t_ns: int, config: DragConfig, wind: WindConfig) -> Aid:
     """The question what the drag is at t_ns, which the IMU samples before it answer."""
-    return Aid(
-        t_ns=t_ns,
-        arrived_ns=t_ns,
-        topic=TOPIC,
-        kind=TOPIC,
-        order=order(t_ns, TOPIC, TOPIC),
-        rules=config,
-        absolute=False,
-        log_false=log_false(config, [FALSE_VELOCITY_M_S] * 2),
-        measurement=_unmeasured,
-        slow_errors=wind_errors(wind, 2),
-        weighs=False,
-    )
+    return asked(t_ns, TOPIC, config, [FALSE_VELOCITY_M_S] * 2, wind_errors(wind, 2))
 
 
 def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:

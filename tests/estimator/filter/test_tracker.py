@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from estimator.filter.alignment import InitialiseConfig, TrackerConfig
+from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.tracker import GnssAnchor, Tracker
+from estimator.filter.tracker import Tracker
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.source import Aid
 from models.frames import Origin
