@@ -2,7 +2,7 @@
 
 python -m benchmarks.integrity --quick              simulated flights: the stress table and villages (minutes)
 python -m benchmarks.integrity                      those of LANDFIX_DATA too: outages, false fixes, outliers (an hour)
-python -m benchmarks.integrity --looks 1000000      frames of the identification benchmark beside the flights (hours)
+python -m benchmarks.integrity --looks 1000000      frames of the identification benchmark in addition to the flights (hours)
 python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
 
 What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew.
