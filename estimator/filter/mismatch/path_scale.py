@@ -24,7 +24,6 @@ _ANEW_S = 60.0  # the sums begin anew
 _FRESH_S = 1.0  # GNSS readings further apart are not extrapolated
 _FACTOR = 2.0  # by which the scale is off at least
 _EXPLAINED = 0.9  # share of the motion of the fixes that the fit explains
-_SIGMAS = 5.0
 _LEAST_M = 5.0  # root mean square of the difference that the scale makes
 _UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001: "kilometres"}
 _NEAR = 0.1  # ln: a scale that near a unit's is that unit
@@ -58,10 +57,9 @@ class Moments(NamedTuple):
         if not (c_gg > 0.0 and c_zz > 0.0 and c_zg > _EXPLAINED * math.sqrt(c_gg * c_zz)):
             return None
         s = c_zg / c_gg
-        sigma = math.sqrt(max(c_zz - s * c_zg, 0.0) / (_XYZ * (n - 2.0)) / c_gg)
         if abs(math.log(s)) < math.log(_FACTOR):
             return 1.0
-        return s if abs(s - 1.0) > max(_SIGMAS * sigma, _LEAST_M / math.sqrt(c_gg / n)) else None
+        return s if abs(s - 1.0) * math.sqrt(c_gg / n) > _LEAST_M else None
 
 
 class PathScale(NamedTuple):

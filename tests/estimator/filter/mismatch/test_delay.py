@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.eskf import Eskf
+from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.mismatch import delay
 from models import so3
 from models.imu import Coast, ImuNoise, constants
@@ -141,3 +141,29 @@ def test_a_delay_that_is_known_is_not_begun_again() -> None:
     before = eskf.cov.copy()
     delay.begin(eskf, "/fix", U)
     np.testing.assert_array_equal(eskf.cov, before)
+
+
+def test_what_the_sums_have_found_becomes_a_state_with_its_variance_and_moves_the_rest_by_their_covariance() -> None:
+    eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
+    delay.begin(eskf, "/fix", U)
+    v_n, before = _state(0.0)[X.V], eskf.cov[E.P, E.P].copy()
+    information, tau_s = 1e4, 0.08  # a sigma of 10 ms; taken as 20 ms
+    delay.estimate(eskf, "/fix", delay.Delay(EPOCH_NS, information, tau_s * information, is_state=True))
+    variance = 1.0 / (information / 4.0 + 1.0 / 0.1**2)  # the prior is 0.1 s
+    found_s = tau_s * variance * information / 4.0
+    assert eskf.slow.mean[-1] == pytest.approx(found_s, rel=1e-6)
+    assert eskf.cov[-1, -1] == pytest.approx(variance, rel=1e-6)
+    assert eskf.slow.estimated[-1] == 1.0
+    np.testing.assert_allclose(eskf.x[X.P], v_n * found_s, rtol=1e-6)
+    of_linear = tau_s**2 * (v_n @ v_n) * np.eye(3)
+    np.testing.assert_allclose(eskf.cov[E.P, E.P], before + variance * np.outer(v_n, v_n) + of_linear, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("speed_m_s", "is_state"), [(0.1, False), (100.0, True)])
+def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovations(speed_m_s: float, is_state: bool) -> None:
+    found, one = delay.Delay(EPOCH_NS), np.eye(1)
+    for k in range(20):
+        hp = speed_m_s * 1e-4**2 * one  # E[nu tau]: the innovation would be speed x tau
+        found = found.also(EPOCH_NS + k * SECOND, Innovation(np.array([3.0]), one, hp, one, one, 9.0, 0.0), 0)
+    assert found.score**2 > 36.0 * found.information
+    assert found.is_state == is_state

@@ -34,10 +34,16 @@ def _hover(t_s: float) -> Array:
 
 
 def _after(
-    seconds: float, path: Callable[[float], Array], unit: float, *, pull_m_s: float = 0.0, begun: PathScale | None = None
+    seconds: float,
+    path: Callable[[float], Array],
+    unit: float,
+    *,
+    pull_m_s: float = 0.0,
+    begun: PathScale | None = None,
+    seed: int = 4,
 ) -> PathScale:
     """GNSS at 5 Hz with 1 m of noise, fixes at 2 Hz with 0.1 m, in another unit."""
-    rng, scale = np.random.default_rng(4), begun or PathScale()
+    rng, scale = np.random.default_rng(seed), begun or PathScale()
     from_ns = EPOCH_NS if begun is None else begun.last[-1][0] + SECOND // 5
     for k in range(round(10 * seconds)):
         t_ns, t_s = from_ns + k * SECOND // 10, 0.1 * k
@@ -82,6 +88,11 @@ def test_fixes_that_do_not_move_are_in_no_unit() -> None:
 
 def test_a_hover_shows_no_scale() -> None:
     assert _after(60.0, _hover, 3.28).objection(FIX) == ""
+
+
+def test_at_rest_the_noise_of_gnss_is_no_motion() -> None:
+    for seed in range(300):
+        assert _after(3.1, lambda _: np.array([5.0, 3.0, -50.0]), 1.0, seed=seed).objection(FIX) == ""
 
 
 def test_it_is_forgotten_when_the_fixes_are_in_metres_again_and_not_before() -> None:
