@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.mismatch.path_scale import PathScale
+from estimator.filter.mismatch.path_scale import Moments, PathScale
 from estimator.sources.gnss import GnssConfig, position_aid
 from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid
@@ -88,6 +88,15 @@ def test_fixes_that_do_not_move_are_in_no_unit() -> None:
 
 def test_a_hover_shows_no_scale() -> None:
     assert _after(60.0, _hover, 3.28).objection(FIX) == ""
+
+
+@pytest.mark.parametrize(("motion_m", "scale"), [(1.0, None), (20.0, 0.4)])
+def test_a_scale_that_makes_less_than_metres_is_chance(motion_m: float, scale: float | None) -> None:
+    moments, rng = Moments(EPOCH_NS, np.zeros(3), np.zeros(3), np.zeros((8, 8))), np.random.default_rng(1)
+    for k in range(8):
+        g = motion_m * rng.normal(size=3)
+        moments = moments.also(EPOCH_NS + k * SECOND, g, 0.4 * g)
+    assert moments.scale == (None if scale is None else pytest.approx(scale))
 
 
 def test_at_rest_the_noise_of_gnss_is_no_motion() -> None:
