@@ -98,12 +98,13 @@ def noted(aid: Aid, seen: Innovation, delays: Delays, members: Sequence[Hypothes
 
 
 def remarks(delays: Delays, lead: Eskf) -> list[str]:
-    """Which sources are late, or early, by how much."""
+    """Whose stamps are late, or early, by how much."""
     found: list[str] = []
     for topic in sorted(topic for topic, delay in delays.items() if delay.is_state and block(topic) in lead.slow.columns):
         at = lead.slow.columns[block(topic)].start
         late_ms, sigma_ms = 1e3 * float(lead.slow.mean[at - E.SIZE]), 1e3 * float(np.sqrt(lead.cov[at, at]))
-        found.append(f"{topic} is {late_ms:.0f} ms (sigma {sigma_ms:.0f} ms) later than its stamps and the configuration say")
+        side = "late" if late_ms >= 0.0 else "early"
+        found.append(f"stamps of {topic} are {abs(late_ms):.0f} ms {side} (sigma {sigma_ms:.0f} ms), beyond the configured delay")
     return found
 
 

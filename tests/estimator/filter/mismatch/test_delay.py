@@ -113,7 +113,8 @@ def test_fixes_that_are_late_are_found_to_be_and_no_longer_mislead(late_ms: floa
     assert sigma < 15.0
     off = position_errors(within(run.estimates, 60.0, 90.0), flight.truth)
     assert math.sqrt((off**2).mean()) < 0.35
-    assert f"/pose_fix is {found:.0f} ms" in run.health[-1].detail
+    side = "late" if late_ms > 0.0 else "early"
+    assert f"stamps of /pose_fix are {abs(found):.0f} ms {side}" in run.health[-1].detail
 
 
 def test_a_receiver_that_is_late_is_found_to_be() -> None:
