@@ -85,6 +85,8 @@ _C_GAP_S, _C_TURN_DECAY_S = 11, 12
 _C_SCALE_PSD = 13  # 1/Hz: of what a gyroscope says wrong, over the square of the rate
 _C_SIZE = 14
 
+_LEAST_RANGE_GYRO, _LEAST_RANGE_ACCEL = 4.3, 18.0  # rad/s, m/s^2: no sensor ends below 250 deg/s, 2 g
+_LOOK_BACK = 8  # samples
 _TURN_S = 1.0  # a turn lasts about as long; the next one is about another axis, or back
 
 
@@ -246,12 +248,29 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
 
 
 @njit(cache=True, inline="always")
+def _is_saturated(u: Array, i: int, sensor: int) -> bool:
+    """Sample i, or the one before it, is at the end of the sensor's range: an axis reads a large number, and read it just before.
+
+    Noise never repeats itself to the bit; the end of a range does, on either side.
+    """
+    for at in range(max(i - 1, 0), i + 1):
+        for k in range(3 * sensor, 3 * sensor + 3):
+            size = abs(u[at, k])
+            if size > (_LEAST_RANGE_GYRO if sensor == 0 else _LEAST_RANGE_ACCEL):
+                for j in range(max(at - _LOOK_BACK, 0), at):
+                    if abs(u[j, k]) == size:
+                        return True
+    return False
+
+
+@njit(cache=True, inline="always")
 def _add_noise(
     p: Array, x: Array, h: float, i: int, coasting: bool, t_ns: NDArray[np.int64], u: Array, known: Array, c: Array
 ) -> None:
     """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral).
 
-    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz.
+    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz. A saturated sample shows as
+    little as a missing one.
     """
     gyro, accel = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
     if not coasting:
@@ -262,6 +281,8 @@ def _add_noise(
         for sensor in range(2):  # not literals: density would be compiled once for each
             psd = c[_C_GYRO_PSD + sensor]
             psd += sampling.density(known[i], sensor, span, psd)
+            if _is_saturated(u, i, sensor):
+                psd = max(psd, c[_C_COAST_GYRO_PSD + sensor])
             if sensor == 0:
                 gyro = psd + c[_C_SCALE_PSD] * square
             else:

@@ -199,8 +199,8 @@ class Tracker(Alignment):
             return self._take_prior(aid, z)
         self.path_scale = self.path_scale.also(aid, z)
         if why := self.path_scale.objection(aid.topic):
-            if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
-                self._leave(self.path_scale.last[-1][1])
+            if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER and self.path_scale.last is not None:
+                self._leave(self.path_scale.last[1])
             self.sources[aid.topic] = _UNKNOWN
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
@@ -307,7 +307,7 @@ class Tracker(Alignment):
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
-            self._note_variance(aid, verdict.seen)
+            self._note_variance(aid, verdict.seen, persists=self._persists(verdict.seen) or not alone)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
         if verdict.fused and (aid.absolute or aid.receiver):
@@ -416,6 +416,7 @@ class Tracker(Alignment):
         lead, self.stretch = self.hypotheses.lead, None
         off = position_n - lead.x[X.P]
         self.hypotheses.members[0].doubts.clear()
+        self.hypotheses.members[0].without = ""
         lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:

@@ -243,6 +243,27 @@ def test_a_turn_is_uncertain_by_the_share_that_scale_and_axes_are_wrong() -> Non
     np.testing.assert_allclose(variances[1] - variances[0], 0.01**2 * (w @ w) * 1.0 * 10.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("axis", "at_end", "block", "coasting"), [(3, 20.0, E.V, COAST.accel_noise), (0, 5.0, E.THETA, COAST.gyro_noise)]
+)
+def test_a_saturated_sample_is_as_uncertain_as_a_missing_one(axis: int, at_end: float, block: slice, coasting: float) -> None:
+    """An axis that goes from one end of its range to the other, so that it repeats the size of its largest reading to the bit."""
+    t_ns = EPOCH_NS + np.arange(401) * STEP_NS
+    unknown, x = np.zeros((len(t_ns), sampling.SIZE)), np.zeros(X.SIZE)
+    x[X.Q] = (1.0, 0.0, 0.0, 0.0)
+    c, variances = imu.constants(NOISE, COAST, None), []
+    saturated = np.where(np.arange(401) % 2, at_end, -at_end)
+    shaken = saturated * (1.0 + 1e-12 * np.arange(401))  # as large, never the same
+    for readings in (saturated, shaken, 0.8 * saturated):  # the last: nobody's range ends there
+        u = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY], (401, 1))
+        u[:, axis] = readings
+        cov = np.eye(E.SIZE) * 1e-300
+        assert imu.propagate(x.copy(), cov, t_ns, u, unknown, 401, 1, int(t_ns[0]), int(t_ns[-1]), c, NOTHING, NOTHING)
+        variances.append(max(np.diag(cov)[block]))
+    assert variances[0] == pytest.approx(coasting**2 * 2.0, rel=0.05)  # over two seconds
+    assert max(variances[1:]) < 0.1 * variances[0]
+
+
 def test_covariance_stays_symmetric_and_positive() -> None:
     record = _record(Multirotor(seed=3), 120.0, ORIGIN)
     _, cov = _propagate(record, record.state(), _covariance(), record.t_ns[::7].tolist())

@@ -137,12 +137,12 @@ class Hypotheses:
                 if fits:
                     member.filter.update(by_member)
             return Verdict(seen[0], limit, passed[0], passed[0], foreseen=any(passed))
-        if passed[0]:
-            left_out.end(self.members[0], aid)
+        left_out.end(self.members[0], aid, passed=passed[0])
         if vouched and passed[0] and left_out.add(self.members, aid):
             seen.append(seen[0])
             passed.append(True)
-        believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) else None
+        set_aside = left_out.is_confirmed(self.members[0], aid)
+        believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) and not set_aside else None
         born: list[Hypothesis] = []
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
@@ -167,7 +167,7 @@ class Hypotheses:
                 self._limit(k, aid, gained, fused)
             elif by_others is not None:
                 member.weight += by_others
-            else:  # no other one follows the receiver: it is judged again
+            elif not set_aside:  # no other one follows the receiver: it is judged again
                 member.without = ""
                 answer(k)
         agrees = seen[0].distance2 <= gate(AGREES, len(z.rows))
@@ -181,7 +181,7 @@ class Hypotheses:
         if at_fix:
             left_out.add_at_fix(self.members, at_fix, aid)
         self._rank(aid.t_ns)
-        return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed))
+        return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed) or set_aside)
 
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
         """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
@@ -330,6 +330,7 @@ class Hypotheses:
         if not math.isfinite(seen.distance2):
             return None
         believer = self.members[0].copy()
+        believer.without = ""
         dof = len(seen.nu)
         overconfident = (
             math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood

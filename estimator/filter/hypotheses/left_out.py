@@ -19,6 +19,7 @@ from models.state import E
 LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
 _PULL_M_S = 2.0  # by which a misled receiver may have moved the velocity
 _UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
+_AGREED_S = 10.0  # of positions that pass the gate, after which a receiver is followed again
 AGREES = 0.5  # share of good fixes that are near enough to confirm
 
 
@@ -67,10 +68,24 @@ def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -
     return other
 
 
-def end(lead: Hypothesis, aid: Aid) -> None:
-    """The leading hypothesis follows the receiver again when nothing else confirms it and a position is inside its gate."""
-    if aid.absolute and lead.without == aid.topic and (aid.t_ns - lead.fused_ns) * 1e-9 > _UNAIDED_S:
-        lead.without = ""
+def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
+    """The leading hypothesis goes on without the receiver of this reading, and fixes confirm it: the receiver has no say."""
+    aided = (aid.t_ns - lead.fused_ns) * 1e-9 <= _UNAIDED_S
+    return lead.without == aid.witness and aided and not lead.rejected - {lead.without}
+
+
+def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
+    """The leading hypothesis follows the receiver again when its positions have passed the gate for a while, without a break.
+
+    Where nothing else confirms it, the first one is enough.
+    """
+    if not aid.absolute or lead.without != aid.topic:
+        return
+    lead.agreed_ns = (aid.t_ns if lead.agreed_ns is None else lead.agreed_ns) if passed else None
+    if lead.agreed_ns is None:
+        return
+    if not is_confirmed(lead, aid) or (aid.t_ns - lead.agreed_ns) * 1e-9 >= _AGREED_S:
+        lead.without, lead.agreed_ns = "", None
         lead.doubts.pop(aid.topic, None)
 
 

@@ -1,13 +1,15 @@
 """The scale between the paths that two absolute sources draw: fixes in a wrong unit, with GNSS.
 
-The positions z of the fixes are fitted to those of GNSS, g, extrapolated to the same time from its last two readings:
+The newest position g of GNSS is fitted to that of each fix, z, which is the more accurate one:
 
-    z_i = s g_i + d t_i + c,        s = C_zg / C_gg        (least squares)
+    g_i = b z_i + d t_i + c + e_i,     b = C_zg / C_zz,     s = 1 / b                                     (least squares)
+    sigma_b^2 = (C_gg - b C_zg) / ((3 n - 7) C_zz)
 
 C: second moments about the mean, cleared of the part that is linear in time: C_ab = S_ab - S_a . S_b / n - C_at . C_bt / C_tt.
 d t takes up a slow pull of the receiver, c an offset between map and datum: neither is a scale. The sums begin anew each minute.
-The fixes are in a wrong unit where s is beyond a factor of two, the fit explains nearly all of their motion, and the difference
-is one of metres; and so until a fit within that factor explains it. The fixes are at fault: degrees have no unit to mistake.
+The fixes are in a wrong unit where s is beyond a factor of two, b is six sigmas from one and from zero, the fit explains the
+motion, and the difference is one of metres; and so until a fit within that factor explains it. The fixes are at fault: degrees
+have no unit to mistake. (Draper and Smith 1998, Applied Regression Analysis, ch. 1.)
 """
 
 import math
@@ -20,10 +22,12 @@ from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
 _FEWEST = 5.0  # pairs
+_UNKNOWNS = 7.0  # b, d, c
+_SIGMAS = 6.0
 _ANEW_S = 60.0  # the sums begin anew
-_FRESH_S = 1.0  # GNSS readings further apart are not extrapolated
+_FRESH_S = 1.0  # an older GNSS reading makes no pair
 _FACTOR = 2.0  # by which the scale is off at least
-_EXPLAINED = 0.9  # share of the motion of the fixes that the fit explains
+_EXPLAINED = 0.4  # correlation of the two paths
 _LEAST_M = 5.0  # root mean square of the difference that the scale makes
 _UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001: "kilometres"}
 _NEAR = 0.1  # ln: a scale that near a unit's is that unit
@@ -56,17 +60,19 @@ class Moments(NamedTuple):
         c_gg, c_zz, c_zg = (float(np.trace(block)) for block in (c[:_XYZ, :_XYZ], c[_XYZ:, _XYZ:], c[:_XYZ, _XYZ:]))
         if not (c_gg > 0.0 and c_zz > 0.0 and c_zg > _EXPLAINED * math.sqrt(c_gg * c_zz)):
             return None
-        s = c_zg / c_gg
-        if abs(math.log(s)) < math.log(_FACTOR):
+        b = c_zg / c_zz
+        sigma = math.sqrt(max(c_gg - b * c_zg, 0.0) / ((_XYZ * n - _UNKNOWNS) * c_zz))
+        if abs(math.log(b)) < math.log(_FACTOR):
             return 1.0
-        return s if abs(s - 1.0) * math.sqrt(c_gg / n) > _LEAST_M else None
+        shown = min(abs(b - 1.0), b) > _SIGMAS * sigma and abs(b - 1.0) * math.sqrt(c_zz / n) > _LEAST_M
+        return 1.0 / b if shown else None
 
 
 class PathScale(NamedTuple):
-    """The last two readings of GNSS (time, position), the moments of the fixes of each topic with it, the scales shown last."""
+    """The newest reading of GNSS (time, position), the moments of the fixes of each topic with it, the scales shown last."""
 
     topic: str = ""
-    last: tuple[tuple[int, Array], ...] = ()
+    last: tuple[int, Array] | None = None
     moments: tuple[tuple[str, Moments], ...] = ()
     scales: tuple[tuple[str, float], ...] = ()
 
@@ -77,10 +83,10 @@ class PathScale(NamedTuple):
         if aid.geodetic:
             if self.topic not in {"", aid.topic}:  # the first receiver is the one to compare with
                 return self
-            return self._replace(topic=aid.topic, last=(*self.last[-1:], (aid.t_ns, z.z_n)))
-        g = self._at(aid.t_ns)
-        if g is None:
+            return self._replace(topic=aid.topic, last=(aid.t_ns, z.z_n))
+        if self.last is None or not 0.0 <= (aid.t_ns - self.last[0]) * 1e-9 <= _FRESH_S:
             return self
+        g = self.last[1]
         known = dict(self.moments)
         before = known.get(aid.topic)
         if before is None or not 0.0 <= (aid.t_ns - before.t0_ns) * 1e-9 < _ANEW_S:
@@ -98,13 +104,3 @@ class PathScale(NamedTuple):
             return ""
         unit = next((f": {name}?" for ratio, name in _UNITS.items() if abs(math.log(s / ratio)) < _NEAR), "")
         return f"scale {s:.3g} between {topic} and {self.topic}{unit}"
-
-    def _at(self, t_ns: int) -> Array | None:
-        """The position of GNSS at t_ns; None where it has none that is near."""
-        if len(self.last) < len(("before", "newest")):
-            return None
-        (t0_ns, g0), (t1_ns, g1) = self.last
-        apart_s, ahead_s = (t1_ns - t0_ns) * 1e-9, (t_ns - t1_ns) * 1e-9
-        if not (0.0 < apart_s <= _FRESH_S and 0.0 <= ahead_s <= _FRESH_S):
-            return None
-        return np.asarray(g1 + (g1 - g0) * (ahead_s / apart_s))
