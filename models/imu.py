@@ -269,8 +269,8 @@ def _add_noise(
 ) -> None:
     """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral).
 
-    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz. A saturated sample shows as
-    little as a missing one.
+    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz.
+    A saturated sample shows as little as a missing one.
     """
     gyro, accel = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
     if not coasting:

@@ -44,7 +44,8 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
-_LARGEST_TURNED = 1e4  # ratio of an innovation to its prediction that may be noise, where it points another way than the last
+# Ratio of an innovation to its prediction that may be noise, where it points another way than the last: unaligned and aligned.
+_LARGEST_UNALIGNED, _LARGEST_ALIGNED = 1e4, 300.0
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -238,7 +239,7 @@ class Alignment:
         """One more innovation of an absolute source, of the leading filter; persists: it is no noise."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
-        largest = LARGEST if persists else _LARGEST_TURNED
+        largest = LARGEST if persists else _LARGEST_ALIGNED if self.is_aligned else _LARGEST_UNALIGNED
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
         self.hypotheses.scale(self.variance_factor.value, aid.topic)
 

@@ -44,7 +44,7 @@ def _after(
 ) -> PathScale:
     """GNSS at 5 Hz with 1 m of noise, fixes at 2 Hz with 0.1 m, in another unit."""
     rng, scale = np.random.default_rng(seed), begun or PathScale()
-    from_ns = EPOCH_NS if begun is None else begun.last[-1][0] + SECOND // 5
+    from_ns = EPOCH_NS if begun is None or begun.last is None else begun.last[0] + SECOND // 5
     for k in range(round(10 * seconds)):
         t_ns, t_s = from_ns + k * SECOND // 10, 0.1 * k
         aids: list[Aid] = []
