@@ -139,7 +139,8 @@ def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float
     p, R = pose.joint_p_n, pose.joint_R_nb
     e, step = middle(shot.p_n, shot.R_nb) - middle(p, R), 1e-5
     J = np.column_stack([(middle(*_moved(p, R, step * d)) - middle(*_moved(p, R, -step * d))) / (2.0 * step) for d in np.eye(6)])
-    return float(np.linalg.norm(e)), float(e @ np.linalg.solve(J @ pose.joint_covariance @ J.T, e)) / 2.0
+    C = J @ pose.joint_covariance @ J.T + shot.reference_m**2 * np.eye(2)
+    return float(np.linalg.norm(e)), float(e @ np.linalg.solve(C, e)) / 2.0
 
 
 def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:
