@@ -43,7 +43,9 @@ _FAINT = 24.0  # Sobel magnitude (8 grey levels per 3 px) of what is noise rathe
 _PLAIN = 0.08  # standard deviation of a block's structure below which it has none
 _STEP_PX = 2.0  # at the patch's end, half a step of heading and scale
 _LOBE_PX = 6.0  # from the peak: another place begins there
-_FLOOR_PX = 0.1  # of a block's place: two interpolations; all blocks lie at about the same fraction of a pixel, so it does not average
+_FLOOR_PX = (
+    0.1  # of a block's place: two interpolations; all blocks lie at about the same fraction of a pixel, so it does not average
+)
 _AGREES_PX = 2.0  # of the grid: a block that is no farther off
 _BY_CHANCE = 0.15  # share of the blocks of a wrong place that agree: pi 2^2 / 11^2, and a pose was fitted to them
 _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
@@ -316,7 +318,9 @@ def _blocks(
             tried += 1
             if peak := _peak(image[around], block):
                 found.append(((x + 0.5 * (side - 1), y + 0.5 * (side - 1)), peak[0] - reach, peak[1]))
-    return _Matched(_as_points(camera, grid, map_image, found), tried, grid.q, grid.q / grid.camera_m) if found else _Matched.none()
+    return (
+        _Matched(_as_points(camera, grid, map_image, found), tried, grid.q, grid.q / grid.camera_m) if found else _Matched.none()
+    )
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
