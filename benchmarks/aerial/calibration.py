@@ -1,4 +1,4 @@
-"""How large the claims are beside the errors: `python -m benchmarks.aerial.calibration [nust] [brighton] [rendered] [--seed N ...]`.
+"""How large the claims are beside the errors: `python -m benchmarks.aerial.calibration [SET ...] [--seed N ...]`.
 
 Fixes as in flight, and by the peak alone, of the sets of `benchmarks.aerial.registration`, without decoys. For each fix the
 errors along the two axes of its claimed covariance over their standard deviations: their mean square is 1, and their
@@ -40,12 +40,12 @@ def main() -> None:
     outcomes: list[Outcome] = []
     for seed in args.seed:
         for name in args.sets or SETS:
-            kept = OUT / f"calibration_{name}_{seed}.json"
+            kept = OUT / f"calibration_{name}_{seed}.msgpack"
             if not kept.is_file():
                 those = [f for f in flights(name, data_folder(), seed, OUT / "maps") if not f.decoy]
                 done = [o for f in track(those, f"{name} {seed}", console=Console(stderr=True)) for o in fly(f, WAYS)]
-                kept.write_bytes(msgspec.json.encode(done))
-            outcomes += msgspec.json.decode(kept.read_bytes(), type=list[Outcome])
+                kept.write_bytes(msgspec.msgpack.encode(done))
+            outcomes += msgspec.msgpack.decode(kept.read_bytes(), type=list[Outcome])
     sys.stdout.write(table(outcomes).markdown() + f"\n{draw(outcomes, OUT / 'calibration.png')}\n")
 
 
@@ -87,10 +87,10 @@ def draw(outcomes: Sequence[Outcome], file: Path) -> Path:
             if of:
                 claims, errors = [o.claim_m for o in of], [o.error_m for o in of]
                 left.scatter(claims, errors, s=12, c=colour, marker=marker, alpha=0.5, lw=0, label=f"{label}, {way} ({len(of)})")
-    low, high = 0.02, 12.0
+    low, high = 0.1, 12.0
     left.plot((low, high), (low, high), "k-", lw=1.0)
-    left.text(0.03, 0.06, "the claimed radius", rotation=45, fontsize=9, ha="left", va="bottom")
-    left.set(xscale="log", yscale="log", xlim=(0.1, high), ylim=(0.01, high))
+    left.text(2.0, 2.3, "error = claim", rotation=34, rotation_mode="anchor", fontsize=9, ha="center", va="bottom")
+    left.set(xscale="log", yscale="log", xlim=(low, high), ylim=(0.01, high))
     left.set(xlabel="claimed 95 % radius on the ground [m]", ylabel="error on the ground [m]", title="Each fix")
     left.legend(fontsize=8, loc="lower right")
     share = np.linspace(0.0, 1.0, 101)

@@ -9,7 +9,6 @@ position on the ground that the frame's middle shows.
 import csv
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -30,6 +29,7 @@ BOTH, ONE = "NUST, both helipads", "NUST, one helipad"
 PADS = ("pad west", "pad east")
 _ORTHO_CORNER, _ORTHO_STEP_M = (313101.47628, 3724912.30675), 0.5
 _SIFT_PX = 0.25
+REFERENCE_M = 0.19  # of the middle, per axis: reference, registration and features differ two by two by so much
 _WIDTH, _HEIGHT, _FOCAL = 852, 480, 0.77
 _MIDDLE = np.array([[0.5 * (_WIDTH - 1), 0.5 * (_HEIGHT - 1)]])
 
@@ -42,7 +42,7 @@ def camera() -> CameraModel:
 
 def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
     """Every registered frame that shows a whole helipad."""
-    landmarks, known = landmark_map(), {n: r.homography for n, r in registrations(data).items()}
+    landmarks, known = landmark_map(), registrations(data)
     shown = {number: pads(homography, landmarks) for number, homography in known.items()}
     for number, image in frames(data, [number for number, seen in shown.items() if seen]):
         one = case(number, image, known[number], landmarks)
@@ -55,30 +55,16 @@ def landmark_map() -> LandmarkMap:
     return LandmarkMap.from_geojson(MAP_FILE.read_bytes())
 
 
-@dataclass(frozen=True)
-class Registration:
-    """homography (3, 3): pixels of a frame to those of the orthophoto; sigma_m: per axis, of the place in its middle."""
-
-    homography: Array
-    sigma_m: float
-
-
-def registrations(data: Path) -> dict[int, Registration]:
-    """Those of the frames, by their numbers.
+def registrations(data: Path) -> dict[int, Array]:
+    """Frame -> homography (3, 3) from its pixels to those of the orthophoto.
 
     SIFT's key points lie 0.25 px too far right and down in both images (it seeks in the doubled one), so H(u) = H'(u + d) - d.
-    Of n inliers with the RMS r the middle of a homography has the variance 2 r^2 / n per axis, about.
     """
     with (data / FOLDER / "reference_registration_sift.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [f"h{i}{j}" for i in range(3) for j in range(3)]
     there, back = (np.array([[1.0, 0.0, d], [0.0, 1.0, d], [0.0, 0.0, 1.0]]) for d in (_SIFT_PX, -_SIFT_PX))
-    found = {}
-    for row in rows:
-        homography = np.array([float(row[name]) for name in names]).reshape(3, 3)
-        sigma_m = float(row["reproj_rms_m"]) * math.sqrt(2.0 / float(row["n_inliers"]))
-        found[int(row["frame"])] = Registration(back @ homography @ there, sigma_m)
-    return found
+    return {int(row["frame"]): back @ np.array([float(row[n]) for n in names]).reshape(3, 3) @ there for row in rows}
 
 
 def frames(data: Path, wanted: Collection[int]) -> Iterator[tuple[int, Image]]:

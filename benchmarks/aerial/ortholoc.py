@@ -1,4 +1,4 @@
-"""OrthoLoC's example: a photo 25 degrees off straight down, over its own orthophoto and over the state's, of another year and season.
+"""OrthoLoC's example: a photo 25 degrees off straight down, over its own orthophoto and over the state's, of another season.
 
 The files `urban_residential*` of the repository deepscenario/OrthoLoC, ortholoc/assets/demo (CC BY-NC-SA 4.0, so not in this
 one), in images/ortholoc_demo of LANDFIX_DATA. Poses are exact; heights are not used but for the ground's, 13.0 m below the

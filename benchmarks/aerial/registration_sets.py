@@ -115,8 +115,8 @@ def nust_scene(data: Path, after: int) -> Scene:
     rig = nadir_rig(nust.camera())
     taken = []
     for number, image in nust.frames(data, wanted):
-        p_nc, R_nc = nust.pose(registered[number].homography, landmarks)
-        taken.append(Taken(number * _FRAME_NS, image, p_nc, R_nc @ rig.R_bc.T, registered[number].sigma_m))
+        p_nc, R_nc = nust.pose(registered[number], landmarks)
+        taken.append(Taken(number * _FRAME_NS, image, p_nc, R_nc @ rig.R_bc.T, nust.REFERENCE_M))
     return Scene(rig, known, taken)
 
 
@@ -223,8 +223,9 @@ def shots(
 ) -> Callable[[], Iterator[Shot]]:
     """Errors drawn anew every 3 s of the flight, so that images within share them; away: the prior is so much farther off, m.
 
-    The poses are those on the map. Where the map itself lies, by its own standard deviation, is drawn as well: all references
-    come from the same map, which would hide the error of its georeference, and every claim that counts it would look too large.
+    The poses are those on the map. Where the map itself lies, by its own standard deviation, is drawn for each image: all
+    references come from the same map, which would hide the error of its georeference, and every claim that counts it would look
+    too large.
     """
     sigma_m = scene.known.image.sigma_m
 
@@ -235,8 +236,7 @@ def shots(
             if taken.t_ns >= until_ns:
                 off, until_ns = spread.draw(rng, np.zeros(3), np.eye(3)), taken.t_ns + 3_000_000_000
                 bearing, farther = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*away)
-                of_map = np.append(rng.normal(0.0, sigma_m, 2), 0.0)
-            p_n = taken.p_n + of_map
+            p_n = taken.p_n + np.append(rng.normal(0.0, sigma_m, 2), 0.0)
             there = p_n + off.p_n + farther * np.array([math.cos(bearing), math.sin(bearing), 0.0])
             q = so3.normalise(so3.multiply(off.q_nb_wxyz, so3.from_matrix(np.ascontiguousarray(taken.R_nb))))
             yield Shot(taken.t_ns, taken.image, p_n, taken.R_nb, Prior(there, q, off.covariance), taken.reference_m)

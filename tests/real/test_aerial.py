@@ -73,7 +73,7 @@ def test_helipads_of_the_video(landfix_images: Path) -> None:
     landmarks, known = nust.landmark_map(), nust.registrations(landfix_images)
     trials = []
     for number, image in nust.frames(landfix_images, FRAMES):
-        case = nust.case(number, image, known[number].homography, landmarks)
+        case = nust.case(number, image, known[number], landmarks)
         assert case.shown == nust.PADS
         trials += [Trial(case, k, nust.SPREAD.draw(generator(0, case.name, k), case.p_n, case.R_nb)) for k in range(2)]
     found = [o for o in outcomes(trials) if o.accepted]
