@@ -159,7 +159,7 @@ def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
         v, u = max(top - _MARGIN_PX, 0), max(left - _MARGIN_PX, 0)
         part = image[v : top + _TILE_PX + _MARGIN_PX, u : left + _TILE_PX + _MARGIN_PX]
         found, described = cv2.SIFT.create().detectAndCompute(part, None)
-        at = np.array([k.pt for k in found]).reshape(-1, 2) + (u, v)
+        at = np.array([k.pt for k in found]).reshape(-1, 2) + np.array([u, v])
         own = np.flatnonzero(np.all((at >= (left, top)) & (at < (left + _TILE_PX, top + _TILE_PX)), axis=1))
         if len(own):
             px.append(at[own] - _DOUBLED_PX)

@@ -74,7 +74,7 @@ def test_inliers_in_one_corner_are_no_fix() -> None:
 
 
 def test_a_large_map_is_searched_in_tiles_for_the_same_keypoints() -> None:
-    """1600 px are four tiles; all but a few of the clearest keypoints of the whole are those of the tiles, to a tenth of a pixel."""
+    """1600 px are four tiles. All but a few of the clearest keypoints of the whole are among theirs, to a tenth of a pixel."""
     image = scene.map_image(scene.drawing(2), 1)
     tiled = FeatureMap.of(image, FeatureConfig(most_in_map=400)).x_n[:, :2]
     found, _ = cv2.SIFT.create().detectAndCompute(image.image, None)
