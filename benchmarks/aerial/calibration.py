@@ -60,7 +60,7 @@ def table(outcomes: Sequence[Outcome]) -> Table:
             fixes = [o for o in every if o.accepted]
             if not fixes:
                 continue
-            errors, claims = (np.array([value(o) for o in fixes]) for value in (lambda o: o.error_m, lambda o: o.claim_m))
+            errors, claims = np.array([o.error_m for o in fixes]), np.array([o.claim_m for o in fixes])
             nees = float(np.mean([o.squared for o in fixes]))
             inside = np.mean([2.0 * o.squared < _WITHIN_95 for o in fixes])
             rows.append((
@@ -95,8 +95,8 @@ def draw(outcomes: Sequence[Outcome], file: Path) -> Path:
     left.legend(fontsize=8, loc="lower right")
     share = np.linspace(0.0, 1.0, 101)
     for way, style in zip(WAYS, ("-", "--"), strict=True):
-        for label, start in (("real", ("NUST", "Brighton")), ("rendered", ("rendered",))):
-            squared = np.array([2.0 * o.squared for o in fixes if o.way == way and o.group.startswith(start)])
+        for label, starts in (("real", ("NUST", "Brighton")), ("rendered", ("rendered",))):
+            squared = np.array([2.0 * o.squared for o in fixes if o.way == way and o.group.startswith(starts)])
             if len(squared):
                 inside = [np.mean(squared <= -2.0 * math.log(max(1.0 - p, 1e-12))) for p in share]
                 right.plot(share, inside, style, label=f"{label}, {way}: NEES / 2 = {squared.mean() / 2.0:.2f}")

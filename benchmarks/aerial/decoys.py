@@ -148,18 +148,17 @@ def tiles_folder(data: Path) -> Path:
 def tiles(folder: Path) -> GroundImage:
     """The first six pictures of map.csv in one, north up; the others leave gaps."""
     with (folder / "map.csv").open() as file:
-        rows = [(name.strip(), *map(float, corners)) for name, *corners in list(csv.reader(file))[1 : 1 + _TILES]]
-    north, west = max(row[1] for row in rows), min(row[2] for row in rows)
+        rows = list(csv.reader(file))[1 : 1 + _TILES]
+    names, corners = [row[0].strip() for row in rows], np.array([[float(x) for x in row[1:]] for row in rows])
+    north, west = corners[:, 0].max(), corners[:, 1].min()
     to_px = np.array([_M_PER_DEGREE, _M_PER_DEGREE * math.cos(math.radians(north))]) / _TILES_STEP_M
-    size = [math.ceil((north - min(r[3] for r in rows)) * to_px[0]), math.ceil((max(r[4] for r in rows) - west) * to_px[1])]
-    whole = np.zeros((*size, 3), dtype=np.uint8)
-    for name, top, left, bottom, right in rows:
-        (v, u), (v1, u1) = (np.rint((north - a, b - west) * to_px).astype(int) for a, b in ((top, left), (bottom, right)))
-        v1, u1 = min(v1, size[0]), min(u1, size[1])
+    px = np.rint((corners - (north, west, north, west)) * np.tile(to_px * (-1.0, 1.0), 2)).astype(int)
+    whole = np.zeros((*px[:, 2:].max(axis=0), 3), dtype=np.uint8)
+    for name, (v, u, v1, u1) in zip(names, px.tolist(), strict=True):
         image = cv2.imread(str(folder / name))
         if image is None:
             raise FileNotFoundError(folder / name)
-        whole[v:v1, u:u1] = cv2.resize(image, (int(u1 - u), int(v1 - v)), interpolation=cv2.INTER_AREA)
+        whole[v:v1, u:u1] = cv2.resize(image, (u1 - u, v1 - v), interpolation=cv2.INTER_AREA)
     affine = np.array([[0.0, -_TILES_STEP_M, 0.0], [_TILES_STEP_M, 0.0, 0.0]])
     return GroundImage("wildnav", whole, affine, Heights.level(0.0), 1.0, 1.0)
 

@@ -16,6 +16,7 @@ from benchmarks.aerial.registration_sets import Scene, Taken
 from benchmarks.aerial.trials import nadir_rig
 from models.camera import CameraModel
 from vision.ground.image import GroundImage, Heights
+from vision.image.rectify import Image
 from vision.recognisers import MapImage
 
 FOLDER = "images/ortholoc_demo"
@@ -55,8 +56,8 @@ def _camera(data: Path) -> CameraModel:
     return CameraModel(1024, 768, k[0][0], k[1][1], k[0][2], k[1][2])
 
 
-def _read(path: Path) -> np.ndarray:  # type: ignore[type-arg]
+def _read(path: Path) -> Image:
     image = cv2.imread(str(path))
     if image is None:
         raise FileNotFoundError(path)
-    return image
+    return np.asarray(image, dtype=np.uint8)
