@@ -150,7 +150,7 @@ def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
 
 
 def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
-    """As _keypoints, in tiles: SIFT works on 200 bytes a pixel (11 layers of the doubled image). A keypoint counts in the tile that it lies in."""
+    """As _keypoints, in tiles: SIFT works on 200 bytes a pixel. A keypoint counts in the tile that it lies in."""
     height, width = image.shape
     if max(height, width) <= _TILE_PX:
         return _keypoints(image, most)
