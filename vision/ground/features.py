@@ -163,7 +163,7 @@ def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
         own = np.flatnonzero(np.all((at >= (left, top)) & (at < (left + _TILE_PX, top + _TILE_PX)), axis=1))
         if len(own):
             px.append(at[own] - _DOUBLED_PX)
-            clear.append(np.array([found[k].response for k in own]))
+            clear.append(np.array([found[k].response for k in own.tolist()]))
             descriptors.append(described[own].astype(np.float32))
     best = np.argsort(-np.concatenate(clear), kind="stable")[:most]
     return np.concatenate(px)[best], np.concatenate(descriptors)[best]
