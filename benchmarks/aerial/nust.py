@@ -28,6 +28,8 @@ SPREAD = Spread(7.0, 3.0, math.radians(1.0), math.radians(3.0))
 BOTH, ONE = "NUST, both helipads", "NUST, one helipad"
 PADS = ("pad west", "pad east")
 _ORTHO_CORNER, _ORTHO_STEP_M = (313101.47628, 3724912.30675), 0.5
+_SIFT_PX = 0.25
+REFERENCE_M = 0.19  # of the middle, per axis: reference, registration and features differ two by two by so much
 _WIDTH, _HEIGHT, _FOCAL = 852, 480, 0.77
 _MIDDLE = np.array([[0.5 * (_WIDTH - 1), 0.5 * (_HEIGHT - 1)]])
 
@@ -54,11 +56,15 @@ def landmark_map() -> LandmarkMap:
 
 
 def registrations(data: Path) -> dict[int, Array]:
-    """Frame -> homography (3, 3) from its pixels to those of the orthophoto."""
+    """Frame -> homography (3, 3) from its pixels to those of the orthophoto.
+
+    SIFT's key points lie 0.25 px too far right and down in both images (it seeks in the doubled one), so H(u) = H'(u + d) - d.
+    """
     with (data / FOLDER / "reference_registration_sift.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [f"h{i}{j}" for i in range(3) for j in range(3)]
-    return {int(row["frame"]): np.array([float(row[name]) for name in names]).reshape(3, 3) for row in rows}
+    there, back = (np.array([[1.0, 0.0, d], [0.0, 1.0, d], [0.0, 0.0, 1.0]]) for d in (_SIFT_PX, -_SIFT_PX))
+    return {int(row["frame"]): back @ np.array([float(row[n]) for n in names]).reshape(3, 3) @ there for row in rows}
 
 
 def frames(data: Path, wanted: Collection[int]) -> Iterator[tuple[int, Image]]:

@@ -46,7 +46,10 @@ _NOWHERE = LandmarkMap.from_landmarks((0.0, 0.0, 0.0), [])
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of an image. squared: squared error of the ground's position over its covariance, per degree of freedom."""
+    """What became of an image. squared: squared error of the ground's position over its covariance, per degree of freedom.
+
+    claim_m: radius of the circle as large as its 95 % ellipse.
+    """
 
     group: str
     way: Way
@@ -58,6 +61,7 @@ class Outcome(msgspec.Struct, frozen=True):
     accepted: bool = False
     error_m: float = math.nan
     squared: float = math.nan
+    claim_m: float = math.nan
 
 
 def main() -> None:
@@ -88,10 +92,10 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def fly(flight: Flight) -> Iterator[Outcome]:
+def fly(flight: Flight, ways: Sequence[Way] = WAYS) -> Iterator[Outcome]:
     """Every image of a flight, in order, as registration may wait for the next one."""
     nothing = FeatureMap(flight.known.image, np.empty((0, 3)), np.empty((0, 128), np.float32))
-    for way in WAYS:
+    for way in ways:
         known = replace(flight.known, features=nothing) if way == "registration" else flight.known
         recognisers = Recognisers(flight.rig, _NOWHERE, known)
         for shot in flight.shots():
@@ -126,8 +130,8 @@ def _peak(flight: Flight, shot: Shot, config: PeakConfig) -> tuple[PoseEstimate 
     return (None, "not_found", found) if isinstance(found, str) else (found, "fixed", f"ratio {peak.ratio:.2f}")
 
 
-def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float]:
-    """Distance on the ground between what the image's middle shows, and that squared over its covariance."""
+def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float, float]:
+    """Distance on the ground between what the image's middle shows, that squared over its covariance, and the claimed radius."""
 
     def middle(p_n: Array, R_nb: Array) -> Array:
         camera, (p_nc, R_nc) = flight.rig.left, flight.rig.camera_pose(p_n, R_nb)
@@ -139,7 +143,9 @@ def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float
     p, R = pose.joint_p_n, pose.joint_R_nb
     e, step = middle(shot.p_n, shot.R_nb) - middle(p, R), 1e-5
     J = np.column_stack([(middle(*_moved(p, R, step * d)) - middle(*_moved(p, R, -step * d))) / (2.0 * step) for d in np.eye(6)])
-    return float(np.linalg.norm(e)), float(e @ np.linalg.solve(J @ pose.joint_covariance @ J.T, e)) / 2.0
+    C = J @ pose.joint_covariance @ J.T + shot.reference_m**2 * np.eye(2)
+    radius_m = math.sqrt(_WITHIN_95 * math.sqrt(float(np.linalg.det(C))))
+    return float(np.linalg.norm(e)), float(e @ np.linalg.solve(C, e)) / 2.0, radius_m
 
 
 def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:

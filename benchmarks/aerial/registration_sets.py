@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 
 from benchmarks.aerial import brighton, nust
@@ -24,7 +25,7 @@ from vision.ground.image import GroundImage, Heights
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.recognisers import MapImage
-from vision.synthetic import Conditions, Sun, World, WorldSpec, make_rig, make_world, render
+from vision.synthetic import Conditions, Sun, World, WorldSpec, draw_rig, make_rig, make_world, render
 from vision.synthetic.texture import bounded, pyramid, texels_a_side
 
 EVERY = 15  # th frame of the video
@@ -33,18 +34,41 @@ WIDE = Spread(100.0, 5.0, math.radians(1.0), math.radians(2.0))
 LOW = Spread(15.0, 2.0, math.radians(1.0), math.radians(2.0))
 _FRAME_NS = 33_366_700
 _ORTHO_M, _ORTHO_PX, _ORTHO_FROM_M = 0.3, 1000, 5000.0  # of rendered ground: nearly straight from above
+SAME_DAY, OTHER_SUN = "rendered, the same day", "rendered, sun from the other side"
+OTHER_SEASON = "rendered, another season"
 _OVERCAST = Sun(0.0, math.radians(60.0), 0.85)
 
 
 @dataclass(frozen=True)
 class Shot:
-    """An image, the pose it was taken from, and its prior."""
+    """An image, the pose it was taken from, and its prior. reference_m: standard deviation of what that pose is judged by."""
 
     t_ns: int
     image: Image
     p_n: Array
     R_nb: Array
     prior: Prior
+    reference_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Taken:
+    """An image and the pose it was taken from, by a reference that is good to so much on the ground."""
+
+    t_ns: int
+    image: Image
+    p_n: Array
+    R_nb: Array
+    reference_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Images of one rig in their order, and the map of their place."""
+
+    rig: StereoRig
+    known: MapImage
+    taken: list[Taken]
 
 
 @dataclass(frozen=True)
@@ -70,37 +94,50 @@ def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
 
 
 def _nust(data: Path, seed: int) -> Iterator[Flight]:
-    """Every 15th frame that has a reference; the error of the prior lasts over the flight, as a filter's does."""
+    """The error of the prior lasts over the flight, as a filter's does."""
+    scene = nust_scene(data, 0)
+    yield Flight("NUST, prior off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "nust", 0)))
+    yield Flight("NUST, prior off by up to 100 m", scene.rig, scene.known, shots(scene, WIDE, (seed, "nust", 1)))
+    for turn in (cv2.ROTATE_180, cv2.ROTATE_90_CLOCKWISE):
+        decoy = turned(scene.known, turn)
+        yield Flight("NUST decoys, map turned", scene.rig, decoy, shots(scene, NEAR, (seed, "nust", 2)), decoy=True)
+    away = shots(scene, NEAR, (seed, "nust", 3), (100.0, 200.0))
+    yield Flight("NUST decoys, 100 to 200 m away", scene.rig, scene.known, away, decoy=True)
+
+
+def nust_scene(data: Path, after: int) -> Scene:
+    """The frames that have a reference, `after` frames after every 15th."""
     landmarks = nust.landmark_map()
     file = ImageFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
     known = image_store.load(file, landmarks.origin)
     registered = nust.registrations(data)
-    wanted = [number for number in registered if number % EVERY == 0]
+    wanted = [number for number in registered if number % EVERY == after]
     rig = nadir_rig(nust.camera())
     taken = []
     for number, image in nust.frames(data, wanted):
         p_nc, R_nc = nust.pose(registered[number], landmarks)
-        taken.append((number * _FRAME_NS, image, p_nc, R_nc @ rig.R_bc.T))
-    yield Flight("NUST, prior off by up to 30 m", rig, known, _shots(taken, NEAR, (seed, "nust", 0)))
-    yield Flight("NUST, prior off by up to 100 m", rig, known, _shots(taken, WIDE, (seed, "nust", 1)))
-    for turn in (cv2.ROTATE_180, cv2.ROTATE_90_CLOCKWISE):
-        decoy = _turned(known, turn)
-        yield Flight("NUST decoys, map turned", rig, decoy, _shots(taken, NEAR, (seed, "nust", 2)), decoy=True)
-    away = _shots(taken, NEAR, (seed, "nust", 3), (100.0, 200.0))
-    yield Flight("NUST decoys, 100 to 200 m away", rig, known, away, decoy=True)
+        taken.append(Taken(number * _FRAME_NS, image, p_nc, R_nc @ rig.R_bc.T, nust.REFERENCE_M))
+    return Scene(rig, known, taken)
 
 
 def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     """The photos from which the orthophoto was made: light and season are the same, it shows no more than that it works."""
+    scene = brighton_scene(data, out)
+    yield Flight("Brighton, prior off by up to 15 m", scene.rig, scene.known, shots(scene, LOW, (seed, "brighton", 0)))
+    decoy = turned(scene.known, cv2.ROTATE_180)
+    yield Flight("Brighton decoys, map turned", scene.rig, decoy, shots(scene, LOW, (seed, "brighton", 1)), decoy=True)
+
+
+def brighton_scene(data: Path, out: Path) -> Scene:
+    """The 18 photos. The reference was found with the same camera: its errors would show nowhere, so it counts as exact."""
     landmarks = brighton.landmark_map()
     known = image_store.load(brighton_files(data, out), landmarks.origin)
-    rig = nadir_rig(brighton.camera())
+    rig = nadir_rig(msgspec.structs.replace(brighton.camera(), covariance=None))
     taken = []
     for k, (name, where) in enumerate(brighton.references(data, landmarks, brighton.photo_names(data)).items()):
-        taken.append((k * 7_000_000_000, brighton.photo(data, name), where.p_nc, where.R_nc @ rig.R_bc.T))
-    yield Flight("Brighton, prior off by up to 15 m", rig, known, _shots(taken, LOW, (seed, "brighton", 0)))
-    decoy = _turned(known, cv2.ROTATE_180)
-    yield Flight("Brighton decoys, map turned", rig, decoy, _shots(taken, LOW, (seed, "brighton", 1)), decoy=True)
+        sigma_m = float(np.linalg.norm(where.sigma_m[:2])) / math.sqrt(2.0)
+        taken.append(Taken(k * 7_000_000_000, brighton.photo(data, name), where.p_nc, where.R_nc @ rig.R_bc.T, sigma_m))
+    return Scene(rig, known, taken)
 
 
 def brighton_files(data: Path, out: Path) -> ImageFile:
@@ -117,26 +154,37 @@ def brighton_files(data: Path, out: Path) -> ImageFile:
 
 
 def _rendered(seed: int) -> Iterator[Flight]:
-    """A village seen by an orthophoto on one day, and by a camera on that day, on another one, and in another season."""
+    for group, scene in village(seed).items():
+        yield Flight(group, scene.rig, scene.known, shots(scene, NEAR, (seed, group, 0)))
+        decoy = turned(scene.known, cv2.ROTATE_180)
+        yield Flight("rendered decoys, map turned", scene.rig, decoy, shots(scene, NEAR, (seed, group, 1)), decoy=True)
+
+
+def village(seed: int) -> dict[str, Scene]:
+    """A village seen by an orthophoto on one day, and by a camera on that day, on another one, and in another season.
+
+    Each image has another camera, whose errors are drawn from what its calibration says of them.
+    """
     scene = make_world(seed, WorldSpec(painted=0.0))
     rig, rng = make_rig(), np.random.default_rng(seed)
     known = MapImage.of(_orthophoto(scene.world, rng))
     opposite = Sun(scene.world.sun.azimuth_rad + math.pi, math.radians(28.0), 0.3)
     worlds = {
-        "rendered, the same day": (scene.world, Conditions()),
-        "rendered, sun from the other side": (replace(scene.world, sun=opposite), Conditions(exposure=0.8)),
-        "rendered, another season": (_other_season(scene.world), Conditions(haze_per_m=0.001, cast_bgr=(1.1, 1.0, 0.9))),
+        SAME_DAY: (scene.world, Conditions()),
+        OTHER_SUN: (replace(scene.world, sun=opposite), Conditions(exposure=0.8)),
+        OTHER_SEASON: (_other_season(scene.world), Conditions(haze_per_m=0.001, cast_bgr=(1.1, 1.0, 0.9))),
     }
+    scenes = {}
     for group, (world, conditions) in worlds.items():
         taken = []
         for k in range(20):
             p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(90.0, 140.0)])
             R_nb = so3.matrix(so3.from_euler(rng.normal(0.0, 0.05), rng.normal(0.0, 0.05), rng.uniform(-math.pi, math.pi)))
-            image = render(world, scene.rig.left, *scene.rig.camera_pose(p_n, R_nb), conditions, rng)
-            taken.append((k * 500_000_000, image, p_n, R_nb))
-        yield Flight(group, rig, known, _shots(taken, NEAR, (seed, group, 0)))
-        decoy = _turned(known, cv2.ROTATE_180)
-        yield Flight("rendered decoys, map turned", rig, decoy, _shots(taken, NEAR, (seed, group, 1)), decoy=True)
+            true = draw_rig(rig, rng)
+            image = render(world, true.left, *true.camera_pose(p_n, R_nb), conditions, rng)
+            taken.append(Taken(k * 500_000_000, image, p_n, R_nb))
+        scenes[group] = Scene(rig, known, taken)
+    return scenes
 
 
 def _orthophoto(world: World, rng: np.random.Generator) -> GroundImage:
@@ -163,30 +211,34 @@ def _other_season(world: World) -> World:
     return replace(world, ground=replace(ground, cover=cover, detail=other), clutter=clutter, sun=_OVERCAST)
 
 
-def _turned(known: MapImage, turn: int) -> MapImage:
+def turned(known: MapImage, turn: int) -> MapImage:
     """The same georeference over an image that is turned about its middle, as far as the new one covers the same pixels."""
     ground = known.image
     image = np.asarray(cv2.rotate(ground.image, turn), dtype=np.uint8)
     return MapImage.of(replace(ground, image=image))
 
 
-def _shots(
-    taken: list[tuple[int, Image, Array, Array]],
-    spread: Spread,
-    key: tuple[int, str, int],
-    away: tuple[float, float] = (0.0, 0.0),
+def shots(
+    scene: Scene, spread: Spread, key: tuple[int, str, int], away: tuple[float, float] = (0.0, 0.0)
 ) -> Callable[[], Iterator[Shot]]:
-    """Priors drawn anew every 3 s of the flight, so that images within share their error; away: that much farther off, m."""
+    """Errors drawn anew every 3 s of the flight, so that images within share them; away: the prior is so much farther off, m.
 
-    def shots() -> Iterator[Shot]:
-        drawn = generator(*key)
+    The poses are those on the map. Where the map itself lies, by its own standard deviation, is drawn for each image: all
+    references come from the same map, which would hide the error of its georeference, and every claim that counts it would look
+    too large.
+    """
+    sigma_m = scene.known.image.sigma_m
+
+    def drawn() -> Iterator[Shot]:
+        rng = generator(*key)
         until_ns = -1
-        for t_ns, image, p_n, R_nb in taken:
-            if t_ns >= until_ns:
-                off, until_ns = spread.draw(drawn, np.zeros(3), np.eye(3)), t_ns + 3_000_000_000
-                bearing, farther = drawn.uniform(0.0, 2.0 * math.pi), drawn.uniform(*away)
+        for taken in scene.taken:
+            if taken.t_ns >= until_ns:
+                off, until_ns = spread.draw(rng, np.zeros(3), np.eye(3)), taken.t_ns + 3_000_000_000
+                bearing, farther = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*away)
+            p_n = taken.p_n + np.append(rng.normal(0.0, sigma_m, 2), 0.0)
             there = p_n + off.p_n + farther * np.array([math.cos(bearing), math.sin(bearing), 0.0])
-            q = so3.normalise(so3.multiply(off.q_nb_wxyz, so3.from_matrix(np.ascontiguousarray(R_nb))))
-            yield Shot(t_ns, image, p_n, R_nb, Prior(there, q, off.covariance))
+            q = so3.normalise(so3.multiply(off.q_nb_wxyz, so3.from_matrix(np.ascontiguousarray(taken.R_nb))))
+            yield Shot(taken.t_ns, taken.image, p_n, taken.R_nb, Prior(there, q, off.covariance), taken.reference_m)
 
-    return shots
+    return drawn

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 def command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Random seed of the flight.")] = 0,
+    mono: Annotated[bool, typer.Option("--mono", help="One camera instead of a stereo rig.")] = False,
     json: Json = False,
 ) -> None:
     """Fly a simulation through the real pipeline.
 
-    A multirotor flies over a mapped village. GPS is cut off, and landmarks in the stereo images replace it. Then the lens is dark
+    A multirotor flies over a mapped village. GPS is cut off, and landmarks in the images replace it. Then the lens is dark
     for twenty seconds. Later it flies over meadows without a landmark, and odometry carries the estimate. Writes input.mcap
     (sensors, images, truth), demo.toml with rig.yaml and map.geojson (configuration), estimate.mcap, without_odometry.mcap, the
     pictures demo.png (flight) and overlay.png (the map drawn into an image), and report.html.
@@ -29,6 +30,7 @@ def command(
     Examples:
       landfix demo
       landfix demo -o out/another --seed 7 --json
+      landfix demo -o out/mono --mono
     """
     from estimator.tools.demo import demo
     from estimator.tools.kernels import prepare
@@ -37,7 +39,7 @@ def command(
         with progress("compiling, once") as report:
             prepare(report)
         with progress("demo") as report:
-            result = demo(out, seed, report)
+            result = demo(out, seed, report, one_camera=mono)
     if json:
         print_json(result)
         return

@@ -49,7 +49,7 @@ class Repeat(ABC):
         self._request_topic = request_topic
         with PartsReader(source) as reader:
             self._repeats = any(record.topic == request_topic for record in reader)
-        self._pairing, self._track = Pairing(config), Track()
+        self._pairing, self._track = Pairing(config, alone=len(set(self._side.values())) == 1), Track()
         self._shots: dict[ImageName, Shot] = {}
         self._due: deque[tuple[int, list[Encoded]]] = deque()
 

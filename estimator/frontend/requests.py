@@ -71,9 +71,13 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Puts images together by their stamps. One that waits in vain goes alone; at most most_hz go on."""
+    """Puts images together by their stamps. One that waits in vain goes alone; at most most_hz go on.
 
-    def __init__(self, config: VisionConfig) -> None:
+    alone: images of one camera only are subscribed to, and none of them waits.
+    """
+
+    def __init__(self, config: VisionConfig, alone: bool = False) -> None:
+        self._alone = alone
         self._pair_ns, self._patience_ns = round(config.pair_ms * 1e6), round(config.patience_ms * 1e6)
         self._period_ns = round(_SECOND_NS / config.most_hz * 0.9)  # images at that very rate all go on
         self._waiting: dict[str, deque[Shot]] = {"left": deque(maxlen=8), "right": deque(maxlen=8)}
@@ -81,6 +85,8 @@ class Pairing:
 
     def put(self, side: str, shot: Shot) -> list[Pair]:
         """An image of the "left" or "right" camera; the pairs that are complete now."""
+        if self._alone:
+            return self._paced(Pair(shot, None) if side == "left" else Pair(None, shot))
         other_side = "right" if side == "left" else "left"
         ready = self.overdue(shot.arrived_ns)
         others = self._waiting[other_side]

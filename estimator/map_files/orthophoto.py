@@ -125,7 +125,7 @@ def _median(image: NDArray[np.uint8], px: Array) -> Array | None:
 
 def _to_8_bit(image: cv2.typing.MatLike) -> NDArray[np.uint8]:
     if image.dtype == np.uint8:
-        return image.astype(np.uint8)
+        return image.astype(np.uint8, copy=False)
     values = image.astype(np.float32)
     low, high = np.percentile(values[::4, ::4], _STRETCH)
     stretched: NDArray[np.uint8] = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)

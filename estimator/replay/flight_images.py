@@ -1,4 +1,4 @@
-"""The stereo images of a simulated flight: rendered along the true trajectory, each pair on its own, on all cores.
+"""The images of a simulated flight: rendered along the true trajectory, each pair or image on its own, on all cores.
 
     pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
 
@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Final
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.files.formats import save_rig
+from calib.files.formats import save_mounted, save_rig
 from estimator.frontend.workers import pool
 from logs.wire.encoding import Encoded
 from logs.wire.images import Pixels, encode_image
@@ -25,7 +26,7 @@ from models.camera import StereoRig
 from models.messages import Array
 from models.sim.cameras import Cameras
 from models.sim.scenario import EPOCH_NS, Simulation, Truth
-from vision.synthetic import Conditions, Image, Scene, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic import Conditions, Image, Scene, WorldSpec, blur_of_motion, make_rig, make_world, render, render_pair
 from vision.synthetic.night import counts, night
 
 LEFT, RIGHT = "/left/image", "/right/image"
@@ -47,10 +48,10 @@ class Flight:
 
     def __len__(self) -> int:
         """Messages: two a pair."""
-        return 2 * len(self.t_ns)
+        return (1 if self.cameras.one_camera else 2) * len(self.t_ns)
 
     def __iter__(self) -> Iterator[tuple[int, Encoded]]:
-        """(arrival, message): left, right, left, ..."""
+        """(arrival, message): left, right, left, ...; of one camera left, left, ..."""
         delay_ns = round(self.cameras.delay_s * 1e9)
         with pool(None, partial(_begin, self)) as drawing:
             for t_ns, pair in zip(self.t_ns.tolist(), drawing.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
@@ -60,21 +61,24 @@ class Flight:
     def write_map_and_rig(self, map_file: Path, rig_file: Path) -> None:
         """The vehicle's files: the map with its errors, the rig as it was calibrated."""
         map_file.write_bytes(self.scene.map.to_geojson())
-        save_rig(rig_file, self.scene.rig_calibrated)
+        (save_mounted if self.cameras.one_camera else save_rig)(rig_file, self.scene.rig_calibrated)
 
-    def draw(self, k: int) -> tuple[Encoded, Encoded]:
-        """The k-th pair as it goes over the wire."""
+    def draw(self, k: int) -> tuple[Encoded, ...]:
+        """The k-th pair, or image of one camera, as it goes over the wire."""
         cameras, t_ns, rng = self.cameras, int(self.t_ns[k]), np.random.default_rng([self.seed, k])
         since_s = (t_ns - EPOCH_NS) * 1e-9
         p_n, R_nb, v_n, omega_b = _pose(self.truth, t_ns)
         p_n = np.array([p_n[0], p_n[1], min(p_n[2], -_LOWEST_M - float(self.scene.rig.p_bc[2]))])
-        pair = render_pair(self.scene.world, self.scene.rig, p_n, R_nb, self._conditions(since_s, p_n, R_nb, v_n, omega_b), rng)
+        world, rig, conditions = self.scene.world, self.scene.rig, self._conditions(since_s, p_n, R_nb, v_n, omega_b)
+        if cameras.one_camera:
+            images: tuple[Image, ...] = (render(world, rig.left, *rig.camera_pose(p_n, R_nb), conditions, rng),)
+        else:
+            images = render_pair(world, rig, p_n, R_nb, conditions, rng)
         quality = None if cameras.sees == "thermal" else cameras.jpeg_quality or None
-        left, right = (
+        return tuple(
             encode_image(t_ns, _sensed(image, cameras), topic, jpeg_quality=quality)
-            for image, topic in zip(pair, (LEFT, RIGHT), strict=True)
+            for image, topic in zip(images, (LEFT, RIGHT), strict=False)
         )
-        return left, right
 
     def _conditions(self, since_s: float, p_n: Array, R_nb: Array, v_n: Array, omega_b: Array) -> Conditions:
         cameras, rig = self.cameras, self.scene.rig
@@ -119,7 +123,8 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
 
 def configuration(cameras: Cameras, simulation: Simulation, map_name: str, rig_name: str) -> str:
     """The flight's configuration, with images, map and rig; the files are relative to it."""
-    text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = "{RIGHT}"\n')
+    right = "[]" if cameras.one_camera else f'"{RIGHT}"'
+    text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = {right}\n')
     odometry = "\n[visual_odometry]\nenabled = true\nground_m = 0.0\n" if cameras.odometry else ""
     return text.replace("[map]\n", f'[map]\nlandmarks = "{map_name}"\n') + f'\n[rig]\nfile = "{rig_name}"\n{odometry}'
 
@@ -132,7 +137,8 @@ def _sensed(image: Image, cameras: Cameras) -> Pixels:
 
 
 def _rig(cameras: Cameras) -> StereoRig:
-    return make_rig(cameras.width, cameras.height, cameras.focal_px, cameras.baseline_m, cameras.pitch_deg)
+    rig = make_rig(cameras.width, cameras.height, cameras.focal_px, cameras.baseline_m, cameras.pitch_deg)
+    return msgspec.structs.replace(rig, one_camera=cameras.one_camera)
 
 
 def _pose(truth: Truth, t_ns: int) -> tuple[Array, Array, Array, Array]:
@@ -151,5 +157,5 @@ def _begin(flight: Flight) -> None:
     _FLIGHT[:] = [flight]
 
 
-def _draw(k: int) -> tuple[Encoded, Encoded]:
+def _draw(k: int) -> tuple[Encoded, ...]:
     return _FLIGHT[0].draw(k)

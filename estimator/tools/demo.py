@@ -1,7 +1,7 @@
 """The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
 
-GPS is cut off at one third. From then on what the stereo camera sees carries the estimate: landmarks, for a while nothing, and
-its motion over the meadows where no landmark is in view. The same flight is replayed without odometry, too.
+GPS is cut off at one third. From then on what the stereo camera, or one camera, sees carries the estimate: landmarks, for a while
+nothing, and its motion over the meadows where no landmark is in view. The same flight is replayed without odometry, too.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.report.write import Written, compose, gather
 from models.messages import Reason
-from models.sim.scenario import simulate
+from models.sim.scenario import Scenario, simulate
 from models.sim.scenario_file import loads
 
 SCENARIO = "demo.toml"
@@ -52,11 +52,20 @@ def scenario_text() -> str:
     return (packaged if packaged.is_file() else Path(__file__).parents[2] / _CHECKOUT).read_text(encoding="utf-8")
 
 
-def demo(folder: Path, seed: int = 0, progress: Stages = lambda _, __: None, scenario: str | None = None) -> DemoResult:
-    """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`."""
+def demo(
+    folder: Path,
+    seed: int = 0,
+    progress: Stages = lambda _, __: None,
+    scenario: str | None = None,
+    one_camera: bool = False,
+) -> DemoResult:
+    """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`.
+
+    one_camera: with the left camera of the scenario's rig alone.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
-    _simulate(folder, scenario or scenario_text(), seed, _part(progress, 0.0, 0.5, "simulate and render"))
+    _simulate(folder, _plan(scenario or scenario_text(), one_camera), seed, _part(progress, 0.0, 0.5, "simulate and render"))
     loaded = load(config)
     summary, overlay = _fly(folder, loaded, _part(progress, 0.5, 0.8, "replay"))
     without = folder / "without_odometry.mcap" if loaded.visual_odometry.enabled else None
@@ -77,11 +86,20 @@ def demo(folder: Path, seed: int = 0, progress: Stages = lambda _, __: None, sce
     )
 
 
-def _simulate(folder: Path, scenario: str, seed: int, progress: Progress) -> None:
+def _plan(scenario: str, one_camera: bool) -> Scenario:
+    """The scenario of the text. Raises ValueError where it has no cameras, and one is to be used."""
+    plan = loads(scenario, SCENARIO)
+    if not one_camera:
+        return plan
+    if plan.cameras is None:
+        raise ValueError("one camera: the scenario has no [cameras]")
+    return msgspec.structs.replace(plan, cameras=msgspec.structs.replace(plan.cameras, one_camera=True))
+
+
+def _simulate(folder: Path, plan: Scenario, seed: int, progress: Progress) -> None:
     """input.mcap and demo.toml; with cameras in the scenario map.geojson and rig.yaml too."""
     from estimator.replay import flight_images  # noqa: PLC0415  (slow to import, and not always needed)
 
-    plan = loads(scenario, SCENARIO)
     simulation = simulate(plan, seed)
     text, images = simulation.config_toml, None
     if plan.cameras:
@@ -98,7 +116,7 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     rig_file, map_file = config.rig.file, config.map.landmarks
     if rig_file is None or map_file is None:
         return replay(log, estimate, config, progress), ""
-    from calib.files.formats import load_rig  # noqa: PLC0415
+    from calib.files.formats import load_cameras  # noqa: PLC0415
     from estimator.frontend.odometry import OdometrySight  # noqa: PLC0415
     from estimator.frontend.processor import Sight  # noqa: PLC0415
     from estimator.frontend.repeat import Repeat, Together  # noqa: PLC0415
@@ -107,7 +125,7 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     from estimator.map_files import store as map_store  # noqa: PLC0415
     from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
 
-    rig, landmarks = load_rig(folder / rig_file), map_store.load(folder / map_file)
+    rig, landmarks = load_cameras(folder / rig_file), map_store.load(folder / map_file)
     sides = config.inputs.left_image, config.inputs.right_image
     parts: list[Repeat] = [SightReplay(Sight(rig, landmarks), config.vision, *sides, log)]
     if config.visual_odometry.enabled:

@@ -34,7 +34,7 @@ class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down).
+    """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down); one_camera: its left one.
 
     sees: colour, grey (8 bit), or thermal: by night, 16 bit, which no JPEG holds;
     exposure_s: blurs moving images; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
@@ -43,6 +43,7 @@ class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """
 
     rate_hz: Rate = 2.0
+    one_camera: bool = False
     sees: Literal["colour", "grey", "thermal"] = "colour"
     width: Pixels = 640
     height: Pixels = 480

@@ -8,6 +8,7 @@ ground looks like: then vision/ground/registration.py.
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Final
 
 import cv2
@@ -30,6 +31,7 @@ _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
 _REACH_SIGMA: Final = 4.0
 _FEATURE_PX = 0.5  # of a keypoint's place in its image
+_TILE_PX, _MARGIN_PX = 1024, 64  # of a map whose keypoints are sought
 _DOUBLED_PX = 0.25  # OpenCV seeks in the doubled image and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
 _FEWEST = 8  # inliers that are worth fitting a pose to
 _POINTS = PointConfig(least=_FEWEST, freedom=8.0, expected=1.0)
@@ -64,7 +66,7 @@ class FeatureMap:
         level = 0
         while level < len(image.pyramid) - 1 and max(image.pyramid[level].shape) > config.longest_map:
             level += 1
-        px, descriptors = _keypoints(image.pyramid[level], config.most_in_map)
+        px, descriptors = _of_large(image.pyramid[level], config.most_in_map)
         place = px * 2.0**level @ image.affine[:, :2].T + image.affine[:, 2]
         return cls(image, image.points(place), descriptors)
 
@@ -145,6 +147,26 @@ def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
     if not len(found):
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
     return np.array([k.pt for k in found], dtype=np.float64) - _DOUBLED_PX, descriptors.astype(np.float32)
+
+
+def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
+    """As _keypoints, in tiles: SIFT works on 200 bytes a pixel. A keypoint counts in the tile that it lies in."""
+    height, width = image.shape
+    if max(height, width) <= _TILE_PX:
+        return _keypoints(image, most)
+    px, clear, descriptors = [np.empty((0, 2))], [np.empty(0)], [np.empty((0, 128), np.float32)]
+    for top, left in product(range(0, height, _TILE_PX), range(0, width, _TILE_PX)):
+        v, u = max(top - _MARGIN_PX, 0), max(left - _MARGIN_PX, 0)
+        part = image[v : top + _TILE_PX + _MARGIN_PX, u : left + _TILE_PX + _MARGIN_PX]
+        found, described = cv2.SIFT.create().detectAndCompute(part, None)
+        at = np.array([k.pt for k in found]).reshape(-1, 2) + np.array([u, v])
+        own = np.flatnonzero(np.all((at >= (left, top)) & (at < (left + _TILE_PX, top + _TILE_PX)), axis=1))
+        if len(own):
+            px.append(at[own] - _DOUBLED_PX)
+            clear.append(np.array([found[k].response for k in own.tolist()]))
+            descriptors.append(described[own].astype(np.float32))
+    best = np.argsort(-np.concatenate(clear), kind="stable")[:most]
+    return np.concatenate(px)[best], np.concatenate(descriptors)[best]
 
 
 def _matches(mine: NDArray[np.float32], theirs: NDArray[np.float32], ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -3,6 +3,7 @@
 (north, east) = A (u, v, 1): place [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +16,7 @@ from vision.describe.survey import grey, to_8_bit
 from vision.image.rectify import Image
 
 Float = NDArray[np.float32]
+_STANDING = 0.1  # share of the edges that do not lie on the ground: a mean height of a third of the unevenness
 _LEAST_LEVEL_PX = 32  # of a pyramid's coarsest image
 
 
@@ -72,8 +74,13 @@ class GroundImage:
 
     @property
     def shared_sigma(self) -> tuple[float, float, float]:
-        """What all its points share: horizontal, of the height [m], slope of the ground."""
-        return self.sigma_m, self.height_sigma_m, self.heights.slope
+        """What all its points share: horizontal, of the height [m], slope of the ground.
+
+        What stands on the ground stands up: its heights do not cancel. Where a share p of the edges is h high, their standard
+        deviation is h sqrt(p (1 - p)), the unevenness, and their mean p h is sqrt(p / (1 - p)) of that.
+        """
+        mean = math.sqrt(_STANDING / (1.0 - _STANDING)) * self.heights.unevenness_m
+        return self.sigma_m, math.hypot(self.height_sigma_m, mean), self.heights.slope
 
     @cached_property
     def pyramid(self) -> tuple[Image, ...]:

@@ -7,6 +7,8 @@ a pixel known by the prior, is the point of the map at the peak. Of each image, 
     s = m unevenness (1 - rho)^4
 
 s: edges that are not where the map has them, of shadows and of what leans over, move the peak, the more the less is explained.
+Where the sun has gone from one side to the other, the edge of a shadow is as far off as the shadow is long, h / tan(elevation),
+and its object's edge is not off: at worst the peak is half-way. m = 1 / (2 tan 15 deg): a lower sun lights little.
 Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other places.
 """
 
@@ -35,7 +37,7 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     deviations: Annotated[float, Meta(ge=0, description="correlation at the peak over the scatter at other places")] = 5.0
     noise: Annotated[float, Meta(gt=0, description="c: variance of the correlation's noise")] = 2e-3
     step: Annotated[float, Meta(gt=0, description="f: of the search's step, 1 sigma")] = 0.3
-    moved: Annotated[float, Meta(ge=0, description="m: of the unevenness, 1 sigma, where nothing correlates")] = 1.2
+    moved: Annotated[float, Meta(ge=0, description="m: of the unevenness, 1 sigma, where nothing correlates")] = 1.9
 
 
 def peak_flaw(peak: Peak, config: PeakConfig) -> str:

@@ -43,7 +43,9 @@ _FAINT = 24.0  # Sobel magnitude (8 grey levels per 3 px) of what is noise rathe
 _PLAIN = 0.08  # standard deviation of a block's structure below which it has none
 _STEP_PX = 2.0  # at the patch's end, half a step of heading and scale
 _LOBE_PX = 6.0  # from the peak: another place begins there
-_FLOOR_PX = 0.1  # of a block's place: two interpolations
+_FLOOR_PX = (
+    0.1  # of a block's place: two interpolations; all blocks lie at about the same fraction of a pixel, so it does not average
+)
 _AGREES_PX = 2.0  # of the grid: a block that is no farther off
 _BY_CHANCE = 0.15  # share of the blocks of a wrong place that agree: pi 2^2 / 11^2, and a pose was fitted to them
 _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
@@ -128,15 +130,16 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class _Matched:
-    """Points of the map with their pixels, how many blocks were tried, and the camera's pixels to a point of the grid."""
+    """Points of the map with their pixels, how many blocks were tried, the grid's step [m], and the camera's pixels to it."""
 
     points: Points
     tried: int
+    step_m: float
     point_px: float
 
     @classmethod
     def none(cls) -> "_Matched":
-        return cls(Points(np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2, 2))), 0, 1.0)
+        return cls(Points(np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2, 2))), 0, 1.0, 1.0)
 
 
 def register(
@@ -154,7 +157,9 @@ def register(
         matched = _blocks(rig, levels, pose, map_image, (points, reach, config.block))
         if len(matched.points.px) < _POINTS.least:
             return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a place", place)
-        found = fit_points(rig, matched.points, pose, prior, map_image.shared_sigma, _POINTS)
+        horizontal, height, slope = map_image.shared_sigma
+        shared = math.hypot(horizontal, _FLOOR_PX * matched.step_m), height, slope
+        found = fit_points(rig, matched.points, pose, prior, shared, _POINTS)
         if isinstance(found, str):
             return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}", place)
         fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
@@ -313,7 +318,9 @@ def _blocks(
             tried += 1
             if peak := _peak(image[around], block):
                 found.append(((x + 0.5 * (side - 1), y + 0.5 * (side - 1)), peak[0] - reach, peak[1]))
-    return _Matched(_as_points(camera, grid, map_image, found), tried, grid.q / grid.camera_m) if found else _Matched.none()
+    return (
+        _Matched(_as_points(camera, grid, map_image, found), tried, grid.q, grid.q / grid.camera_m) if found else _Matched.none()
+    )
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:

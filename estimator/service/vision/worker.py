@@ -181,7 +181,7 @@ class VisionWorker:
     # --- the thread -----------------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
-        pairing = Pairing(self._config)
+        pairing = Pairing(self._config, alone=len(set(self._sides.values())) == 1)
         while not self._stopping.is_set():
             try:
                 if self._process is not None or self._start():

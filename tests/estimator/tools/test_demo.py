@@ -1,13 +1,16 @@
+from collections import Counter
 from pathlib import Path
 
 import msgspec
 import pytest
 from typer.testing import CliRunner
 
+from calib.files.formats import load_cameras
 from estimator.cli import app
 from estimator.config import load
 from estimator.tools import demo as demonstration
 from logs.evaluation.evaluate import evaluate
+from logs.store.reader import LogReader
 from models.sim.scenario_file import loads
 
 SHORT = """
@@ -152,6 +155,29 @@ def test_odometry_is_used_but_not_in_the_dark_and_the_flight_without_it_stands_b
     without = evaluate(Path(seen.without_odometry), outage_s=5.0)
     assert not any(a.kind == "odometry" for a in without.aids)
     assert "Odometry in outages" in Path(seen.report).read_text()
+
+
+def test_one_camera_carries_the_flight_as_well(tmp_path: Path) -> None:
+    """No right image is rendered, recorded or waited for; fixes and odometry of the left one carry the estimate without GPS."""
+    flown = demonstration.demo(tmp_path / "mono", seed=1, scenario=SEEN, one_camera=True)
+    assert load_cameras(Path(flown.folder) / "rig.yaml").one_camera
+    assert load(Path(flown.config)).inputs.right_image == ()
+    with LogReader(Path(flown.log)) as reader:
+        topics = Counter(record.topic for record in reader)
+    assert topics["/left/image"] == 28
+    assert "/right/image" not in topics
+    assert flown.replay.internal_errors == 0
+    assert 10 <= flown.replay.fixes["/landfix/fix"]["fused"] <= 22  # of 28 images 6 are dark
+    (without_gps,) = (o for o in flown.evaluation.outages if o.source == "/gnss")
+    assert without_gps.increments >= 5
+    assert without_gps.drift is not None
+    assert without_gps.radius95_end_m is not None
+    assert 0.01 < without_gps.drift.end_m < 2.0 * without_gps.radius95_end_m < 6.0
+
+
+def test_one_camera_of_a_scenario_without_cameras_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"no \[cameras\]"):
+        demonstration.demo(tmp_path / "none", scenario=SHORT, one_camera=True)
 
 
 def test_the_command_prints_where_everything_is(tmp_path: Path) -> None:

@@ -73,6 +73,18 @@ def test_inliers_in_one_corner_are_no_fix() -> None:
     assert isinstance(found, NotRecognised)
 
 
+def test_a_large_map_is_searched_in_tiles_for_the_same_keypoints() -> None:
+    """1600 px are four tiles. All but a few of the clearest keypoints of the whole are among theirs, to a tenth of a pixel."""
+    image = scene.map_image(scene.drawing(2), 1)
+    tiled = FeatureMap.of(image, FeatureConfig(most_in_map=400)).x_n[:, :2]
+    found, _ = cv2.SIFT.create().detectAndCompute(image.image, None)
+    clearest = sorted(found, key=lambda k: -k.response)[:300]
+    whole = np.array([k.pt for k in clearest]) - 0.25
+    apart = np.linalg.norm(image.to_pixels(tiled)[:, None] - whole, axis=2).min(axis=0)
+    assert len(tiled) == 400
+    assert np.mean(apart < 0.1) > 0.95
+
+
 @pytest.mark.parametrize("reduction", [2, 6])
 def test_pixels_of_other_size(reduction: int) -> None:
     """A map twice as fine as the camera, and one much coarser."""

@@ -1,5 +1,7 @@
 """A georeferenced image: places, heights, and grey values without aliasing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,17 @@ def test_heights_are_bilinear_and_end_at_the_border() -> None:
     heights = Heights(down, np.array([[0.0, 2.0, 0.0], [2.0, 0.0, 0.0]]), 1.0)  # u is east, v is north, 2 m apart
     place = np.array([[0.0, 1.0], [1.0, 3.0], [9.0, 9.0], [-5.0, -5.0]])
     np.testing.assert_allclose(heights.at(place), [5.0, 17.0, 24.0, 0.0])
+
+
+def test_what_stands_on_the_ground_raises_it() -> None:
+    """A tenth of the edges, each 10 m high: the standard deviation of the heights is 3 m, and their mean 1 m."""
+    heights = np.repeat((10.0, 0.0), (1, 9))
+    image = GroundImage(
+        "x", np.zeros((9, 9), np.uint8), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), Heights.level(0.0, heights.std())
+    )
+    assert image.shared_sigma == pytest.approx((0.0, heights.mean(), 0.02))
+    known = replace(image, height_sigma_m=0.5)
+    assert known.shared_sigma[1] == pytest.approx(np.hypot(0.5, heights.mean()))
 
 
 def test_a_georeference_without_area_is_refused() -> None:

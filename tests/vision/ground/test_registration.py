@@ -45,7 +45,7 @@ def test_every_pose_is_found_and_its_covariance_is_true(season: int) -> None:
         alone.append(scene.chi_square(fit, p_n, R_nb))
     for values in (squared, alone):
         assert max(values) < chi2.ppf(1.0 - 1e-4, 6)
-        assert 0.25 < np.mean(values) / 6.0 < 1.3  # a mean of 1 is exact; above is the worse side
+        assert 0.2 < np.mean(values) / 6.0 < 1.3  # a mean of 1 is exact, above is the worse side; the map itself: floors alone
 
 
 def test_a_camera_that_looks_ahead() -> None:
@@ -94,7 +94,8 @@ def test_an_error_of_the_georeference_is_common_and_not_more() -> None:
     assert isinstance(a, Registered)
     assert isinstance(b, Registered)
     np.testing.assert_allclose((b.pose.p_n - a.pose.p_n)[:2], (0.7, -0.4), atol=0.15)
-    assert not a.pose.covariance_common[:2, :2].any()
+    floor_m = 0.1 * true.pixel_m  # of every block's place, at the same fraction of a pixel: no number of blocks makes it less
+    np.testing.assert_allclose(a.pose.covariance_common[:2, :2], floor_m**2 * np.eye(2), atol=0.3 * floor_m**2)
     np.testing.assert_allclose(b.pose.covariance_common[:2, :2], 0.25 * np.eye(2), atol=0.02)
     L = b.pose.landmark_errors[0]
     np.testing.assert_allclose(L @ L.T + b.pose.covariance_rig, b.pose.covariance_common, atol=1e-12)
@@ -123,6 +124,7 @@ def test_what_is_not_known_of_the_ground_widens_the_covariance() -> None:
     assert isinstance(a, Registered)
     assert isinstance(b, Registered)
     assert np.all(np.diag(b.pose.covariance)[:3] > 4.0 * np.diag(a.pose.covariance)[:3])
+    assert 0.9 < np.sqrt(b.pose.covariance_common[2, 2]) < 1.1  # roofs stand up: a third of 3 m is common to all of them
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,188 @@
+"""Images over maps that do not show their place, as in flight: `python -m benchmarks.aerial.decoys [--resume]`.
+
+None of these images, priors and maps chose a threshold: frames of the NUST video between those of
+`benchmarks.aerial.registration`, Brighton's photos, and villages of other seeds. The map is that of their place, turned by a
+quarter, mirrored, or 150 to 300 m away from the prior; or it is the map of another place. Whatever is accepted is wrong. Of n
+images without a fix the share of false ones is below 3 / n (95 %). Each job's result is kept in out/registration/decoys.jsonl.
+"""
+
+import argparse
+import csv
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+
+from benchmarks.aerial.registration_sets import LOW, NEAR, Flight, Scene, brighton_scene, nust_scene, shots, turned, village
+from benchmarks.aerial.trials import Spread, generator
+from benchmarks.flights.tasks import data_folder
+from benchmarks.jobs import run_jobs
+from benchmarks.tables import Table
+from models.maps.landmarks import LandmarkMap
+from vision.ground.image import GroundImage, Heights
+from vision.recognisers import MapImage, Recognisers
+
+OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
+SEED = 1000  # of the priors
+VILLAGES = tuple(f"village {seed}" for seed in range(100, 102))
+SETS = ("NUST +5", "NUST +10", "Brighton", *VILLAGES)
+OWN = ("quarter", "three quarters", "mirrored", "away")
+_AWAY_M = (150.0, 300.0)  # beyond what features search by this prior
+_NOT_SEARCHED = frozenset({"no_ground", "outside", "prior_too_wide"})
+_NOWHERE = LandmarkMap.from_landmarks((0.0, 0.0, 0.0), [])
+_TILES, _TILES_STEP_M = 6, 0.25
+_M_PER_DEGREE = 111_320.0
+
+Job = tuple[str, str]  # images, map
+
+
+class Tally(msgspec.Struct, frozen=True):
+    """Of one set of images over one map: how often each outcome, and what was said of those accepted."""
+
+    outcomes: dict[str, int]
+    accepted: list[str]
+
+    @property
+    def searched(self) -> int:
+        """Images that were compared with the map."""
+        return sum(n for outcome, n in self.outcomes.items() if outcome not in _NOT_SEARCHED)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.aerial.decoys", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--resume", action="store_true", help="keep the jobs that are done")
+    parser.add_argument("--processes", type=int, default=1)
+    args = parser.parse_args()
+    done = list(jobs())
+    kept = OUT / "decoys.jsonl"
+    results = run_jobs(done, work, Tally, kept, processes=args.processes, resume=args.resume)
+    sys.stdout.write(table(dict(zip(done, results, strict=True))).markdown() + f"\n{kept}\n")
+
+
+def jobs() -> Iterator[Job]:
+    """Every set over its own maps and over those of other places."""
+    for images in SETS:
+        for known in OWN:
+            yield images, known
+    places = ["NUST", "wildnav"] if tiles_folder(data_folder()).is_dir() else ["NUST"]
+    for images in SETS:
+        for place in (*places, *VILLAGES):
+            if place not in images:
+                yield images, place
+
+
+def work(job: Job) -> Tally:
+    """All images of a set, in order, over one map."""
+    images, known = job
+    outcomes: Counter[str] = Counter()
+    accepted = []
+    for number, scene in enumerate(scenes(images)):
+        flight = decoy(scene, known, (SEED, f"{images} {known}", number), LOW if images == "Brighton" else NEAR)
+        recognisers = Recognisers(flight.rig, _NOWHERE, flight.known)
+        for shot in flight.shots():
+            result = recognisers.process(shot.image, None, shot.t_ns, shot.prior)
+            outcomes[result.report.outcome] += 1
+            if result.fix is not None:
+                off_m = float(np.linalg.norm((result.pose.joint_p_n - shot.p_n)[:2])) if result.pose else math.nan
+                accepted.append(f"{off_m:.1f} m off: {result.report.detail}")
+    return Tally(dict(outcomes), accepted)
+
+
+@lru_cache(maxsize=2)
+def scenes(images: str) -> tuple[Scene, ...]:
+    """Of one name: a flight, or a village on three days."""
+    if images.startswith("NUST"):
+        return (nust_scene(data_folder(), int(images.split("+")[1])),)
+    if images == "Brighton":
+        return (brighton_scene(data_folder(), OUT / "maps"),)
+    return tuple(village(int(images.split()[1])).values())
+
+
+def decoy(scene: Scene, known: str, key: tuple[int, str, int], spread: Spread) -> Flight:
+    """The images over a map where no fix is right."""
+    if known == "away":
+        return Flight(known, scene.rig, scene.known, shots(scene, spread, key, _AWAY_M), decoy=True)
+    turns = {"quarter": cv2.ROTATE_90_CLOCKWISE, "three quarters": cv2.ROTATE_90_COUNTERCLOCKWISE}
+    if known in turns:
+        other = turned(scene.known, turns[known])
+    elif known == "mirrored":
+        other = MapImage.of(replace(scene.known.image, image=np.ascontiguousarray(scene.known.image.image[:, ::-1])))
+    else:
+        other = _moved_to(scene, _place(known), key)
+    return Flight(known, scene.rig, other, shots(scene, spread, key), decoy=True)
+
+
+def _place(known: str) -> GroundImage:
+    if known == "NUST":
+        return nust_scene(data_folder(), -1).known.image  # none of its frames
+    return tiles(tiles_folder(data_folder())) if known == "wildnav" else scenes(known)[0].known.image
+
+
+def _moved_to(scene: Scene, place: GroundImage, key: tuple[int, str, int]) -> MapImage:
+    """The map of another place, turned at random, with its middle where the images are and the ground as far below."""
+    middle = np.mean([taken.p_n[:2] for taken in scene.taken], axis=0)
+    height, width = place.image.shape[:2]
+    angle = generator(*key).uniform(0.0, 2.0 * math.pi)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    linear = turn @ place.affine[:, :2]
+    shift = middle - linear @ (0.5 * np.array([width - 1.0, height - 1.0]))
+    down = float(scene.known.image.heights.at(middle[None])[0])
+    return MapImage.of(replace(place, affine=np.column_stack((linear, shift)), heights=Heights.level(down)))
+
+
+def tiles_folder(data: Path) -> Path:
+    """Satellite pictures of the repository TIERS/wildnav (Turku, BSD 3-Clause), where they are."""
+    return data / "images" / "wildnav_satellite"
+
+
+def tiles(folder: Path) -> GroundImage:
+    """The first six pictures of map.csv in one, north up; the others leave gaps."""
+    with (folder / "map.csv").open() as file:
+        rows = list(csv.reader(file))[1 : 1 + _TILES]
+    names, corners = [row[0].strip() for row in rows], np.array([[float(x) for x in row[1:]] for row in rows])
+    north, west = corners[:, 0].max(), corners[:, 1].min()
+    to_px = np.array([_M_PER_DEGREE, _M_PER_DEGREE * math.cos(math.radians(north))]) / _TILES_STEP_M
+    px = np.rint((corners - (north, west, north, west)) * np.tile(to_px * (-1.0, 1.0), 2)).astype(int)
+    whole = np.zeros((*px[:, 2:].max(axis=0), 3), dtype=np.uint8)
+    for name, (v, u, v1, u1) in zip(names, px.tolist(), strict=True):
+        image = cv2.imread(str(folder / name))
+        if image is None:
+            raise FileNotFoundError(folder / name)
+        whole[v:v1, u:u1] = cv2.resize(image, (u1 - u, v1 - v), interpolation=cv2.INTER_AREA)
+    affine = np.array([[0.0, -_TILES_STEP_M, 0.0], [_TILES_STEP_M, 0.0, 0.0]])
+    return GroundImage("wildnav", whole, affine, Heights.level(0.0), 1.0, 1.0)
+
+
+def table(results: dict[Job, Tally]) -> Table:
+    """One row for each kind of images and of map."""
+    rows = []
+    kinds = dict.fromkeys((images.split()[0], _kind(known)) for images, known in results)
+    for images, known in kinds:
+        of = [t for (i, k), t in results.items() if (i.split()[0], _kind(k)) == (images, known)]
+        rows.append((images, known, *_counts(of)))
+    rows.append(("all", "", *_counts(list(results.values()))))
+    return Table("Decoys", ("images", "map", "images seen", "searched", "accepted", "share below (95 %)"), rows)
+
+
+def _kind(known: str) -> str:
+    return known if known in OWN else "another place"
+
+
+def _counts(tallies: list[Tally]) -> tuple[str, str, str, str]:
+    seen, searched = sum(sum(t.outcomes.values()) for t in tallies), sum(t.searched for t in tallies)
+    false = sum(len(t.accepted) for t in tallies)
+    return str(seen), str(searched), str(false), f"{3.0 / searched:.2%}" if searched and not false else "-"
+
+
+if __name__ == "__main__":
+    main()

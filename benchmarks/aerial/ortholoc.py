@@ -1,0 +1,63 @@
+"""OrthoLoC's example: a photo 25 degrees off straight down, over its own orthophoto and over the state's, of another season.
+
+The files `urban_residential*` of the repository deepscenario/OrthoLoC, ortholoc/assets/demo (CC BY-NC-SA 4.0, so not in this
+one), in images/ortholoc_demo of LANDFIX_DATA. Poses are exact; heights are not used but for the ground's, 13.0 m below the
+origin: where SIFT's matches with the photo's own orthophoto lie at the known pose (57 of them, quartiles 12.8 and 13.1 m). One
+photo is one photo, whatever the number of priors.
+"""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.aerial.registration_sets import Scene, Taken
+from benchmarks.aerial.trials import nadir_rig
+from models.camera import CameraModel
+from vision.ground.image import GroundImage, Heights
+from vision.image.rectify import Image
+from vision.recognisers import MapImage
+
+FOLDER = "images/ortholoc_demo"
+GROUND_UP_M = -13.0
+NAME = "urban_residential"
+MAPS = {"the photo's own orthophoto": "DOP", "the state's orthophoto": "xDOP"}
+_STEP_M = 0.1815185546875  # of the files' tags
+_WEST_M = {"DOP": -92.821044921875, "xDOP": -92.82773812056985}
+_NORTH_M = {"DOP": 92.836181640625, "xDOP": 92.82782244775444}
+_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # of east, north, up
+_APART_NS = 20_000_000_000  # so that no prior has to do with the one before
+
+
+def is_there(data: Path) -> bool:
+    """Whether the files are."""
+    return (data / FOLDER / f"{NAME}_extrinsics.json").is_file()
+
+
+def scene(data: Path, form: str, priors: int) -> Scene:
+    """The photo, as often as there are priors, over one of MAPS."""
+    camera, photo = _camera(data), _read(data / FOLDER / f"{NAME}.jpg")
+    world_to_camera = np.array(json.loads((data / FOLDER / f"{NAME}_extrinsics.json").read_text())["pose_w2c"])
+    R_cw, t = world_to_camera[:, :3], world_to_camera[:, 3]
+    rig = nadir_rig(camera)
+    p_n, R_nb = _NED @ (-R_cw.T @ t), _NED @ R_cw.T @ rig.R_bc.T
+    affine = np.array([
+        [0.0, -_STEP_M, _NORTH_M[form] - 0.5 * _STEP_M],
+        [_STEP_M, 0.0, _WEST_M[form] + 0.5 * _STEP_M],
+    ])  # fmt: skip
+    image = _read(data / FOLDER / f"{NAME}_{form}.tif")
+    known = MapImage.of(GroundImage(form, image, affine, Heights.level(-GROUND_UP_M), 0.3, 0.5))
+    return Scene(rig, known, [Taken(k * _APART_NS, photo, p_n, R_nb) for k in range(priors)])
+
+
+def _camera(data: Path) -> CameraModel:
+    k = json.loads((data / FOLDER / f"{NAME}_intrinsics.json").read_text())["intrinsics"]
+    return CameraModel(1024, 768, k[0][0], k[1][1], k[0][2], k[1][2])
+
+
+def _read(path: Path) -> Image:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError(path)
+    return np.asarray(image, dtype=np.uint8)
