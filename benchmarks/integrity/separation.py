@@ -50,6 +50,7 @@ def main() -> None:
     for kind, size in CELLS:
         table.rows.append(line(args.flight, kind, size, args.out / "tasks"))
         print(*table.rows[-1], sep=" | ", flush=True)
+    args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "separation.md").write_text(table.markdown())
 
 

@@ -25,7 +25,6 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 _EXACT: Final = 2e-3  # of a protection level, relative; rounded up
-_ASIDE: Final = _EXACT / 3.0
 _TINY, _TINY_M = 1e-300, 1e-9
 _MOST_STEPS: Final = 40
 _HOUR_S: Final = 3600.0
@@ -77,16 +76,10 @@ def exceeded(modes: Sequence[Mode], level_m: float, tail: Tail, exceeds: Callabl
 def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exceeds: Callable[[float], float]) -> float:
     """PL [m], not below the exact solution and at most two thousandths above it; inf where no distance is enough.
 
-    In a bracket, by regula falsi (Illinois rule; Dowell and Jarratt 1971) on sqrt(-2 ln sum), which is nearly linear in the
-    level: ln Q(z) ~ -z^2 / 2. Each guess is moved by a third of the accuracy to the side that the bracket lacks. Its upper end
-    comes from Q(z) <= exp(-(z / t)^2 / 2): each of n bounded modes gets an equal share of what the unbounded ones leave.
+    In a bracket, by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971). Its upper end comes from
+    Q(z) <= exp(-(z / t)^2 / 2): each of n bounded modes gets an equal share of what the unbounded ones leave.
     """
-    alike: dict[tuple[float, float], float] = {}  # offset, sigma: probability; several faults leave the estimate as it is
-    for m in modes:
-        if math.isfinite(m.offset + m.sigma):
-            key = m.offset, max(m.sigma, _TINY_M)
-            alike[key] = alike.get(key, 0.0) + m.probability
-    bounded = [(p, offset, sigma) for (offset, sigma), p in alike.items()]
+    bounded = [(m.probability, m.offset, max(m.sigma, _TINY_M)) for m in modes if math.isfinite(m.offset + m.sigma)]
     left = probability - sum(m.probability for m in modes if not math.isfinite(m.offset + m.sigma))
     if left <= 0.0:
         return math.inf
@@ -99,30 +92,26 @@ def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exce
         return offset + sigma * max(c, t) * math.sqrt(-2.0 * math.log(share)) if share < 1.0 else 0.0
 
     def excess(level_m: float) -> float:
-        """Above 0: the sum is more than what is allowed. Most of the time of all this goes by here."""
+        """ln of the sum over what is allowed; most of the time of all this goes by here."""
         total = 0.0
         for p, offset, sigma in bounded:
             z = (level_m - offset) / sigma
             total += p * (core * exceeds(z / c) + e * exceeds(z / t)) if z > 0.0 else p
-        lacking = -math.log(max(total, _TINY))
-        return target - (math.sqrt(2.0 * lacking) if lacking > 0.0 else lacking)
+        return math.log(max(total, _TINY) / left)
 
-    target = math.sqrt(-2.0 * math.log(left))
     low, high = 0.0, max(reach(*mode) for mode in bounded)
     at_low, at_high = excess(low), excess(high)
-    side = 0  # of the last guess: above 0 it became the low end
     for _ in range(_MOST_STEPS):
         if high - low <= _EXACT * high:
             break
-        aside = 1.0 + _ASIDE if side >= 0 else 1.0 - _ASIDE
-        middle = aside * (low * at_high - high * at_low) / (at_high - at_low)
+        middle = (low * at_high - high * at_low) / (at_high - at_low)
         if not low < middle < high:
             middle = 0.5 * (low + high)
         value = excess(middle)
         if value > 0.0:
-            low, at_low, at_high, side = middle, value, at_high * (0.5 if side > 0 else 1.0), 1
+            low, at_low, at_high = middle, value, 0.5 * at_high
         else:
-            high, at_high, at_low, side = middle, value, at_low * (0.5 if side < 0 else 1.0), -1
+            high, at_high, at_low = middle, value, 0.5 * at_low
     return high
 
 

@@ -74,7 +74,7 @@ def test_the_record_counts_a_job_once_and_keeps_the_others(tmp_path: Path) -> No
     looks = Row("looks", "random, prior 5 m", "", 1000.0, 0, fixes=800, wrong=1)
     added([flown, looks], record)
     again = msgspec.structs.replace(looks, wrong=0)
-    more = msgspec.structs.replace(looks, seed=1)
+    more = msgspec.structs.replace(again, seed=1)
     rows = added([again, more], record)
     assert rows == [again, more, flown]
     assert added([], record) == rows
