@@ -37,6 +37,7 @@ CELLS: Final = (
     ("fix frame drifts", 2.0), ("nothing, GNSS alone", 0.0),
 )  # fmt: skip
 SOURCES: Final = (((PoseFix,), LIMITS.fix_fault_per_hour), ((GnssFix, GnssVelocity), LIMITS.gnss_fault_per_hour))
+_TITLE: Final = "With and without filters that leave a source out"
 _OLDEST_S: Final = 10.0  # of the last absolute position in the filter that leaves one out; else it shows nothing
 _TAIL: Final = Tail(LIMITS.core_scale, LIMITS.tail_scale, LIMITS.tail_share)
 
@@ -46,12 +47,12 @@ def main() -> None:
     parser.add_argument("--flight", default="sim/rotor", help="of the stress table")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "integrity")
     args = parser.parse_args()
-    table = Table("With and without filters that leave a source out", COLUMNS, [])
+    rows = list[tuple[str, ...]]()
     for kind, size in CELLS:
-        table.rows.append(line(args.flight, kind, size, args.out / "tasks"))
-        print(*table.rows[-1], sep=" | ", flush=True)
+        rows.append(line(args.flight, kind, size, args.out / "tasks"))
+        print(*rows[-1], sep=" | ", flush=True)
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "separation.md").write_text(table.markdown())
+    (args.out / "separation.md").write_text(Table(_TITLE, COLUMNS, rows).markdown())
 
 
 COLUMNS: Final = ("kind", "size", "> PL", "with", "worst e / PL", "with", "HPL <= 10 m %", "with", "cost")
