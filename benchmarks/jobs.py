@@ -29,7 +29,7 @@ def run_jobs(
 
     work: a function of a module; kind: what it returns, for msgspec; executor: does the work in place of processes here.
     """
-    results = dict(_read(kept, kind)) if resume else {}
+    results = dict(results_in(kept, kind)) if resume else {}
     left = [job for job in jobs if _name(job) not in results]
     kept.parent.mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
@@ -52,7 +52,7 @@ def _line(name: str, result: object) -> str:
     return msgspec.json.encode((name, result)).decode() + "\n"
 
 
-def _read(kept: Path, kind: type[Result]) -> Iterator[tuple[str, Result]]:
+def results_in(kept: Path, kind: type[Result]) -> Iterator[tuple[str, Result]]:
     """Names and results of a file; a last line that was cut off does not count."""
     decoder = msgspec.json.Decoder(tuple[str, kind])  # type: ignore[valid-type]
     for line in kept.read_text().splitlines() if kept.is_file() else []:

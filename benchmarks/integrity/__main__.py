@@ -5,7 +5,8 @@ python -m benchmarks.integrity                      those of LANDFIX_DATA too: o
 python -m benchmarks.integrity --looks 1000000      frames of the identification benchmark in addition to the flights (hours)
 python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
 
-What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew.
+What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew. When the run ends,
+also by Ctrl-C, its counts are added to docs/integrity_runs.csv.
 """
 
 import argparse
@@ -17,9 +18,10 @@ from pathlib import Path
 
 from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
 from benchmarks.identification.numbers import WORLDS
+from benchmarks.integrity.record import RECORD, added
 from benchmarks.integrity.report import is_faulty, plot, summary, table
 from benchmarks.integrity.runs import Job, Row, run
-from benchmarks.jobs import run_jobs
+from benchmarks.jobs import results_in, run_jobs
 from benchmarks.stress.perturbations import KINDS
 
 _SCENARIOS = "ACXB"  # of the scoring tool: outages, false fixes after outages, outliers, one long outage
@@ -31,9 +33,13 @@ def main() -> None:
     args = arguments()
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
     work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks)
-    with cluster(args.scheduler) as executor:
-        rows = run_jobs(work, run, Row, args.out / "rows.jsonl", processes=args.jobs, resume=True, executor=executor)
-    text = f"{summary(rows)}\n{table(rows).markdown()}"
+    kept = args.out / "rows.jsonl"
+    try:
+        with cluster(args.scheduler) as executor:
+            rows = run_jobs(work, run, Row, kept, processes=args.jobs, resume=True, executor=executor)
+    finally:  # also of a run that is ended with Ctrl-C
+        known = added([row for _, row in results_in(kept, Row)], args.record)
+    text = f"{summary(rows)}\nAll of {args.record.name}:\n\n{summary(known)}\n{table(rows).markdown()}"
     (args.out / "report.md").write_text(text)
     for name, some in (("nominal", [r for r in rows if not is_faulty(r)]), ("faults", [r for r in rows if is_faulty(r)])):
         (args.out / f"stanford_{name}.svg").write_text(plot(some, f"{name}: HPL at 1e-5 per hour"))
@@ -88,6 +94,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--looks", type=int, default=0, help="frames of the identification benchmark")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")
+    parser.add_argument("--record", type=Path, default=RECORD, help="counts of all runs so far, added to")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "integrity")
     return parser.parse_args()
 

@@ -1,6 +1,6 @@
 """Tables and the Stanford plot of benchmarks.integrity."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import beta
@@ -27,7 +27,7 @@ def summary(rows: Sequence[Row]) -> str:
     parts = (("no fault injected", [r for r in rows if not is_faulty(r)]), ("with faults", [r for r in rows if is_faulty(r)]))
     lines = []
     for title, some in parts:
-        flown = [r for r in some if r.horizontal is not None]
+        flown = [r for r in some if r.hours]
         hours, hazards = sum(r.hours for r in flown), sum(r.hazards for r in flown)
         events = [sum(r.events[k] for r in flown) for k in range(len(RISKS))]
         most = [_PER_HOUR * bound(n, _PER_HOUR * hours) for n in events]
@@ -50,7 +50,7 @@ def is_faulty(row: Row) -> bool:
 def table(rows: Sequence[Row]) -> Table:
     """One line for each kind and size."""
     above = tuple(f"> PL({risk:g})" for risk in RISKS)
-    ends = ("worst e / PL", "over limit", "alert s", "do not use s")
+    ends = ("worst e / PL", "over limit", "alert s, p50 / worst", "do not use s, p50 / worst", "far while usable")
     columns = ("flights", "kind", "size", "runs", "hours", "HPL <= 10 m %", *above, *_REGIONS, *ends)
     groups: dict[tuple[str, str, float], list[Row]] = {}
     for row in rows:
@@ -68,16 +68,18 @@ def _line(rows: list[Row]) -> tuple[str, ...]:
         f"{100.0 * sum(r.within_10_m for r in rows) / compared:.1f}",
         *(str(sum(r.events[k] for r in rows)) for k in range(len(RISKS))),
         *(str(sum(getattr(s, name) for s in sides)) for name in _REGIONS),
-        *(number(max(r.worst for r in rows)), str(len(alerts)), _worst(alerts), _worst(stops)),
+        *(number(max(r.worst for r in rows)), str(len(alerts)), _delay(alerts), _delay(stops), str(sum(r.hazards for r in rows))),
     )
 
 
-def _worst(delays: Iterable[float | None]) -> str:
-    """The longest; how many never."""
-    known = list(delays)
-    never, longest = known.count(None), max((d for d in known if d is not None), default=None)
-    shown = "-" if longest is None else f"{longest:.1f}"
-    return f"{shown}, {never} never" if never else shown
+def _delay(delays: Sequence[float | None]) -> str:
+    """The median and the longest, one that never came the longest of all; how many never came."""
+    if not delays:
+        return "-"
+    ordered = sorted(np.inf if d is None else d for d in delays)
+    never = sum(d is None for d in delays)
+    middle, longest = (f"{d:.1f}" if np.isfinite(d) else "never" for d in (ordered[(len(ordered) - 1) // 2], ordered[-1]))
+    return f"{middle} / {longest}" + (f", {never} of {len(ordered)} never" if never else "")
 
 
 def plot(rows: Sequence[Row], title: str) -> str:

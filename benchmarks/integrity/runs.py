@@ -104,22 +104,33 @@ def village(vehicle: str, aids: str, seconds: float, seed: int) -> Flight:
 
 def measured(flight: Flight, messages: list[Input]) -> Row:
     """Fly it, and compare every protection level with the errors until the next one."""
+    estimates, levels = flown(flight, messages)
+    return compared(flight, estimates, levels)
+
+
+def flown(flight: Flight, messages: list[Input]) -> tuple[dict[int, Estimate], list[Integrity]]:
+    """The estimates as published first, by stamp, and the levels."""
     fusion = Fusion(msgspec.structs.replace(flight.config, integrity=LIMITS))
-    estimates, levels = dict[int, Array](), list[Integrity]()
+    estimates, levels = dict[int, Estimate](), list[Integrity]()
     for message in messages:
         for output in fusion.handle(message):
             if isinstance(output, Estimate):
-                estimates.setdefault(output.t_ns, output.nav[:3])
+                estimates.setdefault(output.t_ns, output)
             elif isinstance(output, Integrity):
                 levels.append(output)
+    return estimates, levels
+
+
+def compared(flight: Flight, estimates: dict[int, Estimate], levels: list[Integrity]) -> Row:
+    """Every level with the errors until the next one."""
     t_ns = np.array(sorted(estimates), np.int64)
     if not len(t_ns):
         return Row("", "", "", 0.0, 0)
     row, near = nearest(flight.t_ns, t_ns, _NEAR_NS)
     t_ns, row = t_ns[near], row[near]
     late_s = (t_ns - flight.t_ns[row]) * 1e-9
-    error = flight.p_n[row] + flight.v_n[row] * late_s[:, None] - np.array([estimates[t] for t in t_ns.tolist()]).reshape(-1, 3)
-    return _row(levels, t_ns, error)
+    estimated = np.array([estimates[t].nav[:3] for t in t_ns.tolist()]).reshape(-1, 3)
+    return _row(levels, t_ns, flight.p_n[row] + flight.v_n[row] * late_s[:, None] - estimated)
 
 
 def _row(levels: list[Integrity], t_ns: Times, error: Array) -> Row:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.integrity.__main__ import cluster, jobs
-from benchmarks.integrity.report import bound, is_faulty, plot, summary, table
+from benchmarks.integrity.record import added
+from benchmarks.integrity.report import _delay, bound, is_faulty, plot, summary, table
 from benchmarks.integrity.runs import Row, _delays, _events, run
 from models.messages import Alert, Integrity
 
@@ -59,6 +60,26 @@ def test_a_shifted_map_beside_gnss_is_covered_and_alerted_at_once(tmp_path: Path
     assert "identification: 5 frames" in said
     assert len(table(rows).rows) == 2
     assert "unavailable" in plot(rows, "all")
+
+
+def test_a_delay_that_never_ended_is_the_longest() -> None:
+    assert _delay([]) == "-"
+    assert _delay([0.2, 0.0, 0.1]) == "0.1 / 0.2"
+    assert _delay([None, 0.0, 3.0]) == "3.0 / never, 1 of 3 never"
+
+
+def test_the_record_counts_a_job_once_and_keeps_the_others(tmp_path: Path) -> None:
+    record = tmp_path / "runs.csv"
+    flown = Row("stress", "sim/rotor", "map shift", 5.0, 0, hours=0.02, events=(2, 1, 0), hazards=3, worst=1.25)
+    looks = Row("looks", "random, prior 5 m", "", 1000.0, 0, fixes=800, wrong=1)
+    added([flown, looks], record)
+    again = msgspec.structs.replace(looks, wrong=0)
+    more = msgspec.structs.replace(again, seed=1)
+    rows = added([again, more], record)
+    assert rows == [again, more, flown]
+    assert added([], record) == rows
+    assert "2000 frames, 1600 fixes, 0 wrong" in summary(rows)
+    assert "events of error > PL at 0.001: 2" in summary(rows)
 
 
 def test_jobs_are_named_once() -> None:
