@@ -80,7 +80,7 @@ def _flown(source: Path, *, enabled: bool) -> tuple[Array, Array, Array]:
         '[inputs]\nleft_image = ["/left/image"]\nright_image = ["/right/image"]\n'
     )
     config = load(file)
-    replay(source, out, config, sight=_again(config, folder, source) if enabled else None)
+    replay(source, out, config, processor=_again(config, folder, source) if enabled else None)
     estimate = read(out).estimate
     assert estimate.covariance is not None
     return np.asarray(estimate.t_ns), estimate.p, estimate.covariance

@@ -99,19 +99,19 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     if rig_file is None or map_file is None:
         return replay(log, estimate, config, progress), ""
     from calib.files.formats import load_rig  # noqa: PLC0415
-    from estimator.frontend.odometry import OdometrySight  # noqa: PLC0415
-    from estimator.frontend.processor import Sight  # noqa: PLC0415
+    from estimator.frontend.odometry import OdometryProcessor  # noqa: PLC0415
+    from estimator.frontend.processor import Processor  # noqa: PLC0415
     from estimator.frontend.repeat import Repeat, Together  # noqa: PLC0415
-    from estimator.frontend.replay_images import SightReplay  # noqa: PLC0415
+    from estimator.frontend.replay_images import ImageReplay  # noqa: PLC0415
     from estimator.frontend.replay_odometry import OdometryReplay  # noqa: PLC0415
     from estimator.map_files import store as map_store  # noqa: PLC0415
     from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
 
     rig, landmarks = load_rig(folder / rig_file), map_store.load(folder / map_file)
     sides = config.inputs.left_image, config.inputs.right_image
-    parts: list[Repeat] = [SightReplay(Sight(rig, landmarks), config.vision, *sides, log)]
+    parts: list[Repeat] = [ImageReplay(Processor(rig, landmarks), config.vision, *sides, log)]
     if config.visual_odometry.enabled:
-        parts.append(OdometryReplay(OdometrySight(rig), config.visual_odometry, config.vision, sides, log))
+        parts.append(OdometryReplay(OdometryProcessor(rig), config.visual_odometry, config.vision, sides, log))
     summary = replay(log, estimate, config, progress, Together(parts))
     drawn = write_sheet(estimate, sheet, rig, landmarks)
     return summary, str(sheet) if drawn else ""

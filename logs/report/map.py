@@ -31,7 +31,7 @@ def flight(evidence: Evidence, gathered: Gathered, outages: list[tuple[int, int]
     if len(truth):
         paths = [*_paths(evidence.yardstick, "black", truth[_few(len(truth))], start_ns, dashed=True), *paths]
     box = _box(np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
-    used = {name for look in gathered.looks.values() if look.fix for name in look.fix.landmarks}
+    used = {name for frame in gathered.frames.values() if frame.fix for name in frame.fix.landmarks}
     return MapChart(
         title="From above: east to the right, north up",
         paths=paths,

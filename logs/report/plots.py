@@ -255,28 +255,28 @@ def times(evidence: Evidence, gathered: Gathered) -> Charts:
 
 def vision(evidence: Evidence, gathered: Gathered) -> Charts:
     """What came of each look, how well outlines fitted, and how long it took."""
-    looks = [(t, look.report) for t, look in sorted(gathered.looks.items()) if look.report]
-    if not looks:
+    frames = [(t, frame.report) for t, frame in sorted(gathered.frames.items()) if frame.report]
+    if not frames:
         return {}
     start_ns = _start(evidence)
     rows: dict[str, list[Stay]] = {}
-    step = float(np.median(np.diff(seconds([t for t, _ in looks], start_ns)))) if len(looks) > 1 else 0.1
-    for t, report in looks:
+    step = float(np.median(np.diff(seconds([t for t, _ in frames], start_ns)))) if len(frames) > 1 else 0.1
+    for t, report in frames:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
         rows.setdefault(report.outcome.replace("_", " "), []).append(
             Stay(at, at + step, colour, report.detail or report.outcome, "fix" if colour == "green" else "no fix")
         )
-    span = (looks[-1][0] - looks[0][0]) * 1e-9 / MOST_POINTS
+    span = (frames[-1][0] - frames[0][0]) * 1e-9 / MOST_POINTS
     strips = {outcome: _joined(stays, span) for outcome, stays in sorted(rows.items(), key=lambda r: -len(r[1]))}
     charts: Charts = {"outcomes": StripChart("What came of each pair of images", strips)}
-    fits = [(t, r) for t, r in looks if np.isfinite(r.residual_px)]
+    fits = [(t, r) for t, r in frames if np.isfinite(r.residual_px)]
     if fits:
         fits = [fits[row] for row in _worst([r.residual_px for _, r in fits])]
         y = short(np.array([r.residual_px for _, r in fits]))
         points = Points("fit", "green", "dot", short(seconds([t for t, _ in fits], start_ns), 7), y, [f"{v} px" for v in y])
         charts["fit"] = TimeChart("RMS of the outline fit", "px", [points], height=165)
-    spent = [r.processing_s for _, r in looks if r.processing_s > 0]
+    spent = [r.processing_s for _, r in frames if r.processing_s > 0]
     if spent:
         edges = np.geomspace(1e-4, 1e2, 61)
         charts["spent"] = _bars("Time vision took", edges, np.histogram(np.clip(spent, 1.001e-4, 99.9), edges)[0])

@@ -176,7 +176,7 @@ def _source(aid: AidSummary) -> list[Finding]:
 
 
 def _vision(gathered: Gathered) -> list[Finding]:
-    reports = [look.report for look in gathered.looks.values() if look.report]
+    reports = [frame.report for frame in gathered.frames.values() if frame.report]
     if len(reports) < _FEW:
         return []
     fixed = sum(r.outcome == "fixed" for r in reports)

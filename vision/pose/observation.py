@@ -39,7 +39,7 @@ _ROOF, _BASE = int(Kind.ROOF), int(Kind.BASE)  # compiled code reads plain integ
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
 _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
-_DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is looked up, and half how far
+_DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is sampled, and half how far
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose position is left this open by its gap says nothing
 _NOTHING = np.zeros((0, 0))
@@ -47,8 +47,8 @@ _COARSE = 1.5  # how much farther apart points are in a search
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
 
-class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How outlines are looked for."""
+class ObservationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How outlines are searched for."""
 
     search_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
     farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
@@ -59,8 +59,8 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What one look gave, of E edges in K images; a spot's sides are one edge, the first of them.
+class Observation:
+    """What one observation gave, of E edges in K images; a spot's sides are one edge, the first of them.
 
     block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
     how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
@@ -93,7 +93,7 @@ class Look:
         aside = line[..., 1] * (self.kind == Kind.SPOT)[:, None]
         return np.asarray(np.hypot(line[..., 0], aside))
 
-    def within(self, off_px: Array, farthest_px: float) -> "Look":
+    def within(self, off_px: Array, farthest_px: float) -> "Observation":
         """Without the edges whose offset (E, K) px is more than farthest_px."""
         found = self.found & (np.abs(off_px) <= farthest_px)
         lines = [line.only(near, self.block) for line, near in zip(self.lines, found.T, strict=True)]
@@ -106,7 +106,7 @@ class Look:
 
 
 class Scene:
-    """What does not change from look to look: images, cameras, landmarks, and how wrong map and rig may be."""
+    """What does not change between observations: images, cameras, landmarks, and how wrong map and rig may be."""
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
@@ -128,16 +128,16 @@ class Scene:
         R_bc, R_rc = (so3.matrix(so3.quat_exp(error[3:])) @ R for error, R in ((on_body, rig.R_bc), (between, rig.R_rc)))
         return Mount(rig.left, rig.right, R_rc, rig.t_rc + between[:3], R_bc, rig.p_bc + on_body[:3])
 
-    def look(
+    def observe(
         self,
         p_n: Array,
         R_nb: Array,
         shift_m: Array,
         rig: Mount,
-        config: LookConfig,
+        config: ObservationConfig,
         search_px: int = 0,
         farthest_px: float = 0.0,
-    ) -> Look:
+    ) -> Observation:
         """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
 
         shift_m (L, M), rig: present estimates of errors of map and rig.
@@ -164,7 +164,7 @@ class Scene:
         for k, (eye, image) in enumerate(shown):
             own = 4 + len(eye.camera.distortion) if with_rig else 0
             roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
-            line, usable = _looked(
+            line, usable = _observed(
                 image, drawn, on_edges, bodies, eye.stand(p_n, R_nb), eye.camera.parameters, search_px, config.fit_half_px,
                 farthest_px, config.least_points, own, (rig.p_bc, rig.t_rc), eye.right, on_map, roots, k, A, opened,
             )  # fmt: skip
@@ -172,7 +172,7 @@ class Scene:
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
             points += usable
         kind = np.where(spot, int(Kind.SPOT), edges.kind)
-        return Look(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
+        return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
 
     def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
@@ -180,7 +180,7 @@ class Scene:
         return bc, rc, own_right if right else left, left.shape[1] if right else 0
 
 
-def _looked(
+def _observed(
     image: Image, drawn: Drawn, on_edges: OnEdges, bodies: Bodies, stand: Stand, camera: Array, search: int, fit_half: int,
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
     k: int, A: Array, opened: Array,

@@ -35,7 +35,7 @@ from vision.outline.visibility import MapError
 from vision.pose.pose import Pose
 from vision.pose.sensitivity import Eye
 from vision.predict.global_search import Grid, summits
-from vision.predict.landmark_shifts import own_places, settled
+from vision.predict.landmark_shifts import own_positions, settled
 from vision.predict.motion import Motion, roofs_in_view, straight
 from vision.predict.search_level import Stage
 
@@ -43,11 +43,11 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced image
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
-_PLACE_PX = 1.0  # of the level: how well a landmark's position is found
-_STILL_PX = 1.5  # of the level: a position that a look moves by less is not refined
+_POSITION_PX = 1.0  # of the level: how well a landmark's position is found
+_STILL_PX = 1.5  # of the level: a position that an observation moves by less is not refined
 _APART_PX = 1.5  # of the reduced image, across the edges: nearer positions are one
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a position
-_FEW_VOTES = 300_000  # are quicker than to reduce the image once more, and to look again in it
+_FEW_VOTES = 300_000  # are quicker than to reduce the image once more, and to search again in it
 _CLOSE = 6  # summits ranked for each that is to be apart from the others
 _LOW = 0.4  # of the best summit's score: what is lower is not refined
 
@@ -64,8 +64,8 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 128_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    summits: Annotated[int, Meta(ge=1, description="places of the whole search refined in an image twice as large")] = 60
-    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 8
+    summits: Annotated[int, Meta(ge=1, description="positions of the whole search refined in an image twice as large")] = 60
+    peaks: Annotated[int, Meta(ge=1, description="the best of these, examined in one twice as large again")] = 8
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
@@ -75,7 +75,7 @@ def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A place: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
+    """A hypothesis: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
 
     p_n: Array
     R_nb: Array
@@ -111,7 +111,7 @@ class Search:
         self.information = motion.prior.information
 
     def candidates(self, image: Image) -> list[Candidate]:
-        """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
+        """Positions where the outlines may lie, best first, each apart from the better ones across its edges."""
         sizes = self._sizes()
         size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
@@ -128,9 +128,9 @@ class Search:
         found = [self._climb(middle, c, steps) for c in found]
         return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
-    def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
+    def _best(self, stage: Stage, positions: list[Candidate], apart_px: float) -> list[Candidate]:
         """The best positions, apart from each other, so that those near the best one do not crowd out its rivals."""
-        ranked = sorted(places, key=_score, reverse=True)
+        ranked = sorted(positions, key=_score, reverse=True)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
@@ -150,7 +150,7 @@ class Search:
 
     def _votes(self, size: int) -> int:
         """Of points, in the whole search of an image reduced `size` times."""
-        return self._grid(size).places * self._points(_WIDE_POINTS)
+        return self._grid(size).positions * self._points(_WIDE_POINTS)
 
     def _points(self, each: int) -> int:
         """How many are to vote, so many of each landmark on the average, at least."""
@@ -168,14 +168,14 @@ class Search:
         peaks = list(q[score >= np.minimum(_LOW * score[:1], score[:1])])
         return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
 
-    def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The better of a position and the position near it: turn and scale follow only from the look before."""
-        return max(place, self._again(stage, place, steps), key=_score)
+    def _climb(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
+        """The better of a hypothesis and one near it: turn and scale follow only from the observation before."""
+        return max(hypothesis, self._again(stage, hypothesis, steps), key=_score)
 
-    def _nearest(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+    def _nearest(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
         """The position near a position; where that is another one, the better of it and the position near it."""
-        near = self._again(stage, place, steps)
-        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - place.error)
+        near = self._again(stage, hypothesis, steps)
+        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - hypothesis.error)
         moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
         return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
 
@@ -184,9 +184,9 @@ class Search:
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
         return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
 
-    def _again(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The position near a place: landmarks near where they were found, as large as the map leaves open."""
-        return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
+    def _again(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
+        """A hypothesis near another: landmarks near where they were found, as large as the map leaves open."""
+        return self._near(stage, hypothesis.error, hypothesis.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
 
     def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
         """Every landmark's own position and size near an error of the prior, and the pose and map errors that follow.
@@ -198,12 +198,12 @@ class Search:
         sought = np.repeat(shift_m[None], len(growth_m), axis=0)
         sought[:, :, MapError.GROWTH] = growth_m
         voted = [stage.vote(stage.aimed(pose, each), s, s) for each in sought]
-        places, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
+        positions, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
         support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
         D, P = stage.motions(pose, shift_m), self.motion.prior.covariance
-        found_px = (places - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
-        total, off_m = settled(D, found_px, trusted, self.map_sigma, _PLACE_PX * size, error, P)
+        found_px = (positions - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
+        total, off_m = settled(D, found_px, trusted, self.map_sigma, _POSITION_PX * size, error, P)
         found = np.zeros_like(shift_m)
         found[:, :2], found[:, MapError.GROWTH] = off_m, growth_m[grown, np.arange(len(grown))]
         score = float(votes.sum()) * size - 0.5 * float(total @ self.information @ total)
@@ -235,11 +235,11 @@ def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, I
         for i in range(votes.shape[2]):
             for j in range(votes.shape[3]):
                 best[m, i, j] = votes[size[m], m, i, j]
-    places = own_places(best, common, free)
+    positions = own_positions(best, common, free)
     for m in range(marks):
-        i, j = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
+        i, j = int(np.rint(positions[m, 0])), int(np.rint(positions[m, 1]))
         at[m], shown[m] = best[m, i, j], length[size[m], m, i, j]
-    return places, size, at, shown
+    return positions, size, at, shown
 
 
 @njit(cache=True)
@@ -267,8 +267,8 @@ def _common(votes: Array, free: Array, steps: int) -> Indices:
     return common
 
 
-def _score(place: Candidate) -> float:
-    return place.score
+def _score(hypothesis: Candidate) -> float:
+    return hypothesis.score
 
 
 T = TypeVar("T")

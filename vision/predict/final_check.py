@@ -23,7 +23,7 @@ from vision.image.rectify import Image
 from vision.outline import edge_search
 from vision.outline.visibility import Kind, Prisms, visible_edges
 from vision.pose import small_landmarks
-from vision.pose.observation import LookConfig, channels, distance_from_roof
+from vision.pose.observation import ObservationConfig, channels, distance_from_roof
 from vision.pose.pose import PoseEstimate
 from vision.pose.sensitivity import ends_of, eyes, partners_off, sample_edges, viewed
 from vision.predict.presence import across, log_likelihood_ratio, spots_missed
@@ -51,7 +51,7 @@ _REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is 
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
-    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
+    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be examined.
 
     images: the same of each image that is there.
     stands (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
@@ -80,15 +80,23 @@ class _Checked(NamedTuple):
 
 
 def recheck(
-    rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
+    rig: StereoRig,
+    views: Sequence[Image | None],
+    landmarks: Sequence[Landmark],
+    fit: PoseEstimate,
+    observation: ObservationConfig,
 ) -> Recheck:
-    """Look at the roofs from the pose that prior and images gave together."""
+    """Examine the roofs from the pose that prior and images gave together."""
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
     block, spot = small_landmarks.blocks(edges, shown[0][0], pose)
-    roofs = small_landmarks.sampled(edges, shown[0][0], pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF, spot)
-    walls = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, (edges.kind != _ROOF) & ~spot)
+    roofs = small_landmarks.sampled(
+        edges, shown[0][0], pose, 1.5 * observation.spacing_px, observation.most_points, edges.kind == _ROOF, spot
+    )
+    walls = sample_edges(
+        edges, shown[0][0], *pose, 1.5 * observation.spacing_px, observation.most_points, (edges.kind != _ROOF) & ~spot
+    )
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
     drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised

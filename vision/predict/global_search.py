@@ -51,7 +51,7 @@ class Grid:
         return cls(step * np.arange(-u, u + 1.0), step * np.arange(-v, v + 1.0), others, sigmas**2 + _OTHERS)
 
     @property
-    def places(self) -> int:
+    def positions(self) -> int:
         """How many there are."""
         return len(self.su) * len(self.sv) * len(self.others)
 
@@ -148,8 +148,8 @@ def _together(votes: Array, middle: Array, start_px: Array, window: Window, came
                 z = z0 + su[a] * row[5]
                 u, v = camera[0] * (x + su[a] * row[3]) / z - left, camera[1] * (y + su[a] * row[4]) / z - top
                 met = (z > 0.0) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
-                place = np.int32(v) * np.int32(columns) + np.int32(u)
-                at[a] = place if met else np.int32(-1)
+                position = np.int32(v) * np.int32(columns) + np.int32(u)
+                at[a] = position if met else np.int32(-1)
             for a in range(len(su)):
                 if at[a] >= 0:
                     total[b, a] += one[np.uint64(at[a])]

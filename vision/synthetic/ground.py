@@ -144,13 +144,13 @@ def _cover() -> Grid:
 def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Grid]:
     """A periodic Voronoi division with ragged borders: the field each texel belongs to, and its distance to the border."""
     n = COVER_SIZE
-    places = rng.uniform(0, n, (count, 2))
+    positions = rng.uniform(0, n, (count, 2))
     wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])
     at = (np.mgrid[:n, :n] + wander).astype(np.float32)
     nearest, second = np.full((2, n, n), np.inf, dtype=np.float32)
     owner = np.zeros((n, n), dtype=np.int64)
-    for k, place in enumerate(places.astype(np.float32)):
-        d = np.abs(at - place[:, None, None]) % n
+    for k, position in enumerate(positions.astype(np.float32)):
+        d = np.abs(at - position[:, None, None]) % n
         distance = np.hypot(*np.minimum(d, n - d))
         closer = distance < nearest
         second = np.where(closer, nearest, np.minimum(second, distance))

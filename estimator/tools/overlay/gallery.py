@@ -10,7 +10,7 @@ from estimator.strict_toml import ConfigError
 from estimator.tools.overlay.files import Scenery, scenery
 from estimator.tools.overlay.sheet import draw_from, find_images, spread
 from logs.evaluation.evidence import Evidence
-from logs.report.gather import FIX_TOPIC, Gathered, Look
+from logs.report.gather import FIX_TOPIC, Frame, Gathered
 from logs.report.page import Illustrations, Shot
 from logs.report.write import Illustrate
 from logs.wire.images import Pixels
@@ -27,7 +27,7 @@ class _Choice(NamedTuple):
     """A look whose image is shown, and what the estimator made of its fix."""
 
     t_ns: int
-    look: Look
+    frame: Frame
     image: ImageName
     aid: AidStatus | None
 
@@ -63,10 +63,10 @@ def _choose(evidence: Evidence, gathered: Gathered) -> list[_Choice]:
     """Looks evenly over the flight: fixes, and refusals of each kind, what the estimator refused among them."""
     aids = {aid.t_ns: aid for aid in evidence.aids if aid.topic == FIX_TOPIC}
     fixes, refusals = list[_Choice](), dict[str, list[_Choice]]()
-    for t_ns, look in sorted(gathered.looks.items()):
-        if look.request is None or look.request.left is None or (look.fix is None and look.report is None):
+    for t_ns, frame in sorted(gathered.frames.items()):
+        if frame.request is None or frame.request.left is None or (frame.fix is None and frame.report is None):
             continue
-        choice = _Choice(t_ns, look, look.request.left, aids.get(t_ns))
+        choice = _Choice(t_ns, frame, frame.request.left, aids.get(t_ns))
         refused_as = _refusal(choice)
         if refused_as:
             refusals.setdefault(refused_as, []).append(choice)
@@ -79,17 +79,17 @@ def _choose(evidence: Evidence, gathered: Gathered) -> list[_Choice]:
 
 def _refusal(choice: _Choice) -> str:
     """Why there is no fix, or it was not used; "" where it was."""
-    if choice.look.fix is None:
-        return choice.look.report.outcome if choice.look.report else "no fix"
+    if choice.frame.fix is None:
+        return choice.frame.report.outcome if choice.frame.report else "no fix"
     return choice.aid.reason if choice.aid and choice.aid.reason not in {Reason.FUSED, Reason.ALIGNING} else ""
 
 
 def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
-    look = choice.look
-    pose = look.fix or look.request
+    frame = choice.frame
+    pose = frame.fix or frame.request
     canvas = image if image.dtype == np.uint8 else cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
     if around is not None and pose is not None:
-        canvas = draw_from(pose, canvas, around.rig, around.landmarks, look.fix.landmarks if look.fix else ())
+        canvas = draw_from(pose, canvas, around.rig, around.landmarks, frame.fix.landmarks if frame.fix else ())
     if canvas.shape[1] > _WIDTH_PX:
         canvas = cv2.resize(
             canvas, (_WIDTH_PX, round(canvas.shape[0] * _WIDTH_PX / canvas.shape[1])), interpolation=cv2.INTER_AREA
@@ -101,7 +101,7 @@ def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
 
 def _words(choice: _Choice) -> str:
     """What it rests on, or what was in the way."""
-    fix, report, aid = choice.look.fix, choice.look.report, choice.aid
+    fix, report, aid = choice.frame.fix, choice.frame.report, choice.aid
     if fix is None:
         why = (report.detail or report.outcome.replace("_", " ")) if report else ""
         found = f"{report.regions} regions, {report.candidates} candidates" if report else ""

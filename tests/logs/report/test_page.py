@@ -16,7 +16,7 @@ from logs.evaluation.evaluate import assess, evaluate
 from logs.evaluation.evidence import read
 from logs.importers.recording import AUTOPILOT
 from logs.report.charts import Points, StripChart, TimeChart
-from logs.report.gather import Gathered, Look, attitude_deg, sigmas
+from logs.report.gather import Frame, Gathered, attitude_deg, sigmas
 from logs.report.map import flight
 from logs.report.plots import MOST_POINTS, thinned, vision
 from logs.report.words import Level, findings
@@ -497,7 +497,7 @@ def test_of_many_looks_the_strips_and_the_fits_are_bounded_and_the_worst_fit_sta
     for k in range(10_000):
         outcome, residual = ("fixed", 0.5 + (k == 4321)) if k % 3 else ("too few", np.nan)
         report = VisionReport(EPOCH_NS + k * S // 10, 0, outcome, f"{k}", 1, 1, (), (), residual, 0.1)
-        gathered.looks[report.t_ns] = Look(report=report)
+        gathered.frames[report.t_ns] = Frame(report=report)
     charts = vision(evidence, gathered)
     strips, fit = charts["outcomes"], charts["fit"]
     assert isinstance(strips, StripChart)

@@ -64,11 +64,11 @@ def test_what_moves_as_a_whole_has_the_votes_of_its_points(bend: float, reach: i
 def test_the_votes_of_a_turn_and_scale_are_those_of_its_own_points() -> None:
     """Computed once for many turns and scales, the score of a summit is nearly what all points aimed from there have."""
     stage, moves, grid = prepared(seen(), np.array([3.0, -2.0, 0.5, 0.0, 0.0, 0.05]))
-    scores, places = summits(stage, moves, grid)
+    scores, positions = summits(stage, moves, grid)
     assert stage.own_radius() < 0.6 * moves.radius  # so that landmarks look alike in several of them
     information = np.linalg.inv(moves.covariance)
     off = []
-    for score, q in zip(scores[:10], places[:10], strict=True):
+    for score, q in zip(scores[:10], positions[:10], strict=True):
         aimed = stage.aimed(moves.pose(moves.gain @ np.array([0.0, 0.0, *q[2:]])))
         votes, _ = stage.vote(aimed, q[:1], q[1:2])
         off.append(score - (SIZE * float(votes.sum()) - 0.5 * q @ information @ q))
