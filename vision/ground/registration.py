@@ -319,7 +319,7 @@ def _blocks(
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
-    """Where a block fits best (column, row) to a fraction of a pixel, and covariance (2, 2); None where there is no single one."""
+    """Where a block fits best (column, row), to a fraction of a pixel, covariance (2, 2); None where there is no single one."""
     rho = cv2.matchTemplate(image, block, cv2.TM_CCOEFF_NORMED)
     i, j = np.unravel_index(int(np.argmax(rho)), rho.shape)
     best = float(rho[i, j])
