@@ -86,7 +86,8 @@ def _box(package: str, place: tuple[float, float, float, float], rows: list[list
     top = y + _TITLE
     for lines in rows:
         parts.append(
-            f'<rect x="{x + _PAD:.0f}" y="{top:.0f}" width="{width - 2 * _PAD:.0f}" height="{_height(lines):.0f}" rx="3" fill="#fff"/>'
+            f'<rect x="{x + _PAD:.0f}" y="{top:.0f}" width="{width - 2 * _PAD:.0f}" '
+            f'height="{_height(lines):.0f}" rx="3" fill="#fff"/>'
         )
         parts += [
             f'<text x="{x + width / 2:.0f}" y="{top + 16 + k * _LINE:.0f}" text-anchor="middle">{line}</text>'

@@ -12,8 +12,8 @@ from estimator.map_files import store as map_store
 from estimator.replay import flight_images
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
+from logs.evaluation.collected import read
 from logs.evaluation.evaluate import Comparison, compare
-from logs.evaluation.evidence import read
 from models.sim.scenario import Scenario, simulate
 
 
@@ -36,9 +36,9 @@ def fly(folder: Path, after_s: float, *, landmarks: bool = True) -> Comparison:
         seen = Processor(load_rig(folder / "rig.yaml"), map_store.load(folder / "map.geojson"))
         processor = ImageReplay(seen, config.vision, config.inputs.left_image, config.inputs.right_image, log)
     replay(log, estimate, config, processor=processor)
-    evidence = read(estimate)
-    c = compare(evidence.estimate, evidence.truth)
-    return c[np.asarray(c.t_ns - int(evidence.truth.t_ns[0]) >= round(after_s * 1e9))]
+    collected = read(estimate)
+    c = compare(collected.estimate, collected.truth)
+    return c[np.asarray(c.t_ns - int(collected.truth.t_ns[0]) >= round(after_s * 1e9))]
 
 
 def estimate_of(folder: Path, *, landmarks: bool) -> Path:

@@ -12,7 +12,7 @@ from estimator.config import Config, load
 from estimator.frontend.files import load_odometry
 from estimator.frontend.replay_odometry import OdometryReplay
 from estimator.replay.replay import replay
-from logs.evaluation.evidence import read
+from logs.evaluation.collected import read
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded, encode_input
 from logs.wire.images import encode_image

@@ -14,8 +14,8 @@ from estimator.config import Config, load
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
 from estimator.replay.summary import ReplaySummary
+from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import find_outages
-from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.report.write import Written, compose, gather
 from models.messages import Reason
@@ -123,19 +123,19 @@ def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> 
     from logs.evaluation import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
 
     estimate = folder / "estimate.mcap"
-    evidence, gathered = gather(estimate, progress=progress)
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
-    figure = plots.overview(evidence, outages["all"].spans)
-    gps_off_s = (outages["/gnss"].spans[0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
+    collected, gathered = gather(estimate, progress=progress)
+    outages = find_outages(collected.aids, collected.health, collected.estimate, _OUTAGE_S)
+    figure = plots.overview(collected, outages["all"].spans)
+    gps_off_s = (outages["/gnss"].spans[0][0] - int(collected.estimate.t_ns[0])) * 1e-9
     figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
     for span in outages["all"].spans:
-        begin_s = (span[0] - int(evidence.estimate.t_ns[0])) * 1e-9
-        figure.axes[1].text(begin_s, 0.90, carried_by(evidence, span), va="top", transform=figure.axes[1].get_xaxis_transform())
+        begin_s = (span[0] - int(collected.estimate.t_ns[0])) * 1e-9
+        figure.axes[1].text(begin_s, 0.90, carried_by(collected, span), va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")
     report, illustrate = folder / "report.html", illustrations(estimate)
     return compose(
-        evidence,
+        collected,
         gathered,
         str(estimate),
         report,
@@ -145,10 +145,10 @@ def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> 
     )
 
 
-def carried_by(evidence: Evidence, span: tuple[int, int]) -> str:
+def carried_by(collected: Collected, span: tuple[int, int]) -> str:
     """What the estimate rests on in an outage, for an image."""
     begin, end = span
-    steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in evidence.aids)
+    steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in collected.aids)
     return " no landmark\n in view:\n odometry" if steps else " lens dark:\n IMU alone"
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from rosbags.serde import SerdeError
 
-from logs.evaluation.evidence import ODOMETRY_TOPIC
+from logs.evaluation.collected import ODOMETRY_TOPIC
 from logs.evaluation.metrics import Indices, Times
 from logs.evaluation.trajectory import Trajectory, decode
 from logs.report.buckets import Buckets

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from models import order as ordering
 from models.messages import Array
-from vision.identify.clutter_density import Crowd
+from vision.identify.clutter_density import ClutterDensity
 
 SCALE, STATES = 6, 7
 GROWTH, COLUMNS = 7, 8  # the last column of A is of exp(s) - 1: distances grow so, logarithms of sizes by s
@@ -35,8 +35,8 @@ class Options:
     """What each region may be. Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
 
     landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 8) whitened, rows of zeros where there is less
-    to say;  log_weight (N,): everything of the option's weight that does not depend on x;  crowd: how dense what is not in the
-    map is at each x (the highest of it is in log_weight), None: everywhere alike.
+    to say;  log_weight (N,): everything of the option's weight that does not depend on x;  clutter_density: density of unmapped
+    objects at each x (the highest of it is in log_weight), None: everywhere alike.
     """
 
     start: NDArray[np.int64]
@@ -44,7 +44,7 @@ class Options:
     y: Array
     A: Array
     log_weight: Array
-    crowd: Crowd | None = None
+    clutter_density: ClutterDensity | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ def search(options: Options, expected: Expected, covariance: Array, breadth: int
         o.landmark[option].reshape(len(weight), count), clutter, x, cov, e.x_c, e.A, e.radius_m, e.log_missed, e.log_gone,
         e.view, e.position_c,
     )  # fmt: skip
-    if o.crowd is not None:
-        weight = weight + o.crowd.below_highest(clutter, x, cov)
+    if o.clutter_density is not None:
+        weight = weight + o.clutter_density.below_highest(clutter, x, cov)
     best = np.argsort(-weight, kind="stable")
     probability = np.exp(weight[best] - weight[best[0]])
     total = float(probability.sum()) + cut

@@ -13,7 +13,7 @@ from numba import njit
 from models.messages import Array
 from vision.identify.assignment import COLUMNS, GROWTH, POSITION, ROWS, SCALE
 from vision.identify.catalogue import OBLONG, Assumptions, Catalogue
-from vision.identify.clutter_density import Crowd
+from vision.identify.clutter_density import ClutterDensity
 from vision.identify.partial import Partial
 
 _LIKENESS = 0.05, 0.05, 0.03  # of the kernel: how far width, length (logarithms), fill ratio of an object are from its like
@@ -36,14 +36,14 @@ def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions
     return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
 
 
-def crowd(
+def clutter_density(
     arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions
-) -> Crowd:
+) -> ClutterDensity:
     """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
     S).
     """
     density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
-    return Crowd(np.log(density), turns, log_scales)
+    return ClutterDensity(np.log(density), turns, log_scales)
 
 
 def grid(covariance: Array) -> tuple[Array, Array]:

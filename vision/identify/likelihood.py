@@ -72,8 +72,8 @@ def options(
         if r.partial is not None:
             attributes[i] = clutter.sides(r.partial, noise[i] + by_depth[i], len(landmarks.ids), turns, log_scales, b)
             own[i] += np.cov(landmarks.position_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
-    crowd = clutter.crowd(moved + arm, own, attributes, landmarks, turns, log_scales, b)
-    clutter_log += ground_colour + crowd.highest
+    clutter_density = clutter.clutter_density(moved + arm, own, attributes, landmarks, turns, log_scales, b)
+    clutter_log += ground_colour + clutter_density.highest
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
     return Options(
@@ -82,7 +82,7 @@ def options(
         y=np.concatenate([clutter_y, y])[order],
         A=np.concatenate([clutter_a, A])[order],
         log_weight=np.concatenate([clutter_log, weight])[order],
-        crowd=crowd,
+        clutter_density=clutter_density,
     )
 
 

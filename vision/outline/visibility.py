@@ -31,7 +31,7 @@ class Kind(IntEnum):
     ROOF = 0
     BASE = 1
     UPRIGHT = 2
-    SPOT = 3  # the whole roof of a landmark too small to have edges (small_landmarks.py)
+    SMALL = 3  # the whole roof of a landmark too small to have edges (small_landmarks.py)
 
 
 class MapError(IntEnum):

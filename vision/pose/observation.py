@@ -60,7 +60,7 @@ class ObservationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What one observation gave, of E edges in K images; a spot's sides are one edge, the first of them.
+    """What one observation gave, of E edges in K images; a small landmark's sides are one edge, the first of them.
 
     block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
     how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
@@ -86,11 +86,11 @@ class Observation:
     @property
     def numbers(self) -> int:
         """Directions that are measured, over all images: a small landmark has two, an edge the one across it."""
-        return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
+        return int(self.found.sum() + self.found[self.kind == Kind.SMALL].sum())
 
     def off(self, line: Array) -> Array:
         """How far (E, K) px lines (E, K, 2) are off."""
-        aside = line[..., 1] * (self.kind == Kind.SPOT)[:, None]
+        aside = line[..., 1] * (self.kind == Kind.SMALL)[:, None]
         return np.asarray(np.hypot(line[..., 0], aside))
 
     def within(self, off_px: Array, farthest_px: float) -> "Observation":
@@ -145,9 +145,9 @@ class Scene:
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == _ROOF if search_px else np.ones(len(edges.kind), np.bool_)
-        block, spot = small_landmarks.blocks(edges, shown[0][0], (p_n, R_nb))
+        block, is_small = small_landmarks.blocks(edges, shown[0][0], (p_n, R_nb))
         spacing = config.spacing_px * (_COARSE if search_px else 1.0)
-        samples = small_landmarks.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, spot)
+        samples = small_landmarks.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, is_small)
         count, with_rig = len(edges.kind), not search_px
         lines, points = list[EdgeLines](), 0
         line_all, found, opened = (
@@ -159,7 +159,7 @@ class Scene:
         drawn = (
             edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised, edges.map_start, edges.map_end,
         )  # fmt: skip
-        on_edges = samples.points_n, samples.t, samples.edge, samples.tau, block[samples.edge], spot[samples.edge]
+        on_edges = samples.points_n, samples.t, samples.edge, samples.tau, block[samples.edge], is_small[samples.edge]
         bodies, on_map = (prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m), (self.map_sigma, self.map_column)
         for k, (eye, image) in enumerate(shown):
             own = 4 + len(eye.camera.distortion) if with_rig else 0
@@ -171,7 +171,7 @@ class Scene:
             lines.append(EdgeLines(*line))
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
             points += usable
-        kind = np.where(spot, int(Kind.SPOT), edges.kind)
+        kind = np.where(is_small, int(Kind.SMALL), edges.kind)
         return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
 
     def _roots(self, *, right: bool) -> Roots:
@@ -187,17 +187,17 @@ def _observed(
 ) -> tuple[Line, int]:  # fmt: skip
     """The fields of EdgeLines of image k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
 
-    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of spots; bodies: Prisms as they stand; stand: as Eye.stand;
+    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of small landmarks; bodies: Prisms; stand: as Eye.stand;
     search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
     roots: as _dependence.
     """
     start, end, landmark, kind, partner, raised, map_start, map_end = drawn
-    points, t, edge, tau, block, of_spot = on_edges
+    points, t, edge, tau, block, of_small = on_edges
     px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     if search:
         distance, usable, hidden = distance_from_roof(
-            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, search
+            image, px, normal, seen & ~of_small, edge, kind, raised, landmark, partner, ends, search
         )
         usable &= ~hidden
         offsets = edge_search.search(distance, edge, len(kind), 1.0, usable)
@@ -205,10 +205,10 @@ def _observed(
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
         offsets, usable, opened[k] = _fit_steps(
-            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
+            image, px, normal, seen & ~of_small, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
         )
-    small_landmarks.measure(image, px, normal, of_spot, block, search if search else math.ceil(farthest), seen, offsets, usable)
-    line = lines_of(offsets, _regressors(tau, normal, of_spot), block, len(kind), least)
+    small_landmarks.measure(image, px, normal, of_small, block, search if search else math.ceil(farthest), seen, offsets, usable)
+    line = lines_of(offsets, _regressors(tau, normal, of_small), block, len(kind), least)
     map_sigma, map_column = on_map
     bc, rc, own_root, own_skipped = roots
     rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
@@ -217,12 +217,12 @@ def _observed(
 
 
 @njit(cache=True)
-def _regressors(tau: Array, normal: Array, of_spot: Mask) -> Array:
-    """(N, 2): 1 and tau of points of edges, the normals of those of spots."""
+def _regressors(tau: Array, normal: Array, of_small: Mask) -> Array:
+    """(N, 2): 1 and tau of points of edges, the normals of those of small landmarks."""
     x = np.empty(normal.shape)
     for i in range(len(tau)):
-        x[i, 0] = normal[i, 0] if of_spot[i] else 1.0
-        x[i, 1] = normal[i, 1] if of_spot[i] else tau[i]
+        x[i, 0] = normal[i, 0] if of_small[i] else 1.0
+        x[i, 1] = normal[i, 1] if of_small[i] else tau[i]
     return x
 
 

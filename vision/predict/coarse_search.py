@@ -35,9 +35,9 @@ from vision.outline.visibility import MapError
 from vision.pose.pose import Pose
 from vision.pose.sensitivity import Eye
 from vision.predict.global_search import Grid, summits
-from vision.predict.landmark_shifts import own_positions, settled
+from vision.predict.landmark_shifts import own_positions, shifted
 from vision.predict.motion import Motion, roofs_in_view, straight
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -116,7 +116,7 @@ class Search:
         size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
         stages = [
-            Stage(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
+            SearchLevel(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
             for level, each in zip(
                 levels(image, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
             )
@@ -128,10 +128,10 @@ class Search:
         found = [self._climb(middle, c, steps) for c in found]
         return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
-    def _best(self, stage: Stage, positions: list[Candidate], apart_px: float) -> list[Candidate]:
+    def _best(self, search_level: SearchLevel, positions: list[Candidate], apart_px: float) -> list[Candidate]:
         """The best positions, apart from each other, so that those near the best one do not crowd out its rivals."""
         ranked = sorted(positions, key=_score, reverse=True)
-        return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], search_level, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
         """By how much the image is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
@@ -160,50 +160,57 @@ class Search:
         c = self.config
         return Grid.of(self.motion, c.sigmas, math.radians(c.turn_deg), size, limit_px(self.eye.camera, c))
 
-    def _wide(self, stage: Stage) -> list[Array]:
+    def _wide(self, search_level: SearchLevel) -> list[Array]:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
-        if stage.voters is None:
+        if search_level.edge_points is None:
             return []
-        score, q = (most[: _CLOSE * self.config.summits] for most in summits(stage, self.motion, self._grid(stage.level.size)))
+        score, q = (
+            most[: _CLOSE * self.config.summits]
+            for most in summits(search_level, self.motion, self._grid(search_level.level.size))
+        )
         peaks = list(q[score >= np.minimum(_LOW * score[:1], score[:1])])
-        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
+        return _apart(peaks, peaks, search_level, _APART_PX * search_level.level.size, self.config.summits)
 
-    def _climb(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
+    def _climb(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
         """The better of a hypothesis and one near it: turn and scale follow only from the observation before."""
-        return max(hypothesis, self._again(stage, hypothesis, steps), key=_score)
+        return max(hypothesis, self._again(search_level, hypothesis, steps), key=_score)
 
-    def _nearest(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
+    def _nearest(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
         """The position near a position; where that is another one, the better of it and the position near it."""
-        near = self._again(stage, hypothesis, steps)
+        near = self._again(search_level, hypothesis, steps)
         shift_u, shift_v, turn, scale = self.motion.J @ (near.error - hypothesis.error)
         moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
-        return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
+        return near if moved_px < _STILL_PX * search_level.level.size else self._climb(search_level, near, steps)
 
-    def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
+    def _first(self, search_level: SearchLevel, error: Array, steps: int) -> Candidate:
         """The position near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
-        return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
+        return self._near(search_level, error, as_mapped, search_level.growth_m[:1], search_level.free + _SLACK, steps)
 
-    def _again(self, stage: Stage, hypothesis: Candidate, steps: int) -> Candidate:
+    def _again(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
         """A hypothesis near another: landmarks near where they were found, as large as the map leaves open."""
-        return self._near(stage, hypothesis.error, hypothesis.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
+        return self._near(
+            search_level, hypothesis.error, hypothesis.shift_m, search_level.growth_m, search_level.sides + _SLACK, steps
+        )
 
-    def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
+    def _near(
+        self, search_level: SearchLevel, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int
+    ) -> Candidate:
         """Every landmark's own position and size near an error of the prior, and the pose and map errors that follow.
 
         Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
         """
-        size, half = stage.level.size, steps + int(free.max())
+        size, half = search_level.level.size, steps + int(free.max())
         s, pose = np.arange(-half, half + 1.0) * size, self.motion.pose(error)
         sought = np.repeat(shift_m[None], len(growth_m), axis=0)
         sought[:, :, MapError.GROWTH] = growth_m
-        voted = [stage.vote(stage.aimed(pose, each), s, s) for each in sought]
+        voted = [search_level.vote(search_level.aimed(pose, each), s, s) for each in sought]
         positions, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
         support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        D, P = stage.motions(pose, shift_m), self.motion.prior.covariance
+        D, P = search_level.motions(pose, shift_m), self.motion.prior.covariance
         found_px = (positions - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
-        total, off_m = settled(D, found_px, trusted, self.map_sigma, _POSITION_PX * size, error, P)
+        total, off_m = shifted(D, found_px, trusted, self.map_sigma, _POSITION_PX * size, error, P)
         found = np.zeros_like(shift_m)
         found[:, :2], found[:, MapError.GROWTH] = off_m, growth_m[grown, np.arange(len(grown))]
         score = float(votes.sum()) * size - 0.5 * float(total @ self.information @ total)
@@ -274,11 +281,11 @@ def _score(hypothesis: Candidate) -> float:
 T = TypeVar("T")
 
 
-def _apart(ranked: Sequence[T], q: Sequence[Array], stage: Stage, least_px: float, most: int) -> list[T]:
+def _apart(ranked: Sequence[T], q: Sequence[Array], search_level: SearchLevel, least_px: float, most: int) -> list[T]:
     """The first ones, `most` of them, of ranked, which lie at q, that are apart from every better one."""
     chosen, at, left = list[T](), np.array(q), np.arange(len(ranked))
     while len(left) and len(chosen) < most:
         chosen.append(ranked[left[0]])
         off = at[left] - at[left[0]]
-        left = left[np.einsum("ki,ij,kj->k", off, stage.across(at[left[0]]), off) > least_px**2]
+        left = left[np.einsum("ki,ij,kj->k", off, search_level.across(at[left[0]]), off) > least_px**2]
     return chosen

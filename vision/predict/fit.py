@@ -25,7 +25,7 @@ from vision.image.rectify import Image
 from vision.pose.pose import NoPose, Pose, PoseConfig, PoseEstimate, difference, estimate_pose
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict.coarse_search import Candidate
-from vision.predict.final_check import Recheck, recheck
+from vision.predict.final_check import FinalCheck, final_check
 from vision.predict.motion import straight
 from vision.predict.verify import Fitted, VerifyConfig, position_odds
 from vision.records.images import Images
@@ -72,7 +72,7 @@ class Fitter:
             for window in (_WINDOW_PX, _AGAIN_PX, _ALONE_PX)
         )
         self._gone = gone
-        self._stands, self._stands_hidden, self._stands_anyhow = (  # ratios
+        self._odds_whole, self._odds_hidden, self._odds_anyhow = (  # ratios
             odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN, _SURE_ANYHOW)
         )
         self._pair_sigma_px = _pair_sigma_px(rig)
@@ -125,8 +125,8 @@ class Fitter:
         alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
         if isinstance(alone, NoPose):
             return None
-        stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.observation))
-        return alone if stands[0] else None
+        present = self._present([mark], alone, final_check(self._rig, views, [mark], alone, self._alone.observation))
+        return alone if present[0] else None
 
     def _settled(self, marks: list[Landmark], hypothesis: Candidate, start: _Start, prior: Prior) -> Fitted | str:
         """The fit of what is left when landmarks and an image that contradict it are gone, or why there is none."""
@@ -138,8 +138,8 @@ class Fitter:
             fit = self._estimated(views, some, (start.pose, start.shift_m[chosen]), before, prior)
             if isinstance(fit, NoPose):
                 return f"{remark}{fit.reason} {fit.detail}".strip()
-            seen = recheck(self._rig, views, some, fit, self._pose.observation)
-            good = [k for k, stands in zip(chosen, self._stand(some, fit, seen), strict=True) if stands]
+            seen = final_check(self._rig, views, some, fit, self._pose.observation)
+            good = [k for k, present in zip(chosen, self._present(some, fit, seen), strict=True) if present]
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, start, chosen, prior):
                     return "left and right image are swapped"
@@ -188,12 +188,12 @@ class Fitter:
         """The landmarks of whose outline so much must agree: of one alone, which chance lays on edges somewhere, all in view."""
         return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(hypothesis)).tolist()})
 
-    def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
+    def _present(self, marks: list[Landmark], fit: PoseEstimate, seen: FinalCheck) -> Mask:
         """Landmarks (L,) that the final check finds where the fit says, and not far off the map."""
         v = self._config
-        whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
-        hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
-        return np.asarray((whole | hidden | (seen.stands > self._stands_anyhow)) & (_off_map(marks, fit) < v.off_map))
+        whole = (seen.share >= v.landmark_found) & (seen.present > self._odds_whole)
+        hidden = (seen.share >= v.hidden_found) & (seen.present > self._odds_hidden)
+        return np.asarray((whole | hidden | (seen.present > self._odds_anyhow)) & (_off_map(marks, fit) < v.off_map))
 
     def _odds(
         self,
@@ -202,20 +202,20 @@ class Fitter:
         hypothesis: Candidate,
         chosen: list[int],
         fit: PoseEstimate,
-        seen: Recheck,
+        seen: FinalCheck,
         prior: Prior,
     ) -> float:
         """verify.position_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
         others = [k for k in np.flatnonzero(hypothesis.length > 0.0).tolist() if k not in chosen]
         some = [marks[k] for k in others]
         as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
-        rest = recheck(self._rig, views, some, as_mapped, self._pose.observation).stands if some else np.zeros(0)
+        rest = final_check(self._rig, views, some, as_mapped, self._pose.observation).present if some else np.zeros(0)
         off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
         squared = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
         covered = seen.covered if len(chosen) == 1 else 0.0  # beside others a cover is not the bare ground
-        return position_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found, covered)
+        return position_odds(np.concatenate((seen.present, rest)), self._gone, squared, fit.found, covered)
 
-    def _pair_flaw(self, seen: Recheck) -> str:
+    def _pair_flaw(self, seen: FinalCheck) -> str:
         """Why the right image does not belong to the left one; empty where it does."""
         if seen.apart is not None:
             du, dv, sigma = seen.apart
@@ -233,7 +233,7 @@ class Fitter:
         shift_m = start.shift_m[chosen]
         fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(
-            recheck(self._rig, views[::-1], marks, fit, self._pose.observation)
+            final_check(self._rig, views[::-1], marks, fit, self._pose.observation)
         )
 
 

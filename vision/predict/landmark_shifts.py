@@ -19,21 +19,21 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-class Settled(NamedTuple):
+class Shifted(NamedTuple):
     """Error of the prior (6,) and map errors north, east (L, 2) m."""
 
     error: Array
     shift_m: Array
 
 
-def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array, P: Array) -> Settled:
+def shifted(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array, P: Array) -> Shifted:
     """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
 
     trusted (L,): those that count; map_sigma (L,) m; position_px: how well a position is found.
     """
     y, W, information, weighted = _information(D, found_px, trusted, map_sigma, position_px, error)
     total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
-    return Settled(total, _shifts(D, trusted, map_sigma, y, W, total))
+    return Shifted(total, _shifts(D, trusted, map_sigma, y, W, total))
 
 
 @njit(cache=True)

@@ -25,7 +25,7 @@ from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import difference
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict.coarse_search import CoarseConfig, limit_px
-from vision.predict.edge_points import chromas, voters
+from vision.predict.edge_points import chromas, edge_points
 from vision.predict.joint_score import Summit, joint_score, summit
 from vision.predict.motion import Motion
 from vision.records.images import Images
@@ -76,7 +76,7 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
     level = levels(image, eye.camera, (1,))[0]
     reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
     straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
-    seen = voters(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
+    seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
     if seen is None:
         return None
     su, sv = (np.arange(-n, n + 1.0) for n in np.ceil(reach).astype(int))

@@ -104,7 +104,7 @@ def _detail() -> Grid:
 
 
 def _stones(texture: Grid, count: int, rng: np.random.Generator) -> Grid:
-    """Pale and dark spots of 3 to 30 cm, few of them large."""
+    """Pale and dark small landmarks of 3 to 30 cm, few of them large."""
     n = len(texture)
     spots = np.zeros((n, n), dtype=np.float32)
     for s, t, radius, shade in zip(

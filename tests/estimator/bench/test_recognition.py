@@ -155,8 +155,8 @@ def test_all_are_asked_again_until_they_answer_and_each_pair_is_another_one() ->
 def test_the_others_too_get_the_next_pair() -> None:
     """A dark first pair: SIFT finds the ground in the second one, where it is shown it."""
     dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
-    looked = recognisers.sift_points(dark.left)
-    ground = [recognisers.ask(dark, looked, False, pairs)["SIFT+FLANN, ground"] for pairs in (1, 2)]
+    checked = recognisers.sift_points(dark.left)
+    ground = [recognisers.ask(dark, checked, False, pairs)["SIFT+FLANN, ground"] for pairs in (1, 2)]
     assert [(a.verdict, a.pair) for a in ground] == [("silent", 1), ("recognised", 2)]
 
 
@@ -187,28 +187,28 @@ def test_the_thesis_method_is_judged_by_the_place_it_says() -> None:
 
 def test_sift_and_flann_find_the_place_by_its_ground() -> None:
     s = sample()
-    looked = recognisers.sift_points(s.left)
-    assert len(looked.points) >= 500
+    checked = recognisers.sift_points(s.left)
+    assert len(checked.points) >= 500
     assert s.reference is not None
-    found = recognisers.sift_and_flann(s, looked, surroundings=True)
+    found = recognisers.sift_and_flann(s, checked, surroundings=True)
     assert found.verdict == "recognised"
     assert found.error_m is not None
     assert found.error_m < 2.0
     elsewhere = dataclasses.replace(s.reference, centre_px=s.reference.centre_px + 60.0)
-    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=elsewhere), looked, True).verdict == "wrong"
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=elsewhere), checked, True).verdict == "wrong"
     strange = dataclasses.replace(s, reference=sample(number=2).reference)
-    assert recognisers.sift_and_flann(strange, looked, True).verdict == "silent"
-    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), looked, True).verdict == "silent"
+    assert recognisers.sift_and_flann(strange, checked, True).verdict == "silent"
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), checked, True).verdict == "silent"
 
 
 def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
     """A box half hidden in a scene, a wall seen askew, a street in other light are found; a box is not found on the wall."""
     folder = landfix_data / "images/opencv_feature_pairs"
     pairs = [("box.png", "box_in_scene.png"), ("graf1.png", "graf3.png"), ("leuvenA.jpg", "leuvenB.jpg")]
-    looked = {name: recognisers.sift_points(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
+    checked = {name: recognisers.sift_points(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
     for reference, image in pairs:
-        assert recognisers.homography(looked[reference], looked[image]) is not None
-    assert recognisers.homography(looked["box.png"], looked["graf1.png"]) is None
+        assert recognisers.homography(checked[reference], checked[image]) is not None
+    assert recognisers.homography(checked["box.png"], checked["graf1.png"]) is None
 
 
 def test_a_row_counts_verdicts() -> None:

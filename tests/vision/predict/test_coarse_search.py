@@ -21,9 +21,9 @@ from vision.outline.visibility import MapError, Prisms
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict import coarse_search
 from vision.predict.coarse_search import Candidate, CoarseConfig, Search
-from vision.predict.edge_points import chains, chromas, voters
+from vision.predict.edge_points import chains, chromas, edge_points
 from vision.predict.motion import motion, moved, straight
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 from vision.predict.votes import aim, vote
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
@@ -121,22 +121,22 @@ def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monke
 def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
     off_px: float, looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    view, voted, vote_of = seen(), list[int](), Stage.vote
+    view, voted, vote_of = seen(), list[int](), SearchLevel.vote
     moves = motion(EYE, view.marks, prior_off(view, np.zeros(6)))
     assert moves is not None
     search = Search(EYE, view.marks, moves, CoarseConfig())
     (level,) = levels(view.image, EYE.camera, (1,))
-    stage = Stage(level, EYE, view.marks, moves, 0.2, 160.0, 160)
+    search_level = SearchLevel(level, EYE, view.marks, moves, 0.2, 160.0, 160)
     as_predicted = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
-    true = search._again(stage, as_predicted, 2)
+    true = search._again(search_level, as_predicted, 2)
     position = replace(true, error=true.error + moves.gain[:, 0] * off_px)
 
-    def noted(stage: Stage, *args: Array) -> tuple[Array, Array]:
+    def noted(search_level: SearchLevel, *args: Array) -> tuple[Array, Array]:
         voted.append(1)
-        return vote_of(stage, *args)
+        return vote_of(search_level, *args)
 
-    monkeypatch.setattr(Stage, "vote", noted)
-    near = search._nearest(stage, position, 2)
+    monkeypatch.setattr(SearchLevel, "vote", noted)
+    near = search._nearest(search_level, position, 2)
     assert len(voted) == looks
     assert np.abs(moves.J @ (near.error - true.error))[:2].max() < 1.0
 
@@ -176,7 +176,7 @@ def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
     view, shift_m = seen(), np.zeros((3, len(MapError)))
     shift_m[:, MapError.NORTH], shift_m[:, MapError.EAST], shift_m[:, MapError.GROWTH] = 0.4, -0.7, (0.0, 0.5, -0.3)
     body, eye = Prisms.of(view.marks), straight(EYE)
-    made = voters(eye, body, chromas(view.marks), (view.p_n, view.R_nb), 0.0, 300)
+    made = edge_points(eye, body, chromas(view.marks), (view.p_n, view.R_nb), 0.0, 300)
     assert made is not None
     corners = body.moved(shift_m).vertices.reshape(3, 4, 2)
     start, end = corners[made.mark_of_point], np.roll(corners, -1, axis=1)[made.mark_of_point]
@@ -348,7 +348,7 @@ def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
     angle = -2.0 * np.pi * np.arange(40) / 40
     curve = Landmark.of("round", 5.0 * np.column_stack((np.cos(angle), np.sin(angle))), 0.0, 0.0)
     small = Eye(CameraModel(80, 60, 75.0, 75.0, 39.5, 29.5), EYE.R_kb, EYE.p_bk, right=False)
-    made = voters(small, Prisms.of([curve]), chromas([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
+    made = edge_points(small, Prisms.of([curve]), chromas([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
     assert made is not None
     assert 6 <= len(made.mark) <= 16
     assert abs((made.length * np.diff(made.first)).sum() / (2.0 * np.pi * 5.0 * 75.0 / 20.0) - 1.0) < 0.1

@@ -19,7 +19,7 @@ from vision.pose.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, re
 from vision.pose.sensitivity import eyes
 from vision.predict import fit as fits
 from vision.predict.coarse_search import Candidate
-from vision.predict.final_check import Recheck, recheck
+from vision.predict.final_check import FinalCheck, final_check
 from vision.predict.fit import Fitter
 from vision.predict.verify import Evidence, Fitted, VerifyConfig, Waiting, decided, grade, position_odds
 from vision.records.images import Images
@@ -113,7 +113,7 @@ def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], le
     some, views = [MARKS[k] for k in chosen], (view.left, view.right)
     fit = estimate_pose(RIG, views, some, (view.p_n, view.R_nb), prior)
     assert isinstance(fit, PoseEstimate)
-    seen = recheck(RIG, views, some, fit, ObservationConfig())
+    seen = final_check(RIG, views, some, fit, ObservationConfig())
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
     bare, covered = (
         fitter._odds(views, list(MARKS), position(view, MARKS), chosen, fit, replace(seen, covered=h), prior) for h in (0.0, 0.25)
@@ -125,9 +125,9 @@ def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], le
     ("odds", "looked", "expected"),
     [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (4.9, 1.0, "weak"), (5.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
 )
-def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
+def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, checked: float, expected: str) -> None:
     """Above 12 however little of the outlines is found."""
-    fit = replace(fitted(whole(), MARKS), odds=odds, looked=looked)
+    fit = replace(fitted(whole(), MARKS), odds=odds, checked=checked)
     assert grade(Evidence(100.0, 0.5, 1.0, 0.0), fit, VerifyConfig())[0] == expected
 
 
@@ -158,10 +158,10 @@ def test_one_side_on_a_kerb_is_no_landmark() -> None:
     slab = Solid(on_the_ground(view, [(760, 60), (624, 60), (624, 420), (760, 420)]), 0.0, 0.0, Appearance((165.0, 170.0, 172.0)))
     looks = tuple(Appearance((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in MARKS)
     rng, marks = np.random.default_rng(3), (*MARKS, gone)
-    for stands, used in ((False, [0, 1, 2]), (True, [0, 1, 2, 3])):
-        looks_of = (*looks, Appearance((40.0, 60.0, 190.0))) if stands else looks
-        clutter = () if stands else (slab,)
-        world = World(marks if stands else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
+    for present, used in ((False, [0, 1, 2]), (True, [0, 1, 2, 3])):
+        looks_of = (*looks, Appearance((40.0, 60.0, 190.0))) if present else looks
+        clutter = () if present else (slab,)
+        world = World(marks if present else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
         pair = render_pair(world, RIG, view.p_n, view.R_nb, Conditions(), rng)
         assert fitted(View(*pair, view.p_n, view.R_nb, marks), marks).used == used
 
@@ -171,12 +171,12 @@ def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: 
     """Its sides are out of the first window's reach. One that is gone does not join, whatever its outline lies on."""
     middle, outline = np.array(MARKS[2].centre_n), MARKS[2].outline_n
     rough = msgspec.structs.replace(MARKS[2], outline_sigma_m=0.3)
-    marks, stands = (*MARKS[:2], rough), MARKS[:2]
+    marks, present = (*MARKS[:2], rough), MARKS[:2]
     if grown_m is not None:
         axes = np.linalg.svd(outline - middle)[2]
         sides = (outline - middle) @ axes.T
-        stands = (*stands, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
-    view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=stands)
+        present = (*present, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
+    view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=present)
     fitter, images, prior = (
         Fitter(RIG, PoseConfig(), VerifyConfig(), 2, 0.1),
         Images(view.left, view.right, ""),
@@ -249,11 +249,11 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
     ("share", "stands", "used"),
     [(0.6, 2.5, True), (0.6, 2.3, False), (0.4, 4.8, True), (0.4, 4.6, False), (0.0, 7.1, True), (0.0, 6.9, False)],
 )
-def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, stands: float, used: bool) -> None:
+def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, present: float, used: bool) -> None:
     """99, 99.9 and 99.99 %, with one of ten gone: 4.6, 6.9 and 9.2 less ln 9."""
     fit = fitted(whole(), MARKS).pose
-    seen = Recheck(np.full(len(MARKS), share), np.full(len(MARKS), stands), (1.0, 1.0), 0.0, None)
-    stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._stand(list(MARKS), fit, seen)
+    seen = FinalCheck(np.full(len(MARKS), share), np.full(len(MARKS), present), (1.0, 1.0), 0.0, None)
+    stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._present(list(MARKS), fit, seen)
     assert stood.tolist() == [used] * len(MARKS)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from models import so3
 from models.camera import CameraModel
-from vision.predict.landmark_shifts import motions, settled
+from vision.predict.landmark_shifts import motions, shifted
 from vision.predict.motion import moved
 
 RNG = np.random.default_rng(5)
@@ -39,6 +39,6 @@ def test_settled_is_the_joint_least_squares_solution(trusted: tuple[bool, ...]) 
         rows.append(row / position_px)
         right.append((found[m] + D[m] @ error) / position_px)
     best = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
-    total, shift_m = settled(D, found, np.array(trusted), sigma, position_px, error, P)
+    total, shift_m = shifted(D, found, np.array(trusted), sigma, position_px, error, P)
     np.testing.assert_allclose(total, best[:6], atol=1e-8)
     np.testing.assert_allclose(shift_m, best[6:].reshape(4, 2), atol=1e-8)

@@ -61,9 +61,9 @@ def house(name: str, position: tuple[float, float], angle: float, sigma_m: float
 def look_at(marks: tuple[Landmark, ...], p_n: Array, seed: int = 3, shown: tuple[Landmark, ...] | None = None) -> View:
     """Pale roofs of the colour of their surroundings, seen from p_n; shown: what truly stands."""
     rng, R_nb = np.random.default_rng(seed), so3.matrix(so3.from_euler(0.05, -0.08, 0.6))
-    stands = marks if shown is None else shown
-    looks = tuple(Appearance((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in stands)
-    world = World(stands, looks, (), Ground.procedural(rng), Sun(0.8))
+    present = marks if shown is None else shown
+    looks = tuple(Appearance((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in present)
+    world = World(present, looks, (), Ground.procedural(rng), Sun(0.8))
     return View(*render_pair(world, RIG, p_n, R_nb, Conditions(), rng), p_n, R_nb, marks)
 
 
