@@ -120,7 +120,7 @@ def final_check(
 
 
 def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:
-    """drawn: ModelEdges; roofs: Samples, their blocks, which of small landmarks; walls: Samples; bodies: Prisms; stand: Eye.stand.
+    """drawn: ModelEdges; roofs: Samples, their blocks, which of small ones; walls: Samples; bodies: Prisms; stand: Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
     """
