@@ -122,7 +122,7 @@ def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], le
 
 
 @pytest.mark.parametrize(
-    ("odds", "looked", "expected"),
+    ("odds", "checked", "expected"),
     [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (4.9, 1.0, "weak"), (5.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
 )
 def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, checked: float, expected: str) -> None:
@@ -246,7 +246,7 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
 
 
 @pytest.mark.parametrize(
-    ("share", "stands", "used"),
+    ("share", "present", "used"),
     [(0.6, 2.5, True), (0.6, 2.3, False), (0.4, 4.8, True), (0.4, 4.6, False), (0.0, 7.1, True), (0.0, 6.9, False)],
 )
 def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, present: float, used: bool) -> None:
