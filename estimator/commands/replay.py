@@ -48,14 +48,14 @@ def command(
       landfix replay flight.mcap -o smoothed.mcap -c vehicle.toml --smooth
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
-    from estimator.config import load
-    from estimator.replay.replay import replay
-    from logs.store.parts import files_of
+    with kept_on_interrupt(lambda: [out]), progress(f"replay {source[0].name}") as report:  # it moves while libraries are loaded
+        from estimator.config import load
+        from estimator.replay.replay import replay
+        from logs.store.parts import files_of
 
-    loaded, folder = load(config), config.parent if config else Path()
-    parts = [file for given in source for file in files_of(given)]
-    processor = _sees_again(loaded, folder, parts) if from_images else None
-    with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
+        loaded, folder = load(config), config.parent if config else Path()
+        parts = [file for given in source for file in files_of(given)]
+        processor = _sees_again(loaded, folder, parts) if from_images else None
         summary = replay(parts, out, loaded, report, processor, _attachments(loaded, folder), odometry=not without_odometry)
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
