@@ -9,6 +9,7 @@ import gc
 import json
 from collections import Counter
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import cv2
@@ -51,11 +52,10 @@ def looks() -> Iterator[tuple[Processor, tuple[Pixels | None, Pixels | None], tu
             pose = np.array([4.0 * k, -3.0 * k, -height_m]), so3.matrix(so3.from_euler(0.03, -0.05, 0.7 * k))
             left, right = (np.array(p) for p in render_pair(world, scene.rig, *pose, Conditions(), np.random.default_rng(k)))
             grey = [np.asarray(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), np.uint8) for p in (left, right)]
-            for sigmas in (NARROW, WIDE, 8.0 * WIDE, 30.0 * WIDE):
-                yield processor, (left, right), pose, sigmas
-                yield processor, (left, None), pose, sigmas
-                yield processor, (None, grey[1]), pose, sigmas
-                yield processor, (grey[0], grey[1]), pose, sigmas
+            kinds = (left, right), (left, None), (None, grey[1]), (grey[0], grey[1])
+            for (i, sigmas), (j, images) in product(enumerate((NARROW, WIDE, 8.0 * WIDE, 30.0 * WIDE)), enumerate(kinds)):
+                if (seed + k + i + j) % 2 == 0:  # a half fraction: each three of rig, height, prior and images occur together
+                    yield processor, images, pose, sigmas
             yield processor, (counts(left), counts(right)), pose, WIDE
             yield processor, (np.zeros_like(left), right), pose, NARROW
     for flight in (boulders(1, NARROW), house_and_boulders(2, NARROW)):
