@@ -1,4 +1,4 @@
-"""`landfix run`: the daemon put together, from the first to the last second of its life."""
+"""`landfix run`: starts the daemon with its links, log and vision process, and stops it."""
 
 import gc
 import signal

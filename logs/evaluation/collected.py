@@ -1,4 +1,4 @@
-"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
+"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, and the decision on each measurement."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

@@ -165,7 +165,7 @@ def _thresholds(e: Evaluation) -> str:
 
 
 def aids(e: Evaluation) -> Rows:
-    """What became of each source's measurements."""
+    """Decisions on each source's measurements."""
     rows = []
     for a in e.aids:
         others = ", ".join(f"{reason} {n}" for reason, n in a.reasons.items() if reason != "fused")

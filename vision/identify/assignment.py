@@ -1,7 +1,7 @@
 """Which region is which landmark: the posterior of the joint assignment of all regions in view.
 
     x = (dp, dtheta, s): errors common to all regions: prior position [m] and attitude (about n's axes) [rad], log scale of depth
-    y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): what landmark j says minus what region i shows, whitened
+    y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): the value of landmark j minus that of region i, whitened
     p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia (x, exp(s) - 1), I) dx . prod_j missed_j(a, x)
 
 The integral is built region by region (a Kalman update each), so regions are correlated through the pose as they are in truth:

@@ -1,6 +1,6 @@
-"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and its messages asked for.
+"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and requests for its messages.
 
-One thread reads, answers and asks; what the estimator says is sent from the daemon's loop, which never waits for the link.
+One thread reads, answers and requests. The daemon's loop sends the estimator's outputs and never waits for the link.
 """
 
 import threading

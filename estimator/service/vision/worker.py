@@ -1,4 +1,4 @@
-"""Vision in a process of its own: what it does to itself, by crash or hang, never reaches the estimator.
+"""Vision in a process of its own, so that a crash or hang does not affect the estimator.
 
 The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
 counted. A process that dies, or does not answer in time, is started anew, each time a little later. While it compiles a kernel it
