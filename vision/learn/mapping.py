@@ -2,7 +2,7 @@
 
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
 
-F_i: pose (a systematic error of GNSS is the same along the whole flight), mounting, lens, depth as the rig's calibration gives it.
+F_i: pose (a systematic error of GNSS is the same along the flight), mounting, lens, depth as the rig's calibration gives it.
 A pair of images says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
 flight does, for the rays of one roof meet in one point:
 

@@ -3,8 +3,8 @@
     prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
     verify.py
 
-No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, take part with what is
-left of them.
+No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, are used with
+their visible parts.
 """
 
 import math
