@@ -1,6 +1,7 @@
 """The estimator without I/O, clock or threads: messages in, estimates and reports out.
 
-Daemon, replay, simulation and tests use this same object."""
+Daemon, replay, simulation and tests use this same object.
+"""
 
 import math
 from collections.abc import Callable
