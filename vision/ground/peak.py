@@ -41,7 +41,7 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def peak_flaw(peak: Peak, config: PeakConfig) -> str:
     """Why a peak makes no fix; empty where it does."""
     if peak.curvature is None:
-        return "the peak of the search has no one position within it"
+        return "the search has no single peak inside its area"
     if peak.ratio < config.ratio:
         return f"the peak is {peak.ratio:.2f} times the second, needed {config.ratio:g}"
     if peak.correlation < config.correlation:

@@ -160,7 +160,7 @@ def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> Non
     assert [round(float(np.hypot(*mark.centre_n))) for mark in found.landmarks] == pytest.approx([0], abs=1)
     assert found.seen == [12]
     assert found.left_out["seen in fewer than 3 images"] >= 1
-    assert found.left_out["not at one place: it moves, or is several"] >= 1
+    assert found.left_out["not at one position: it moves, or is several things"] >= 1
 
 
 def test_what_moves_against_the_rest_of_the_image_is_not_followed() -> None:
