@@ -7,6 +7,7 @@ from typing import Any, Final
 ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "docs" / "images" / "architecture.svg"
 _BAND, _GAP, _TITLE, _PAD = 24.0, 4.0, 28.0, 10.0  # px
+_LINE, _LETTER = 16.0, 7.0  # px: from line to line, and a letter of the text
 _WIDE, _SPACE = 284.0, 34.0  # px: a column, and what lies between two
 _FILL: Final = {"estimator": "#dbe9f4", "calib": "#e4efdc", "vision": "#fbe9d0", "logs": "#efe3f3", "models": "#ececec"}
 
@@ -26,9 +27,10 @@ def layers(contracts: list[dict[str, Any]], package: str) -> list[list[str]]:
 def drawn(project: dict[str, Any]) -> str:
     """The five packages as one SVG: who imports stands above or to the left."""
     contracts = project["tool"]["importlinter"]["contracts"]
-    rows = {package: layers(contracts, package) for package in _FILL}
-    tall = {package: _TITLE + len(r) * (_BAND + _GAP) + _PAD for package, r in rows.items()}
     right, far = _WIDE + _SPACE, 2.0 * (_WIDE + _SPACE)
+    wide = {package: far + _WIDE if package == "models" else _WIDE for package in _FILL}
+    rows = {package: [_lines(row, wide[package]) for row in layers(contracts, package)] for package in _FILL}
+    tall = {package: _TITLE + sum(_height(row) + _GAP for row in r) + _PAD for package, r in rows.items()}
     upper = max(tall["estimator"], tall["calib"] + _SPACE + tall["vision"])
     width = far + _WIDE
     place = {  # x, y, width, height
@@ -59,6 +61,21 @@ def drawn(project: dict[str, Any]) -> str:
     )
 
 
+def _lines(names: list[str], width: float) -> list[str]:
+    """The names of a layer, in as many lines as a box of this width needs."""
+    lines, most = [names[0]], (width - 4.0 * _PAD) / _LETTER
+    for name in names[1:]:
+        if len(lines[-1]) + len(name) + 3 > most:
+            lines.append(name)
+        else:
+            lines[-1] += f" · {name}"
+    return lines
+
+
+def _height(lines: list[str]) -> float:
+    return _BAND + (len(lines) - 1) * _LINE
+
+
 def _box(package: str, place: tuple[float, float, float, float], rows: list[list[str]]) -> str:
     x, y, width, height = place
     parts = [
@@ -66,12 +83,17 @@ def _box(package: str, place: tuple[float, float, float, float], rows: list[list
         f'fill="{_FILL[package]}" stroke="#444c56"/>',
         f'<text x="{x + _PAD:.0f}" y="{y + 19:.0f}" font-weight="bold">{package}/</text>',
     ]
-    for k, names in enumerate(rows):
-        top = y + _TITLE + k * (_BAND + _GAP)
+    top = y + _TITLE
+    for lines in rows:
         parts.append(
-            f'<rect x="{x + _PAD:.0f}" y="{top:.0f}" width="{width - 2 * _PAD:.0f}" height="{_BAND:.0f}" rx="3" fill="#fff"/>'
-            f'<text x="{x + width / 2:.0f}" y="{top + 16:.0f}" text-anchor="middle">{" · ".join(names)}</text>'
+            f'<rect x="{x + _PAD:.0f}" y="{top:.0f}" width="{width - 2 * _PAD:.0f}" '
+            f'height="{_height(lines):.0f}" rx="3" fill="#fff"/>'
         )
+        parts += [
+            f'<text x="{x + width / 2:.0f}" y="{top + 16 + k * _LINE:.0f}" text-anchor="middle">{line}</text>'
+            for k, line in enumerate(lines)
+        ]
+        top += _height(lines) + _GAP
     return "\n".join(parts)
 
 

@@ -18,9 +18,9 @@ from estimator.frontend.residuals import Overlay, View
 from estimator.tools.demo import carried_by
 from estimator.tools.overlay.files import scenery
 from estimator.tools.overlay.log import images, read, views
+from logs.evaluation.collected import Collected
+from logs.evaluation.collected import read as read_evidence
 from logs.evaluation.evaluate import compare, find_outages
-from logs.evaluation.evidence import Evidence
-from logs.evaluation.evidence import read as read_evidence
 from logs.evaluation.plots import BLACK, BLUE, ORANGE
 from models.maps.landmarks import LandmarkMap
 
@@ -35,9 +35,9 @@ class Panel:
     """The right half: drawn once, then moved along."""
 
     def __init__(self, log: Path, landmarks: LandmarkMap, flown: list[View]) -> None:
-        evidence = read_evidence(log)
-        compared = compare(evidence.estimate, evidence.truth)
-        self._start_ns = int(evidence.estimate.t_ns[0])
+        collected = read_evidence(log)
+        compared = compare(collected.estimate, collected.truth)
+        self._start_ns = int(collected.estimate.t_ns[0])
         self._t = (compared.estimate.t_ns - self._start_ns) * 1e-9
         self._error = np.linalg.norm(compared.p_error[:, :2], axis=1)
         self._flown = flown
@@ -45,7 +45,7 @@ class Panel:
         self._canvas: Any = FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, height_ratios=(1.7, 1.0))
         self._draw_map(above, landmarks)
-        self._draw_error(below, evidence)
+        self._draw_error(below, collected)
 
     def _draw_map(self, at: Any, landmarks: LandmarkMap) -> None:
         way = np.array([view.p_n for view in self._flown])
@@ -65,8 +65,8 @@ class Panel:
         at.set_yticks([])
         at.set_title("where it is, and its 95 % radius", fontsize=9)
 
-    def _draw_error(self, at: Any, evidence: Evidence) -> None:
-        outages = find_outages(evidence.aids, evidence.health, evidence.estimate, 5.0)
+    def _draw_error(self, at: Any, collected: Collected) -> None:
+        outages = find_outages(collected.aids, collected.health, collected.estimate, 5.0)
         t = np.array([(view.t_ns - self._start_ns) * 1e-9 for view in self._flown])
         radius = np.array([view.radius95_m for view in self._flown])
         at.plot(t, radius, color="0.8", linewidth=1.0)
@@ -74,7 +74,7 @@ class Panel:
         (self._line,) = at.plot([], [], color=BLUE, linewidth=1.4, label="error")
         for begin, end in outages["all"].spans:
             at.axvspan((begin - self._start_ns) * 1e-9, (end - self._start_ns) * 1e-9, color="0.9", linewidth=0.0)
-            begin_s, words = (begin - self._start_ns) * 1e-9, carried_by(evidence, (begin, end))
+            begin_s, words = (begin - self._start_ns) * 1e-9, carried_by(collected, (begin, end))
             at.text(begin_s, 0.78, words, va="top", fontsize=7, transform=at.get_xaxis_transform())
         off = (outages["/gnss"].spans[0][0] - self._start_ns) * 1e-9
         at.axvline(off, color=BLACK, linestyle="--", linewidth=0.9)

@@ -8,7 +8,7 @@ import numpy as np
 
 from models import so3
 from models.messages import Array
-from vision.synthetic import Conditions, Image, Scene, WorldSpec, make_world, render_pair, sights
+from vision.synthetic import Conditions, Image, Scene, WorldSpec, landmark_views, make_world, render_pair
 
 OUT = Path(__file__).parent / "images" / "rendering.jpg"
 SIZE = 400, 300
@@ -43,10 +43,10 @@ def shot(scene: Scene, height: float, tilt_deg: float, conditions: Conditions | 
 def with_truth(scene: Scene, image: Image, height: float, tilt_deg: float) -> Image:
     """Visible roof edges in white, visible corners in yellow."""
     p, R = scene.rig.camera_pose(*pose(height, tilt_deg))
-    for sight in sights(scene.world, scene.rig.left, p, R):
-        for stretch in sight.stretches:
+    for landmark_view in landmark_views(scene.world, scene.rig.left, p, R):
+        for stretch in landmark_view.stretches:
             cv2.polylines(image, [np.rint(stretch.px * 16).astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA, 4)
-        for corner in sight.corners_px[sight.corners_visible]:
+        for corner in landmark_view.corners_px[landmark_view.corners_visible]:
             u, v = np.rint(corner).astype(int).tolist()
             cv2.circle(image, (u, v), 5, (0, 255, 255), 2, cv2.LINE_AA)
     return image

@@ -1,4 +1,7 @@
-"""The sans-I/O heart: messages in, estimates and reports out. Daemon, replay, simulation and tests drive this same object."""
+"""The estimator without I/O, clock or threads: messages in, estimates and reports out.
+
+Daemon, replay, simulation and tests use this same object.
+"""
 
 import math
 from collections.abc import Callable

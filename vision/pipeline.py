@@ -92,7 +92,7 @@ class LandmarkPipeline:
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
         """What predict and verify says of the position that identified regions tell."""
-        moves = self._predict.moves(found.images, near, found.place)
+        moves = self._predict.moves(found.images, near, found.posterior)
         if moves is None:
             return nothing(t_ns, "no_pose", found.images.remark)
         result = self._predict.locate(found.images, *moves, t_ns, prior)

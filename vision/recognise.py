@@ -2,7 +2,7 @@
 
 rectify -> segment -> regions -> correspond -> measure -> identify -> where the images were taken
 
-That position is where predict and verify (predict.py) looks then, at all outlines in view, and only what it finds there is a fix.
+Predict and verify (predict.py) then searches there for all outlines in view, and only what it finds is a fix.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from vision.describe.measure import Measured, measure
 from vision.describe.regions import Limits, Region
 from vision.describe.segment import Space
 from vision.describe.survey import Settings, grey, segment_regions
-from vision.identify import sightings as sight
+from vision.identify import sightings
 from vision.identify.catalogue import Catalogue, Sighting, catalogue
 from vision.identify.constellation import Constellation, MemoryConfig
 from vision.identify.identify import NONE, Identification, IdentifyConfig, Prior, identify
@@ -30,7 +30,7 @@ from vision.records.images import Images
 from vision.records.reports import RegionReport, Result, nothing, report_of
 
 _ROWS_PX: Final = 0.8  # rows that differ by less do no harm
-_WIDER: Final = 4.0  # variances of the position where is looked: outlines of regions are not quite those of roofs
+_WIDER: Final = 4.0  # variances of the position where the search is: outlines of regions are not quite those of roofs
 _TOO_FLAT: Final = "seen too flat to know its size"
 
 
@@ -69,13 +69,13 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """A position to look at: images, those that fit each other; place: where they were taken, by the prior and the identities.
+    """A pose to examine: images, those that fit each other; posterior: where they were taken, by the prior and the identities.
 
     reports: a line of each region.
     """
 
     images: Images
-    place: Prior
+    posterior: Prior
     reports: list[RegionReport]
 
 
@@ -92,8 +92,8 @@ class SegmentPath:
         self._memory.clear()
 
     def locate(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Identified | Result:
-        """Place or reason; near: the landmarks that may be in view."""
-        if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may look sure
+        """Identified, or the reason; near: the landmarks that may be in view."""
+        if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may appear certain
             return nothing(t_ns, "prior_too_wide", f"{images.remark}{len(near)} landmarks may be in view")
         known = catalogue(near)
         views = self._views(images)
@@ -134,21 +134,21 @@ class SegmentPath:
             return self._one_camera(
                 images, views, usable_regions, prior, known, refused, f"{images.remark}right camera not used: {problem}; "
             )
-        level = sight.level(prior, rig)
+        level = sightings.level(prior, rig)
         kept, seen, measured = list[Region](), list[Sighting](), list[Measured]()
         for match in matches:
             m = measure(match, rig, level=level) if isinstance(match, Match) else match
             if not isinstance(m, Measured):
                 refused.append(_not_measured(m.region, m.reason))
                 continue
-            one = self._sighting(views, m.region, sight.from_stereo(m, prior, rig), prior, rig, known)
+            one = self._sighting(views, m.region, sightings.from_stereo(m, prior, rig), prior, rig, known)
             if isinstance(one, RegionReport):
                 refused.append(one)
             else:
                 kept.append(m.region)
                 seen.append(one)
                 measured.append(m)
-        return _Seen(kept, seen, refused, True, sight.shared_scale_sigma(measured), images.remark)
+        return _Seen(kept, seen, refused, True, sightings.shared_scale_sigma(measured), images.remark)
 
     def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
         """By how much the rows of the pair differ beyond what its calibration allows [px], 0 where they fit."""
@@ -157,7 +157,7 @@ class SegmentPath:
         off = [m.vertical_px for m in found if abs(m.vertical_px) > limit + 3.0 * m.vertical_sigma_px]
         if off and 2 * len(off) >= len(found):
             return float(np.median(off))
-        if views.other is not None and 2 * len(found) < len(matches):  # in doubt: looks further, and takes longer
+        if views.other is not None and 2 * len(found) < len(matches):  # in doubt: searches further, and takes longer
             residual = epipolar.edge_residual(grey(views.work), grey(views.other), self._rectified.rig)
             if residual and abs(residual.vertical_px) > limit + 3.0 * residual.sigma_px:
                 return residual.vertical_px
@@ -173,17 +173,17 @@ class SegmentPath:
         refused: list[RegionReport],
         remark: str,
     ) -> _Seen:
-        rig = sight.one_eyed(self._rectified.rig, right=images.only_right)
-        roof_d = float(np.mean(known.place_n[:, 2]))
+        rig = sightings.one_eyed(self._rectified.rig, right=images.only_right)
+        roof_d = float(np.mean(known.position_n[:, 2]))
         kept, seen = list[Region](), list[Sighting]()
         for region in usable_regions:
-            one = self._sighting(views, region, sight.from_one_camera(region, prior, rig, roof_d), prior, rig, known)
+            one = self._sighting(views, region, sightings.from_one_camera(region, prior, rig, roof_d), prior, rig, known)
             if isinstance(one, RegionReport):
                 refused.append(one)
             else:
                 kept.append(region)
                 seen.append(one)
-        return _Seen(kept, seen, refused, False, sight.ONE_CAMERA_SCALE_SIGMA, remark)
+        return _Seen(kept, seen, refused, False, sightings.ONE_CAMERA_SCALE_SIGMA, remark)
 
     def _sighting(
         self, views: _Views, region: Region, one: Sighting | None, prior: Prior, rig: StereoRig, known: Catalogue
@@ -192,7 +192,7 @@ class SegmentPath:
         if one is None:
             return _not_measured(region, _TOO_FLAT)
         if region.touches_border:
-            return sight.cut_off(one, region, self._corners(views, region), prior, rig, known) or _cut_off(region)
+            return sightings.cut_off(one, region, self._corners(views, region), prior, rig, known) or _cut_off(region)
         return one
 
     def _corners(self, views: _Views, region: Region) -> NDArray[np.bool_]:
@@ -204,20 +204,20 @@ class SegmentPath:
 
     def _decide(self, images: Images, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
         """Identify; regions that stay open are kept for the next image."""
-        rig = sight.one_eyed(self._rectified.rig, right=images.only_right)
+        rig = sightings.one_eyed(self._rectified.rig, right=images.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
         found = identify(every, known, prior, rig, seen.scale_sigma, self._config.identify, metric=seen.metric)
         now = len(seen.sightings)
         reports = [*(_region(seen.regions[i], found, i, known, self._config.identify) for i in range(now)), *seen.refused]
         remark = f"{seen.remark}{_summary(found, now, len(remembered))}; "
-        if not found.accepted[:now].any() or found.place_posterior < self._config.identify.fix_posterior:
+        if not found.accepted[:now].any() or found.position_posterior < self._config.identify.fix_posterior:
             if seen.metric:
                 self._memory.hold(seen.sightings, remembered, t_ns, prior)
             return Result(None, report_of(t_ns, _unsettled(found, now), remark, reports), tuple(reports))
-        place = Prior(*prior.moved(found.x), _WIDER * found.covariance[:6, :6])
+        posterior = Prior(*prior.moved(found.x), _WIDER * found.covariance[:6, :6])
         right = images.right if seen.metric or images.only_right else None
-        return Identified(replace(images, right=right, remark=remark), place, reports)
+        return Identified(replace(images, right=right, remark=remark), posterior, reports)
 
 
 def _rows_sigma(rig: StereoRig) -> float:
@@ -265,4 +265,4 @@ def _unsettled(found: Identification, now: int) -> str:
 def _summary(found: Identification, now: int, remembered: int) -> str:
     count = int(found.accepted[:now].sum())
     before = f", {remembered} of earlier images" if remembered else ""
-    return f"{count} of {now} regions identified{before}, place sure to {found.place_posterior:.5f}"
+    return f"{count} of {now} regions identified{before}, position sure to {found.position_posterior:.5f}"

@@ -1,9 +1,9 @@
-"""Which recogniser looks at an image, by need and by cost.
+"""Which recogniser processes an image, by need and by cost.
 
     landmarks by description   always, where the map has any: pipeline.py
-    registration               where they gave nothing, the map holds an image, and the prior says where to look: registration.py
+    registration               where they gave nothing, the map holds an image, and the prior limits the search: registration.py
     features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
-    peak                       where neither succeeded: position by the place where registration's search found the whole, peak.py
+    peak                       where neither succeeded: position by the peak of registration's search, peak.py
 
 All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
@@ -36,15 +36,15 @@ _NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another on
 
 
 class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Of each recogniser, and how long a likely place waits to be confirmed."""
+    """Of each recogniser, and how long a likely position waits to be confirmed."""
 
     pipeline: PipelineConfig = PipelineConfig()
     registration: RegistrationConfig = RegistrationConfig()
     features: FeatureConfig = FeatureConfig()
     peak: PeakConfig = PeakConfig()
-    memory_s: Annotated[float, Meta(ge=0, description="s: how long a likely place waits for another view that says the same")] = (
-        10.0
-    )
+    memory_s: Annotated[
+        float, Meta(ge=0, description="s: how long a likely position waits for another view that says the same")
+    ] = 10.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ class Use(NamedTuple):
     ms: float
 
 
-def _no_positions(init: Callable[..., None], level: search_level.Stage, *given: Any) -> None:
+def _no_positions(init: Callable[..., None], level: search_level.SearchLevel, *given: Any) -> None:
     init(level, *given)
     level.free[:] = 0.0
 
@@ -70,7 +70,7 @@ def _not_among(original: Callable[..., Any], *given: Any) -> Any:
 
 
 SEARCH = (
-    Stage("own position of each landmark", search_level.Stage, "__init__", _no_positions),
+    Stage("own position of each landmark", search_level.SearchLevel, "__init__", _no_positions),
     Stage(
         "own size of each landmark", search_level, "_growths", lambda _, m, _px: np.zeros((1, len(m))), lambda r, _: len(r) > 1
     ),
@@ -85,14 +85,14 @@ SEARCH = (
 )
 CHECKS = (
     Stage("votes before the fit", verify, "flaw", lambda *_: "", lambda r, _: bool(r)),
-    Stage("final check of each landmark", fit.Fitter, "_stand", lambda *a: np.ones(len(a[2]), bool), lambda r, _: not r.all()),
-    Stage("presence test", fit.Fitter, "_stand", _shares_only),
+    Stage("final check of each landmark", fit.Fitter, "_present", lambda *a: np.ones(len(a[2]), bool), lambda r, _: not r.all()),
+    Stage("presence test", fit.Fitter, "_present", _shares_only),
     Stage("error on the map", fit, "_off_map", lambda _, marks, _fit: np.zeros(len(marks)), lambda r, _: bool((r > 1.0).any())),
     Stage("right against left image", fit.Fitter, "_pair_flaw", lambda *_: "", lambda r, _: bool(r)),
     Stage("distance from search to fit", fit, "_moved_px", lambda *_: 0.0, lambda r, _: r > 10.0),
     Stage("fit against prior", fit, "pose_flaw", lambda *_: "", lambda r, _: bool(r)),
-    Stage("odds of a position", fit, "place_odds", lambda *_: _GOOD_ODDS),
-    Stage("share that is covered", fit, "place_odds", lambda f, *a: f(*a[:4], 0.0), lambda _, a: a[4] > 0.0),
+    Stage("odds of a position", fit, "position_odds", lambda *_: _GOOD_ODDS),
+    Stage("share that is covered", fit, "position_odds", lambda f, *a: f(*a[:4], 0.0), lambda _, a: a[4] > 0.0),
     Stage("rival positions", verify, "decided", _most_likely, _several),
     Stage("the next image must agree", verify.Waiting, "agrees", lambda *_: True, lambda r, _: not r),
     Stage("contradiction by the image before", verify.Waiting, "holds", lambda *_: False, lambda r, _: r),

@@ -205,7 +205,7 @@ def _other_season(world: World) -> World:
     other = pyramid(bounded(np.ascontiguousarray(grass[::-1].T)))
     cover = np.clip(2.0 * mean - ground.cover, 10.0, 250.0).astype(np.float32)
     clutter = tuple(
-        replace(s, look=replace(s.look, roof_bgr=(120.0, 135.0, 140.0))) if s.look.texture == "leaves" else s
+        replace(s, appearance=replace(s.appearance, roof_bgr=(120.0, 135.0, 140.0))) if s.appearance.texture == "leaves" else s
         for s in world.clutter
     )
     return replace(world, ground=replace(ground, cover=cover, detail=other), clutter=clutter, sun=_OVERCAST)

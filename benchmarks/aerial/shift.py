@@ -34,7 +34,7 @@ class Found:
     ratio: float
 
 
-def look(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
+def observe(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
     """The summit over all shifts that the prior allows, at its heading and height."""
     eye, images = eyes(case.rig)[0], usable(case.image, None, case.rig)
     move = motion(eye, marks, prior)
@@ -45,17 +45,17 @@ def look(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
     return Found(case.judge(*move.pose(move.gain[:, :2] @ best.shift_px)), best.ratio)
 
 
-def looks(of: spacenet.Scene, size: int, seed: int) -> tuple[list[Found], list[Found]]:
+def observations(of: spacenet.Scene, size: int, seed: int) -> tuple[list[Found], list[Found]]:
     """Of all sets of a size, and of the same sets turned; priors as in `python -m benchmarks.aerial spacenet --priors 1`."""
     right, decoys = [], []
     for marks in spacenet.sets(of.landmarks, size):
         name = f"{size} at {marks[0].id}"
         rng, apart_m = generator(seed, name, 0), spacenet.misregistration(of, marks)
         known = spacenet.case(of, name, marks, apart_m)
-        right.append(look(known, spacenet.prior(known, rng), marks))
+        right.append(observe(known, spacenet.prior(known, rng), marks))
         elsewhere = turned(marks, np.mean([m.centre_n for m in marks], axis=0), rng)
         decoy = spacenet.case(of, name, elsewhere, apart_m)
-        decoys.append(look(decoy, spacenet.prior(decoy, rng), elsewhere))
+        decoys.append(observe(decoy, spacenet.prior(decoy, rng), elsewhere))
     return right, decoys
 
 
@@ -69,7 +69,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     of, rows = spacenet.scene(data_folder()), []
     for size in spacenet.SIZES:
-        right, decoys = looks(of, size, seed)
+        right, decoys = observations(of, size, seed)
         found = [one for one in right if one.error_m < WRONG_M]
         sure = [sum(one.ratio >= pattern.SURE for one in some) for some in (found, right, decoys)]
         rows.append((

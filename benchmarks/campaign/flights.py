@@ -25,7 +25,7 @@ IMU_HZ = 100.0  # half of what flies: halves the time of a campaign and changes 
 AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by then
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
-_HANDOVER_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
+_ALIGNING_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
 _NONE_FALSE = 1e-6  # share of false measurements: the filter knows that there are none
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
@@ -126,7 +126,7 @@ def flight(
     duration_s = gone[-1][1] + between_s
     replace = msgspec.structs.replace
     if gnss and not alone:
-        pose_fix = PoseFixes(rate_hz=2.0, outages_s=((_HANDOVER_S, duration_s),))
+        pose_fix = PoseFixes(rate_hz=2.0, outages_s=((_ALIGNING_S, duration_s),))
     elif pose_fix:
         pose_fix = replace(pose_fix, outages_s=gone)
     scenario = Scenario(

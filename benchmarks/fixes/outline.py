@@ -31,14 +31,14 @@ from models.maps.landmarks import LandmarkMap
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
-from vision.pose.observation import LookConfig
+from vision.pose.observation import ObservationConfig
 from vision.pose.pose import PoseConfig, PoseEstimate, estimate_pose
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "outline"
 ORIGIN = (47.3977, 8.5456, 488.0)
 OFF_PX = (20.0, 40.0, 80.0, 120.0, 160.0)
 NEXT_NS = 500_000_000
-WIDE = PoseConfig(look=LookConfig(search_px=(28, 14)))  # the default's 16 px do not reach 20
+WIDE = PoseConfig(observation=ObservationConfig(search_px=(28, 14)))  # the default's 16 px do not reach 20
 PARTS = ("converge", "accuracy", "partial", "decoys", "speed")
 
 

@@ -19,7 +19,7 @@ from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_labels, render_pair
 from vision.synthetic.shapes import rectangle
 from vision.synthetic.texture import SURFACES
-from vision.synthetic.world import Look, Solid, Sun, World
+from vision.synthetic.world import Appearance, Solid, Sun, World
 
 PRIOR_PX = 55.0  # 1 sigma of the shift: 3 sigma are the limit of the search
 TURN_DEG, TILT_DEG, HEIGHT = 2.0, 0.5, 0.03  # 1 sigma; HEIGHT of the height above ground
@@ -142,8 +142,8 @@ def _hidden(view: View, share: float) -> View:
         radius = view.rng.uniform(0.1, 0.2) * mark.length_m * view.rng.uniform(0.8, 1.2, (10, 1))
         outline = centre + radius * np.column_stack((np.cos(angle), np.sin(angle)))
         b, g, r = (np.array([36.0, 72.0, 50.0]) * view.rng.uniform(0.7, 1.35)).tolist()
-        look = Look((b, g, r), (0.8 * b, 0.8 * g, 0.8 * r), "leaves", 0.3, 0.0, "leaves", 0.3)
-        clutter.append(Solid(outline, mark.base_d, mark.height_m + 0.05 * mark.length_m, look))
+        appearance = Appearance((b, g, r), (0.8 * b, 0.8 * g, 0.8 * r), "leaves", 0.3, 0.0, "leaves", 0.3)
+        clutter.append(Solid(outline, mark.base_d, mark.height_m + 0.05 * mark.length_m, appearance))
     return grown
 
 
@@ -159,7 +159,7 @@ def decoy(seed: int, number: int, kind: str) -> tuple[View, tuple[Image, Image],
         prior = Prior(prior.p_n + far * np.array([math.cos(angle), math.sin(angle), 0.0]), prior.q_nb_wxyz, prior.covariance)
     elif kind in {"empty", "gone", "one gone"}:
         left = {"empty": 0, "gone": 0, "one gone": len(marks) - 1}[kind]
-        world = replace(view.world, landmarks=view.world.landmarks[:left], looks=view.world.looks[:left])
+        world = replace(view.world, landmarks=view.world.landmarks[:left], appearances=view.world.appearances[:left])
         view = replace(view, world=world)
         if kind == "gone":  # something else stands or lies in its place
             view = replace(view, world=replace(world, clutter=_instead(view)))
@@ -187,7 +187,7 @@ def _instead(view: View) -> tuple[Solid, ...]:
         outline = rectangle(size, size * view.rng.uniform(0.4, 0.9)) @ np.array([[c, s], [-s, c]]) + np.array(mark.centre_n)
         b, g, r = view.rng.uniform(60.0, 200.0, 3).tolist()
         solids.append(
-            Solid(outline, mark.base_d, mark.height_m, Look((b, g, r), texture=str(view.rng.choice(list(SURFACES[:3])))))
+            Solid(outline, mark.base_d, mark.height_m, Appearance((b, g, r), texture=str(view.rng.choice(list(SURFACES[:3])))))
         )
     return tuple(solids)
 
@@ -208,8 +208,8 @@ def _row(seed: int, number: int) -> View:
         Landmark.of(f"h{k}", rectangle(length, 0.8 * length) + np.array([0.0, e]), 0.0, 0.25 * length, colour)
         for k, e in enumerate(places)
     )
-    look = Look(colour, texture="shingles", contrast=0.08)
-    world = World(marks, (look,) * len(marks), (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
+    appearance = Appearance(colour, texture="shingles", contrast=0.08)
+    world = World(marks, (appearance,) * len(marks), (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
     camera = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5)
     rig = StereoRig(camera, camera, np.eye(3), np.array([-0.3, 0.0, 0.0]), NADIR, np.zeros(3))
     cell = Cell(height, 0.0, len(marks), "painted", 0.0, "clean")

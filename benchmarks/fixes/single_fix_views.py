@@ -16,7 +16,7 @@ from models.messages import Array
 from vision.identify.identify import Prior
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
-from vision.synthetic.world import Look, Sun, World
+from vision.synthetic.world import Appearance, Sun, World
 
 HEIGHTS_M = (10.0, 20.0, 40.0, 60.0, 90.0, 120.0)
 TILTS_DEG = (0.0, 5.0, 12.0, 25.0)
@@ -77,10 +77,10 @@ def draw_view(seed: int, number: int) -> View:
     )
     rig, true_rig = _rigs(rng)
     p_n, R_nb = _pose(cell, rng)
-    mapped, true, looks = _landmarks(cell, true_rig, p_n, R_nb, rng)
+    mapped, true, appearances = _landmarks(cell, true_rig, p_n, R_nb, rng)
     ground = Ground.procedural(rng)
     sun = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 70.0)), rng.uniform(0.3, 0.6))
-    world = World(true, looks, (), ground, sun)
+    world = World(true, appearances, (), ground, sun)
     return View(cell, world, true_rig, p_n, R_nb, _conditions(cell.take, rng), rig, mapped, _prior(p_n, R_nb, rng), rng)
 
 
@@ -117,12 +117,12 @@ def _pose(cell: Cell, rng: np.random.Generator) -> tuple[Array, Array]:
 
 def _landmarks(
     cell: Cell, rig: StereoRig, p_n: Array, R_nb: Array, rng: np.random.Generator
-) -> tuple[tuple[Landmark, ...], tuple[Landmark, ...], tuple[Look, ...]]:
+) -> tuple[tuple[Landmark, ...], tuple[Landmark, ...], tuple[Appearance, ...]]:
     """Landmarks as mapped and as they are: in view, apart, 50 to 150 px long whatever the height."""
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     mapped: list[Landmark] = []
     true: list[Landmark] = []
-    looks: list[Look] = []
+    appearances: list[Appearance] = []
     taken: list[tuple[Array, float]] = []
     metre_px = 600.0 / cell.height_m
     tries = 0
@@ -147,8 +147,8 @@ def _landmarks(
         true.append(_true_landmark(mark, rng))
         texture = "paint" if cell.roof == "painted" else str(rng.choice(["shingles", "gravel", "metal"]))
         blue, green, red = (np.array([150.0, 160.0, 165.0]) * rng.uniform(0.6, 1.15)).tolist()
-        looks.append(Look(colour, (blue, green, red), texture, 0.03 if cell.roof == "painted" else 0.08))
-    return tuple(mapped), tuple(true), tuple(looks)
+        appearances.append(Appearance(colour, (blue, green, red), texture, 0.03 if cell.roof == "painted" else 0.08))
+    return tuple(mapped), tuple(true), tuple(appearances)
 
 
 def _outline(length: float, width: float, rng: np.random.Generator) -> Array:

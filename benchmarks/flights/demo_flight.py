@@ -19,8 +19,8 @@ from rich.progress import track
 from benchmarks.flights import rendered_flight
 from benchmarks.tables import Table, number
 from estimator.tools.demo import scenario_text
+from logs.evaluation.collected import read
 from logs.evaluation.evaluate import Comparison, find_outages
-from logs.evaluation.evidence import read
 from logs.evaluation.metrics import chi2_band, nees
 from logs.evaluation.plots import draw_horizontal_error
 from models.radius import horizontal_radius
@@ -106,9 +106,9 @@ def draw(seed: int) -> Figure:
     figure = Figure(figsize=(13.0, 8.0), layout="constrained")
     grid = figure.subplots(2, 2, sharex=True)
     for axes, (gps, seen) in zip(grid.flat, ((True, True), (True, False), (False, True), (False, False)), strict=True):
-        evidence = read(rendered_flight.estimate_of(_folder(seed, gps=gps), landmarks=seen))
-        outages = find_outages(evidence.aids, evidence.health, evidence.estimate, OUTAGE_S)
-        draw_horizontal_error(axes, evidence, outages["all"].spans)
+        collected = read(rendered_flight.estimate_of(_folder(seed, gps=gps), landmarks=seen))
+        outages = find_outages(collected.aids, collected.health, collected.estimate, OUTAGE_S)
+        draw_horizontal_error(axes, collected, outages["all"].spans)
         name = f"{'GPS all along' if gps else 'GPS cut off'}, {'landmarks' if seen else 'no landmarks'}"
         axes.set_title(f"{name}: {axes.get_title()}", fontsize=10)
     shown = {label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}

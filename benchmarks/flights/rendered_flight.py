@@ -6,14 +6,14 @@ import numpy as np
 
 from calib.files.formats import load_rig
 from estimator.config import load
-from estimator.frontend.processor import Sight
-from estimator.frontend.replay_images import SightReplay
+from estimator.frontend.processor import Processor
+from estimator.frontend.replay_images import ImageReplay
 from estimator.map_files import store as map_store
 from estimator.replay import flight_images
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
+from logs.evaluation.collected import read
 from logs.evaluation.evaluate import Comparison, compare
-from logs.evaluation.evidence import read
 from models.sim.scenario import Scenario, simulate
 
 
@@ -31,14 +31,14 @@ def draw(folder: Path, plan: Scenario, seed: int) -> None:
 def fly(folder: Path, after_s: float, *, landmarks: bool = True) -> Comparison:
     """Estimate and truth from after_s on; landmarks: with what the cameras see."""
     config, log, estimate = load(folder / "flight.toml"), folder / "flight.mcap", estimate_of(folder, landmarks=landmarks)
-    sight = None
+    processor = None
     if landmarks:
-        seen = Sight(load_rig(folder / "rig.yaml"), map_store.load(folder / "map.geojson"))
-        sight = SightReplay(seen, config.vision, config.inputs.left_image, config.inputs.right_image, log)
-    replay(log, estimate, config, sight=sight)
-    evidence = read(estimate)
-    c = compare(evidence.estimate, evidence.truth)
-    return c[np.asarray(c.t_ns - int(evidence.truth.t_ns[0]) >= round(after_s * 1e9))]
+        seen = Processor(load_rig(folder / "rig.yaml"), map_store.load(folder / "map.geojson"))
+        processor = ImageReplay(seen, config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    replay(log, estimate, config, processor=processor)
+    collected = read(estimate)
+    c = compare(collected.estimate, collected.truth)
+    return c[np.asarray(c.t_ns - int(collected.truth.t_ns[0]) >= round(after_s * 1e9))]
 
 
 def estimate_of(folder: Path, *, landmarks: bool) -> Path:

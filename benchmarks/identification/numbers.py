@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
-from benchmarks.identification.worlds import RIG, Conditions, Frame, draw_error, draw_pose, draw_world, look
+from benchmarks.identification.worlds import RIG, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from benchmarks.tables import Table, number
 from vision.identify.catalogue import Catalogue, catalogue
 from vision.identify.constellation import Constellation
@@ -67,7 +67,7 @@ def run(conditions: Conditions, frames: int, seed: int) -> list[Outcome]:
         if (k := k + 1) % FRAMES_PER_WORLD == 0:
             world = draw_world(rng, conditions)
         p_n, q_nb = draw_pose(rng, conditions)
-        frame = look(rng, world, p_n, q_nb, draw_error(rng, conditions), conditions)
+        frame = observe(rng, world, p_n, q_nb, draw_error(rng, conditions), conditions)
         if len(frame.sightings) >= 3:
             near = world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0)
             outcomes.append(judge(frame, catalogue(near)))
@@ -78,7 +78,7 @@ def judge(frame: Frame, landmarks: Catalogue) -> Outcome:
     begin = perf_counter()
     found = identify(frame.sightings, landmarks, frame.prior, RIG, frame.scale_sigma, CONFIG)
     seconds = perf_counter() - begin
-    fixed = found.place_posterior >= CONFIG.fix_posterior
+    fixed = found.position_posterior >= CONFIG.fix_posterior
     named = [landmarks.ids[k] if k >= 0 else None for k in found.landmark]
     right = [name == truth for name, truth in zip(named, frame.truth, strict=True)]
     identified = found.accepted & fixed
@@ -111,15 +111,15 @@ def similarity_alone(frame: Frame, landmarks: Catalogue) -> tuple[list[str | Non
     """Identity of each region by similarity >= 75 %, and how far off the median place then is [m]; 0 without any."""
     like = similarities(frame.sightings, landmarks, np.ones((len(frame.sightings), len(landmarks.ids))))
     arm = np.array([s.arm_n for s in frame.sightings])
-    place = landmarks.place_n[None] - arm[:, None]  # of the body, if region i were landmark j
+    position = landmarks.position_n[None] - arm[:, None]  # of the body, if region i were landmark j
     sigma = np.sqrt(np.diag(frame.prior.covariance)[:3])
-    like[(((place - frame.prior.p_n) / sigma) ** 2).sum(axis=-1) > GATE_9999] = 0.0
+    like[(((position - frame.prior.p_n) / sigma) ** 2).sum(axis=-1) > GATE_9999] = 0.0
     if not like.size:
         return [None] * len(arm), 0.0
     best = like.argmax(axis=1)
     known = like.max(axis=1) >= CONFIG.min_similarity
     names = [landmarks.ids[j] if k else None for j, k in zip(best, known, strict=True)]
-    chosen = place[np.arange(len(arm)), best][known]
+    chosen = position[np.arange(len(arm)), best][known]
     return names, float(np.linalg.norm(np.median(chosen, axis=0) - frame.p_n)) if known.any() else 0.0
 
 
@@ -146,14 +146,14 @@ def sequences(name: str, conditions: Conditions, count: int, seed: int, images: 
         p_n, q_nb = draw_pose(rng, conditions)
         heading, error, memory = rng.uniform(-np.pi, np.pi), draw_error(rng, conditions), Constellation()
         for image in range(images):
-            frame = look(rng, world, p_n, q_nb, error, conditions)
+            frame = observe(rng, world, p_n, q_nb, error, conditions)
             frame.prior.covariance[range(3), range(3)] += image * 0.3**2
             near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0))
             t_ns = image * 1_000_000_000
             remembered = memory.recall(frame.sightings, t_ns, frame.prior)
             found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, frame.scale_sigma, CONFIG)
             now = found.accepted[: len(frame.sightings)]
-            if found.place_posterior >= CONFIG.fix_posterior and now.any():
+            if found.position_posterior >= CONFIG.fix_posterior and now.any():
                 named = [near.ids[j] if j >= 0 else None for j in found.landmark]
                 wrong += sum(n != t for n, t, a in zip(named, frame.truth, now, strict=False) if a)
                 identified += int(now.sum())

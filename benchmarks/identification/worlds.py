@@ -53,7 +53,7 @@ class Conditions(msgspec.Struct, frozen=True):
 class Objects:
     """What stands in the world: place (N, 3) of the roof's centre in n, width, length, orientation (N,), mapped (N,) or -1."""
 
-    place_n: Array
+    position_n: Array
     width_m: Array
     length_m: Array
     orientation: Array
@@ -82,20 +82,20 @@ class Frame:
 def draw_world(rng: np.random.Generator, c: Conditions) -> World:
     """Objects, and the map somebody made of them some time ago."""
     heading = rng.uniform(0.0, 2.0 * math.pi)
-    place = _grid(rng, heading) if c.layout == "grid" else _random(rng)
-    count = len(place)
+    position = _grid(rng, heading) if c.layout == "grid" else _random(rng)
+    count = len(position)
     width, length = (size * rng.uniform(1.0 - c.variation, 1.0 + c.variation, count) for size in (WIDTH_M, LENGTH_M))
     turn = rng.normal(heading, math.radians(1.0), count) if c.layout == "grid" else rng.uniform(0.0, math.pi, count)
-    place = np.column_stack([place, rng.normal(-HEIGHT_M, 0.5, count)])
+    position = np.column_stack([position, rng.normal(-HEIGHT_M, 0.5, count)])
     mapped = rng.random(count) >= c.unmapped
     gone = mapped & (rng.random(count) < c.gone)
     there = ~gone | (rng.random(count) < c.replaced)
-    landmarks = [_landmark(rng, f"L{k}", place[k], width[k], length[k], turn[k]) for k in np.flatnonzero(mapped)]
+    landmarks = [_landmark(rng, f"L{k}", position[k], width[k], length[k], turn[k]) for k in np.flatnonzero(mapped)]
     width[gone], length[gone] = (
         size * rng.uniform(1.0 - c.variation, 1.0 + c.variation, gone.sum()) for size in (WIDTH_M, LENGTH_M)
     )
     ids = [f"L{k}" if mapped[k] and not gone[k] else "" for k in np.flatnonzero(there)]
-    objects = Objects(place[there], width[there], length[there], turn[there], ids)
+    objects = Objects(position[there], width[there], length[there], turn[there], ids)
     return World(objects, LandmarkMap.from_landmarks((30.0, 31.0, 0.0), landmarks))
 
 
@@ -111,12 +111,12 @@ def draw_error(rng: np.random.Generator, c: Conditions) -> Array:
     return rng.normal(0.0, c.claim * _sigmas(c.prior_sigma_m))
 
 
-def look(rng: np.random.Generator, world: World, p_n: Array, q_nb: Array, error: Array, c: Conditions) -> Frame:
+def observe(rng: np.random.Generator, world: World, p_n: Array, q_nb: Array, error: Array, c: Conditions) -> Frame:
     """What is seen from a pose whose prior is wrong by `error`."""
     q_prior = so3.multiply(so3.quat_exp(-error[3:]), q_nb)
     prior = Prior(p_n - error[:3], q_prior, np.diag(_sigmas(c.prior_sigma_m) ** 2))
     o, R_nc = world.objects, so3.matrix(q_nb) @ RIG.R_bc
-    x_c = (o.place_n - p_n) @ R_nc
+    x_c = (o.position_n - p_n) @ R_nc
     scale = rng.normal(0.0, c.claim * c.scale_sigma)
     radius = 0.5 * np.hypot(o.width_m, o.length_m)
     px = x_c[:, :2] / x_c[:, 2:] * FOCAL_PX + [319.5, 239.5]
@@ -163,13 +163,13 @@ def _measure(
     )
 
 
-def _landmark(rng: np.random.Generator, name: str, place: Array, width: float, length: float, turn: float) -> Landmark:
+def _landmark(rng: np.random.Generator, name: str, position: Array, width: float, length: float, turn: float) -> Landmark:
     grown = 2.0 * rng.normal(0.0, OUTLINE_SIGMA_M)
     w, h = 0.5 * (width + grown), 0.5 * (length + grown)
     c, s = math.cos(turn), math.sin(turn)
     corners = np.array([[h, w], [-h, w], [-h, -w], [h, -w]]) @ np.array([[c, s], [-s, c]])
-    centre = place[:2] + rng.normal(0.0, MAP_SIGMA_M, 2)
-    base = place[2] + HEIGHT_M + rng.normal(0.0, HEIGHT_SIGMA_M)
+    centre = position[:2] + rng.normal(0.0, MAP_SIGMA_M, 2)
+    base = position[2] + HEIGHT_M + rng.normal(0.0, HEIGHT_SIGMA_M)
     return Landmark.of(
         name, corners + centre, base, HEIGHT_M, None, MAP_SIGMA_M, HEIGHT_SIGMA_M, OUTLINE_SIGMA_M,
     )  # fmt: skip
@@ -184,9 +184,9 @@ def _grid(rng: np.random.Generator, heading: float) -> Array:
 
 def _random(rng: np.random.Generator) -> Array:
     """As dense as the grid, none closer than 14 m to another."""
-    wanted, place = round((SIDE_M / SPACING_M) ** 2), np.empty((0, 2))
-    while len(place) < wanted:
+    wanted, position = round((SIDE_M / SPACING_M) ** 2), np.empty((0, 2))
+    while len(position) < wanted:
         p = rng.uniform(-0.5 * SIDE_M, 0.5 * SIDE_M, 2)
-        if not len(place) or np.hypot(*(place - p).T).min() > 14.0:
-            place = np.vstack([place, p])
-    return place
+        if not len(position) or np.hypot(*(position - p).T).min() > 14.0:
+            position = np.vstack([position, p])
+    return position

@@ -12,7 +12,7 @@ from estimator.config import Config, load
 from estimator.frontend.files import load_odometry
 from estimator.frontend.replay_odometry import OdometryReplay
 from estimator.replay.replay import replay
-from logs.evaluation.evidence import read
+from logs.evaluation.collected import read
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded, encode_input
 from logs.wire.images import encode_image
@@ -80,7 +80,7 @@ def _flown(source: Path, *, enabled: bool) -> tuple[Array, Array, Array]:
         '[inputs]\nleft_image = ["/left/image"]\nright_image = ["/right/image"]\n'
     )
     config = load(file)
-    replay(source, out, config, sight=_again(config, folder, source) if enabled else None)
+    replay(source, out, config, processor=_again(config, folder, source) if enabled else None)
     estimate = read(out).estimate
     assert estimate.covariance is not None
     return np.asarray(estimate.t_ns), estimate.p, estimate.covariance

@@ -20,7 +20,7 @@ from estimator.filter.alignment import Decision
 from estimator.filter.history import Entry, History
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
-from estimator.service.autopilot.output_policy import Handover
+from estimator.service.autopilot.output_policy import OutputPolicy
 from estimator.service.base.clock import Clock
 from estimator.service.mavlink.io import Heard
 from estimator.service.mavlink.link import MavlinkLink
@@ -121,8 +121,8 @@ class _Flight:
         self.now_ns = BEGIN_NS
         self.fusion, self.decoder, self.publisher = _Watched(config.fusion()), config.decoder(), Publisher(config.output)
         clock = Clock(0, wall=lambda: self.now_ns, steady=lambda: self.now_ns)
-        handover = Handover(config.autopilot)
-        self.link = MavlinkLink(config.mavlink, Path(), config.inputs, clock, handover, config.autopilot.odometry_hz, 47.5)
+        policy = OutputPolicy(config.autopilot)
+        self.link = MavlinkLink(config.mavlink, Path(), config.inputs, clock, policy, config.autopilot.odometry_hz, 47.5)
         self.link.close()
         self.line = _Line()
         self.link._endpoint, self.link._stopping = self.line, False

@@ -50,7 +50,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("reduce", coarse_search, "levels"),
     ("search", coarse_search.Search, "candidates"),
     ("fit", fit, "estimate_pose"),
-    ("last look", fit, "recheck"),
+    ("last look", fit, "final_check"),
     ("rectify", recognise, "rectify"),
     ("segment, regions", recognise, "segment_regions"),
     ("correspond", recognise, "correspond"),

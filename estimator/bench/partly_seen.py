@@ -12,10 +12,10 @@ from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.synthetic.render import render_labels
 from vision.synthetic.shapes import rectangle
-from vision.synthetic.world import Look, Solid, World
+from vision.synthetic.world import Appearance, Solid, World
 
 _MARGIN_PX: Final = 400  # beyond the image, where roofs that it cuts are still drawn
-_TOWER: Final = Look((150.0, 150.0, 152.0), (165.0, 168.0, 170.0), "gravel", 0.1)
+_TOWER: Final = Appearance((150.0, 150.0, 152.0), (165.0, 168.0, 170.0), "gravel", 0.1)
 _REACH: Final = (0.55, 0.75)  # place of a tower between the point below the camera and the roof that it hides
 _TRIES: Final = 8
 _GAP_M: Final = 0.5  # between a tower and anything else

@@ -22,7 +22,7 @@ from models.messages import Array, LandmarkFix
 from vision.describe.correspond import Match, correspond
 from vision.describe.measure import Measured, measure
 from vision.describe.survey import Settings, grey, segment_regions
-from vision.identify import sightings as sight
+from vision.identify import sightings
 from vision.identify.catalogue import Sighting, catalogue
 from vision.identify.identify import Prior
 from vision.identify.likelihood import similarities
@@ -127,7 +127,7 @@ def thesis(sample: Sample, timed: bool = True) -> Answer:
     cpu_ms = 1e3 * (time.process_time() - begin) if timed else None
     if best < 0 or like[best, asked] < 0.75 or like[best].argmax() != asked:
         return Answer("silent", cpu_ms, None, f"{len(seen)} regions, none of them like it")
-    off_m = float(np.linalg.norm(known.place_n[asked] - seen[best].arm_n - sample.p_n))
+    off_m = float(np.linalg.norm(known.position_n[asked] - seen[best].arm_n - sample.p_n))
     return Answer("recognised" if off_m <= OFF_M else "wrong", cpu_ms, off_m, f"{like[best, asked]:.0%} similar")
 
 
@@ -138,8 +138,8 @@ def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
     colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
     regions = segment_regions(left, made.left.valid if made.left else None, Settings(colours))
     matches = correspond(grey(left), right, regions, made.rig)
-    found = [measure(m, made.rig, level=sight.level(sample.prior, made.rig)) for m in matches if isinstance(m, Match)]
-    several = [sight.from_stereo(m, sample.prior, made.rig) for m in found if isinstance(m, Measured)]
+    found = [measure(m, made.rig, level=sightings.level(sample.prior, made.rig)) for m in matches if isinstance(m, Match)]
+    several = [sightings.from_stereo(m, sample.prior, made.rig) for m in found if isinstance(m, Measured)]
     return [s for s in several if s is not None]
 
 
@@ -151,13 +151,13 @@ class Looked(NamedTuple):
     cpu_ms: float
 
 
-def look(image: Image) -> Looked:
+def sift_points(image: Image) -> Looked:
     """All key points of an image."""
     begin = time.process_time()
     points, descriptors = _sift().detectAndCompute(grey(image), np.array([]))
     cpu_ms = 1e3 * (time.process_time() - begin)
-    places = np.array([p.pt for p in points], np.float32).reshape(-1, 2)
-    return Looked(places, np.asarray(descriptors if points else (), np.float32).reshape(-1, 128), cpu_ms)
+    positions = np.array([p.pt for p in points], np.float32).reshape(-1, 2)
+    return Looked(positions, np.asarray(descriptors if points else (), np.float32).reshape(-1, 128), cpu_ms)
 
 
 def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
@@ -198,7 +198,7 @@ def _sift() -> cv2.SIFT:
 
 def _key_points(reference: Reference, surroundings: bool) -> Looked:
     """Of a reference: all, or those on the roof and its edge."""
-    looked = look(reference.image)
+    looked = sift_points(reference.image)
     if surroundings:
         return looked
     roof = cv2.dilate(reference.mask, np.ones((2 * _ROOF_PX + 1, 2 * _ROOF_PX + 1), np.uint8)) > 0
@@ -224,7 +224,7 @@ def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, An
     def sift(surroundings: bool) -> Answer:
         def method(seen: Sample, _timed: bool) -> Answer:
             if seen.numbers not in key_points:
-                key_points[seen.numbers] = look(seen.left)
+                key_points[seen.numbers] = sift_points(seen.left)
             return sift_and_flann(seen, key_points[seen.numbers], surroundings)
 
         return until_heard(method, sample, timed, 1 if sample.reference is None else pairs)

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from scipy.stats import beta
 
-from estimator.bench.recognisers import METHODS, Answer, ask, look
+from estimator.bench.recognisers import METHODS, Answer, ask, sift_points
 from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
 from estimator.frontend.workers import pool
 
@@ -129,14 +129,14 @@ def _begin() -> None:
     """Of a process: one thread, and everything compiled before anything is timed."""
     cv2.setNumThreads(1)
     sample = draw("accuracy", "painted", 0, 0)
-    ask(sample, look(sample.left), timed=True, pairs=1)
+    ask(sample, sift_points(sample.left), timed=True, pairs=1)
 
 
 def _trial(which: tuple[Experiment, Roof, int, int, int]) -> Trial:
     experiment, roof, seed, number, pairs = which
     for redrawn in itertools.count():
         sample = draw(experiment, roof, seed, number, redrawn)
-        looked = look(sample.left)
+        looked = sift_points(sample.left)
         if len(looked.points) >= LEAST_KEY_POINTS:
             answers = ask(sample, looked, number % TIMED == 0, pairs)
             return Trial(experiment, roof, number, sample.seen, len(looked.points), redrawn, answers)

@@ -27,7 +27,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render, render_pair
 from vision.synthetic.scenes import Scene, WorldSpec, make_world
 from vision.synthetic.shapes import rectangle
-from vision.synthetic.world import Look, Solid, Sun, World
+from vision.synthetic.world import Appearance, Solid, Sun, World
 
 Experiment: TypeAlias = Literal["accuracy", "size", "partial", "description"]
 Roof: TypeAlias = Literal["painted", "pale"]
@@ -131,8 +131,8 @@ def _scene(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> Scen
 
 def _measured_colours(scene: Scene, rng: np.random.Generator) -> Scene:
     """A map whose colours were taken from an image, each channel within some 4 %; what is gone keeps what it had."""
-    looks = {m.id: look for m, look in zip(scene.world.landmarks, scene.world.looks, strict=True)}
-    return scene._replace(map=_recoloured(scene.map, {k: _noted(look, rng) for k, look in looks.items()}))
+    appearances = {m.id: appearance for m, appearance in zip(scene.world.landmarks, scene.world.appearances, strict=True)}
+    return scene._replace(map=_recoloured(scene.map, {k: _noted(appearance, rng) for k, appearance in appearances.items()}))
 
 
 def _described(scene: Scene) -> Scene:
@@ -146,8 +146,8 @@ def _described(scene: Scene) -> Scene:
     return scene._replace(map=_recoloured(scene.map, named))
 
 
-def _noted(look: Look, rng: np.random.Generator) -> colours.Colour:
-    b, g, r = np.clip(np.array(look.roof_bgr) * rng.normal(1.0, 0.04, 3), 0.0, 255.0).round().astype(int).tolist()
+def _noted(appearance: Appearance, rng: np.random.Generator) -> colours.Colour:
+    b, g, r = np.clip(np.array(appearance.roof_bgr) * rng.normal(1.0, 0.04, 3), 0.0, 255.0).round().astype(int).tolist()
     return b, g, r
 
 
@@ -162,8 +162,8 @@ def _with(m: Landmark, outline_n: Array, colour: colours.Colour | None) -> Landm
 
 def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
     """Every landmark gets the same roof in one of five sizes; one in five is taken off the map and stays in the world."""
-    look = scene.world.looks[int(rng.integers(len(scene.world.looks)))]
-    colour = _noted(look, rng)
+    appearance = scene.world.appearances[int(rng.integers(len(scene.world.appearances)))]
+    colour = _noted(appearance, rng)
     mapped = {m.id: m for m in scene.map}
     mapped_marks, marks, clutter = [], [], list(scene.world.clutter)
     for true in scene.world.landmarks:
@@ -173,11 +173,11 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
         c, s = math.cos(turn), math.sin(turn)
         outline = size * rectangle(*_SAME_M) @ np.array([[c, s], [-s, c]]) + centre
         if rng.random() < _SPEC.unmapped:
-            clutter.append(Solid(outline + shift, true.base_d, true.height_m, look))
+            clutter.append(Solid(outline + shift, true.base_d, true.height_m, appearance))
         else:
             mapped_marks.append(_with(old, outline, colour))
             marks.append(_with(true, outline + shift, colour))
-    world = replace(scene.world, landmarks=tuple(marks), looks=(look,) * len(marks), clutter=tuple(clutter))
+    world = replace(scene.world, landmarks=tuple(marks), appearances=(appearance,) * len(marks), clutter=tuple(clutter))
     return scene._replace(world=world, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 
 
@@ -210,8 +210,8 @@ def _partly(scene: Scene, p_n: Array, R_nb: Array, rng: np.random.Generator) -> 
 def _without(scene: Scene, names: set[str]) -> Scene:
     """The scene without these landmarks: neither built nor mapped."""
     world = scene.world
-    kept = [(m, look) for m, look in zip(world.landmarks, world.looks, strict=True) if m.id not in names]
-    left = World(tuple(m for m, _ in kept), tuple(look for _, look in kept), world.clutter, world.ground, world.sun)
+    kept = [(m, appearance) for m, appearance in zip(world.landmarks, world.appearances, strict=True) if m.id not in names]
+    left = World(tuple(m for m, _ in kept), tuple(appearance for _, appearance in kept), world.clutter, world.ground, world.sun)
     mapped_marks = [m for m in scene.map if m.id not in names]
     return scene._replace(world=left, map=LandmarkMap.from_landmarks(scene.map.origin, mapped_marks))
 

@@ -77,9 +77,9 @@ def command(
 def _evaluate(
     log: Path, truth: str, burn_in_s: float, outage_s: float | None, without_odometry: Path | None = None
 ) -> "Evaluation":
-    from logs.evaluation.evaluate import evaluate
+    with progress(f"read {log.name}") as report:  # the bar moves while libraries are loaded
+        from logs.evaluation.evaluate import evaluate
 
-    with progress(f"read {log.name}") as report:
         return evaluate(log, truth, burn_in_s=burn_in_s, outage_s=outage_s, without_odometry=without_odometry, progress=report)
 
 

@@ -48,18 +48,18 @@ def command(
       landfix replay flight.mcap -o smoothed.mcap -c vehicle.toml --smooth
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them
     """
-    from estimator.config import load
-    from estimator.replay.replay import replay
-    from logs.store.parts import files_of
+    with kept_on_interrupt(lambda: [out]), progress(f"replay {source[0].name}") as report:  # it moves while libraries are loaded
+        from estimator.config import load
+        from estimator.replay.replay import replay
+        from logs.store.parts import files_of
 
-    loaded, folder = load(config), config.parent if config else Path()
-    parts = [file for given in source for file in files_of(given)]
-    sight = _sees_again(loaded, folder, parts) if from_images else None
-    with kept_on_interrupt(lambda: [out]), progress(f"replay {parts[0].name}") as report:
-        summary = replay(parts, out, loaded, report, sight, _attachments(loaded, folder), odometry=not without_odometry)
+        loaded, folder = load(config), config.parent if config else Path()
+        parts = [file for given in source for file in files_of(given)]
+        processor = _sees_again(loaded, folder, parts) if from_images else None
+        summary = replay(parts, out, loaded, report, processor, _attachments(loaded, folder), odometry=not without_odometry)
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
-    for again in sight.parts if sight else ():
+    for again in processor.parts if processor else ():
         note(f"landfix: {again.counts}")
     for name in summary.torn_parts:
         note(f"landfix: {name} is truncated; replayed up to its last whole record")
@@ -93,9 +93,9 @@ def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
 def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Together":
     """What processes the images of the log again: landmarks, odometry or both. Raises ConfigError."""
     from estimator.config import ConfigError
-    from estimator.frontend.files import load_odometry, load_sight
+    from estimator.frontend.files import load_odometry, load_processor
     from estimator.frontend.repeat import Repeat, Together
-    from estimator.frontend.replay_images import SightReplay
+    from estimator.frontend.replay_images import ImageReplay
     from estimator.frontend.replay_odometry import OdometryReplay
 
     rig, landmarks, image = config.rig.file, config.map.landmarks, config.map_image(folder)
@@ -108,8 +108,8 @@ def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Togeth
     left, right = config.inputs.left_image, config.inputs.right_image
     parts: list[Repeat] = []
     if mapped:
-        sight = load_sight(folder / rig, folder / landmarks if landmarks else None, config.map.origin, image)
-        parts.append(SightReplay(sight, config.vision, left, right, source))
+        processor = load_processor(folder / rig, folder / landmarks if landmarks else None, config.map.origin, image)
+        parts.append(ImageReplay(processor, config.vision, left, right, source))
     if odometry.enabled:
         parts.append(OdometryReplay(load_odometry(folder / rig), odometry, config.vision, (left, right), source))
     return Together(parts)

@@ -41,11 +41,11 @@ def command(
       landfix report estimate.mcap -o report.html --rig rig.yaml --map town.geojson
       landfix report estimate.mcap -o report.html --truth /rtk/fix --json
     """
-    from estimator.tools.overlay.gallery import illustrations
-    from logs.report.write import no_illustrations, write
+    with progress(f"read {log.name}") as report:  # the bar moves while libraries are loaded
+        from estimator.tools.overlay.gallery import illustrations
+        from logs.report.write import no_illustrations, write
 
-    illustrate = illustrations(log, config, rig, map_file) if images else no_illustrations
-    with progress(f"read {log.name}") as report:
+        illustrate = illustrations(log, config, rig, map_file) if images else no_illustrations
         written = write(
             log,
             out,

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.files.formats import load_cameras
-from estimator.frontend.odometry import OdometrySight
-from estimator.frontend.processor import Sight
+from estimator.frontend.odometry import OdometryProcessor
+from estimator.frontend.processor import Processor
 from estimator.map_files import image as image_store
 from estimator.map_files import store as map_store
 from estimator.map_files.image_file import ImageFile
@@ -15,7 +15,7 @@ from models.maps.table import Defaults, MapError
 from models.messages import Vec3
 
 
-def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None = None) -> Sight:
+def load_processor(rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None = None) -> Processor:
     """Vision with these files, in the frame at `origin` (None: the map's own). Raises ConfigError, which names the file."""
     try:
         if map_file:
@@ -23,17 +23,17 @@ def load_sight(rig_file: Path, map_file: Path | None, origin: Vec3 | None, image
         else:
             landmarks = LandmarkMap.from_landmarks(origin or _image_origin(image), [])
         known = image_store.load(image, landmarks.origin) if image else None
-        return Sight(load_cameras(rig_file), landmarks, known)
+        return Processor(load_cameras(rig_file), landmarks, known)
     except (CalibrationError, MapError, ValueError) as error:
         raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{error.filename}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
 
 
-def load_odometry(rig_file: Path) -> OdometrySight:
+def load_odometry(rig_file: Path) -> OdometryProcessor:
     """Visual odometry with these cameras. Raises ConfigError, which names the file."""
     try:
-        return OdometrySight(load_cameras(rig_file))
+        return OdometryProcessor(load_cameras(rig_file))
     except (CalibrationError, ValueError) as error:
         raise ConfigError(str(error)) from None
     except OSError as error:

@@ -18,7 +18,7 @@ ODOMETRY_REPORT_TOPIC: Final = "/landfix/odometry_report"
 _KEPT_FRAMES: Final = 2
 
 
-class OdometrySight:
+class OdometryProcessor:
     """From request and images to messages. Rectified frames are kept for the next step: a cache, no memory."""
 
     def __init__(self, rig: StereoRig) -> None:
@@ -32,7 +32,7 @@ class OdometrySight:
         """Exposure minus stamp."""
         return self._time_offset_ns
 
-    def look(self, request: OdometryRequest, first: Pair, second: Pair) -> list[Encoded]:
+    def process(self, request: OdometryRequest, first: Pair, second: Pair) -> list[Encoded]:
         """The report, and the increment if there is one. Never raises."""
         frames = [self._frame(pair) for pair in (first, second)]
         flaws = [f"{name}: {frame}" for name, frame in zip(("first", "second"), frames, strict=True) if isinstance(frame, str)]

@@ -33,7 +33,7 @@ class _Look(NamedTuple):
     identified: frozenset[str]
 
 
-class Sight:
+class Processor:
     """Vision, from request and images to messages. Each run of requests has recognisers of its own: memory begins anew."""
 
     def __init__(
@@ -53,7 +53,7 @@ class Sight:
         """Exposure minus stamp."""
         return round(self._rig.time_offset_s * 1e9)
 
-    def look(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
+    def process(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
         """What the images show: the report, the fix if there is one, and for viewers the landmarks where that is news.
 
         Never raises.

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from estimator.frontend.processor import Sight
+from estimator.frontend.processor import Processor
 from estimator.frontend.repeat import Asked, Repeat
 from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
@@ -36,16 +36,16 @@ class ImageCounts(msgspec.Struct):
         return f"{self.processed} pairs processed, {self.fixes} fixes{compared}{lost}"
 
 
-class SightReplay(Repeat):
+class ImageReplay(Repeat):
     """Puts the answers of vision among the records of a log. left, right: topics of the images."""
 
     counts: ImageCounts
 
     def __init__(
-        self, sight: Sight, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
+        self, processor: Processor, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
     ) -> None:
-        super().__init__(config, sight.time_offset_ns, (left, right), source, VISION_REQUEST_TOPIC)
-        self._sight = sight
+        super().__init__(config, processor.time_offset_ns, (left, right), source, VISION_REQUEST_TOPIC)
+        self._processor = processor
         self._asked: deque[VisionRequest] = deque()
         self._answers: dict[tuple[str, int], Encoded] = {}  # by topic and exposure
         self._answered_ns = 0  # exposure of the last
@@ -64,7 +64,7 @@ class SightReplay(Repeat):
             return None
         (message,) = encode(request)
         written = decode_vision_request(message.data, request.arrived_ns)  # what a replay of it will read
-        return Asked(message, self._counted(self._sight.look(written, (pair.left, pair.right))))
+        return Asked(message, self._counted(self._processor.process(written, (pair.left, pair.right))))
 
     def _again(self, record: Record) -> Iterator[Record]:
         """The answer that takes the recorded one's place; what another program sent under our name stays."""
@@ -84,7 +84,7 @@ class SightReplay(Repeat):
         if pair is None:
             self.counts.missing += 1
             return
-        for message in self._counted(self._sight.look(request, (pair.left, pair.right))):
+        for message in self._counted(self._processor.process(request, (pair.left, pair.right))):
             self._answers[message.topic, request.t_ns] = message
 
     def _counted(self, answers: list[Encoded]) -> list[Encoded]:

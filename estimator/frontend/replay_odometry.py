@@ -7,7 +7,7 @@ from typing import TypeAlias
 import msgspec
 
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
-from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometrySight
+from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometryProcessor
 from estimator.frontend.repeat import Asked, Repeat
 from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
@@ -40,14 +40,14 @@ class OdometryReplay(Repeat):
 
     def __init__(
         self,
-        sight: OdometrySight,
+        processor: OdometryProcessor,
         config: VisualOdometryConfig,
         vision: VisionConfig,
         topics: tuple[Iterable[str], Iterable[str]],
         source: Path | Sequence[Path],
     ) -> None:
-        super().__init__(vision, sight.time_offset_ns, topics, source, ODOMETRY_REQUEST_TOPIC)
-        self._sight, self._key_frames = sight, KeyFrames(config)
+        super().__init__(vision, processor.time_offset_ns, topics, source, ODOMETRY_REQUEST_TOPIC)
+        self._processor, self._key_frames = processor, KeyFrames(config)
         self._asked: dict[int, OdometryRequest] = {}  # by exposure of the later pair
         self._answers: dict[int, _Answers] = {}
         self.counts = OdometryCounts()
@@ -66,7 +66,7 @@ class OdometryReplay(Repeat):
         request, first = asked
         (message,) = encode(request)
         written = decode_odometry_request(message.data, arrived_ns)  # what a replay of it will read
-        return Asked(message, self._counted(self._sight.look(written, first, pair)))
+        return Asked(message, self._counted(self._processor.process(written, first, pair)))
 
     def _again(self, record: Record) -> Iterator[Record]:
         t_ns = stamp_of(record.data) or 0
@@ -84,7 +84,7 @@ class OdometryReplay(Repeat):
         if first is None or second is None:
             self.counts.missing += 1
             return {}
-        return {answer.topic: answer for answer in self._counted(self._sight.look(request, first, second))}
+        return {answer.topic: answer for answer in self._counted(self._processor.process(request, first, second))}
 
     def _counted(self, answers: list[Encoded]) -> list[Encoded]:
         self.counts.steps += 1

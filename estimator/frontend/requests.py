@@ -1,8 +1,8 @@
 """From images to requests: pairs are put together, and the prior is taken from the estimate at their exposure.
 
-    images -> Pairing -> VisionRequest (with the prior of Track) -> sight.Sight -> LandmarkFix, VisionReport
+    images -> Pairing -> VisionRequest (with the prior of Track) -> processor.Processor -> LandmarkFix, VisionReport
 
-All of it is bytes on the wire and values: the daemon runs Sight in a process of its own, a replay in its own thread, and both
+All of it is bytes on the wire and values: the daemon runs Processor in a process of its own, a replay in its own thread, and both
 get the same answers, because the request is in the log.
 """
 

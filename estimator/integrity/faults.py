@@ -26,7 +26,7 @@ from models.state import E, X
 
 GNSS, FIX = "gnss_position", "pose"  # kinds of absolute sources
 IN_USE_S: Final = 60.0  # since it was last fused: what it did is in the estimate so long
-WITNESS_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
+OTHER_SOURCE_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
 _GATED_SIGMAS: Final = 4.0
 _EXTENT: Final = 3
 
@@ -146,7 +146,7 @@ def _without(
             yield f.offset_h, f.sigma_h, f.offset_v, f.sigma_v, _t2(f)
     rejected = lead.rejected if config.exclude_rejected else ()
     for other, seen in now.positions.items():
-        fresh = 0.0 <= (now.t_ns - seen.t_ns) * 1e-9 <= WITNESS_S
+        fresh = 0.0 <= (now.t_ns - seen.t_ns) * 1e-9 <= OTHER_SOURCE_S
         if other == topic or not fresh or other in rejected or (seen.kind == GNSS and position.kind == GNSS):
             continue
         n, e, d = seen.innovation

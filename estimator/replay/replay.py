@@ -53,7 +53,7 @@ class ReplayConfig(Protocol):
 
 
 class SeesAgain(Protocol):
-    """What processes the images of the log again (estimator.frontend.replay_images.SightReplay)."""
+    """What processes the images of the log again (estimator.frontend.replay_images.ImageReplay)."""
 
     def records(self, record: Record) -> Iterable[Record]:
         """What the estimator is to see instead of this record."""
@@ -69,7 +69,7 @@ def replay(
     out: Path,
     config: ReplayConfig,
     progress: Callable[[float], None] | None = None,
-    sight: SeesAgain | None = None,
+    processor: SeesAgain | None = None,
     attachments: Sequence[Attachment] = (),
     *,
     odometry: bool = True,
@@ -90,7 +90,7 @@ def replay(
     with PartsReader(parts) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
         for attachment in kept:
             recorder.attach(*attachment)
-        for record in (seen for read in reader for seen in (sight.records(read) if sight else (read,))):
+        for record in (seen for read in reader for seen in (processor.records(read) if processor else (read,))):
             topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
             if _is_own_output(topic, schema, data):
                 continue
@@ -100,8 +100,8 @@ def replay(
             if message is not None and (odometry or not isinstance(message, OdometryDelta | OdometryPose)):
                 outputs = fusion.handle(message)
                 builder.step(message, outputs)
-                if sight:
-                    sight.note(outputs)
+                if processor:
+                    processor.note(outputs)
                 for encoded in publisher.encoded(outputs):
                     recorder.write(*encoded, log_time_ns)
             if progress and builder.records % _PROGRESS_EVERY == 0:

@@ -167,7 +167,7 @@ def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterat
     try:
         session = zenoh.open(client_config(config, folder, endpoint))
     except zenoh.ZError:
-        raise BusError(f"{endpoint}: no daemon listens there, or it does not let us in") from None
+        raise BusError(f"{endpoint}: no daemon listens there, or it refuses the connection") from None
     with session:
         yield session, endpoint
 

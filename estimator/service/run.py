@@ -1,4 +1,4 @@
-"""`landfix run`: the daemon put together, from the first to the last second of its life."""
+"""`landfix run`: starts the daemon with its links, log and vision process, and stops it."""
 
 import gc
 import signal
@@ -16,7 +16,7 @@ from estimator.frontend.requests import Track, VisionConfig
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.map_files.image_file import ImageFile
 from estimator.publish import OVERLAY_TOPIC, OutputConfig, Publisher, file_attachment
-from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, Px4Config
+from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPolicy, Px4Config
 from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.base.mailbox import Mailbox
 from estimator.service.base.ports import Arrival, Outbox
@@ -315,9 +315,9 @@ def _bus(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, images
 
 
 def _px4(config: RunConfig, bus: ZenohBus, clock: Clock) -> Px4Link:
-    handover = Handover(config.autopilot)
+    policy = OutputPolicy(config.autopilot)
     rate_hz = config.autopilot.odometry_hz
-    return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, handover, rate_hz, config.geoid_m)
+    return Px4Link(config.px4, bus.session, config.zenoh.domain, clock, policy, rate_hz, config.geoid_m)
 
 
 def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, console: Console) -> "MavlinkLink | None":
@@ -325,10 +325,10 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, co
         return None
     from estimator.service.mavlink.link import MavlinkLink  # noqa: PLC0415  (the dialect is loaded only where it is spoken)
 
-    handover = Handover(config.autopilot)
+    policy = OutputPolicy(config.autopilot)
     rate_hz = config.autopilot.odometry_hz
     level = config.visual_odometry.level
-    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, handover, rate_hz, config.geoid_m, console.say, level)
+    link = MavlinkLink(config.mavlink, folder, config.inputs, clock, policy, rate_hz, config.geoid_m, console.say, level)
     stack.callback(link.close)
     return link
 

@@ -1,6 +1,6 @@
-"""What all aiding sources share: the rules they are judged by, the measurement they deliver, and the machine that trusts them.
+"""What all aiding sources share: the rules they are judged by, the measurement they deliver, and their state machine.
 
-    stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or found out)--> stopped
+    stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or a fault)--> stopped
 
 The machine is a value in the tracker's checkpoint and reads times of validity only, so a replayed past is judged the same.
 """

@@ -14,8 +14,8 @@ from estimator.config import Config, load
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
 from estimator.replay.summary import ReplaySummary
+from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import find_outages
-from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.report.write import Written, compose, gather
 from models.messages import Reason
@@ -117,19 +117,19 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
     if rig_file is None or map_file is None:
         return replay(log, estimate, config, progress), ""
     from calib.files.formats import load_cameras  # noqa: PLC0415
-    from estimator.frontend.odometry import OdometrySight  # noqa: PLC0415
-    from estimator.frontend.processor import Sight  # noqa: PLC0415
+    from estimator.frontend.odometry import OdometryProcessor  # noqa: PLC0415
+    from estimator.frontend.processor import Processor  # noqa: PLC0415
     from estimator.frontend.repeat import Repeat, Together  # noqa: PLC0415
-    from estimator.frontend.replay_images import SightReplay  # noqa: PLC0415
+    from estimator.frontend.replay_images import ImageReplay  # noqa: PLC0415
     from estimator.frontend.replay_odometry import OdometryReplay  # noqa: PLC0415
     from estimator.map_files import store as map_store  # noqa: PLC0415
     from estimator.tools.overlay.sheet import write_sheet  # noqa: PLC0415
 
     rig, landmarks = load_cameras(folder / rig_file), map_store.load(folder / map_file)
     sides = config.inputs.left_image, config.inputs.right_image
-    parts: list[Repeat] = [SightReplay(Sight(rig, landmarks), config.vision, *sides, log)]
+    parts: list[Repeat] = [ImageReplay(Processor(rig, landmarks), config.vision, *sides, log)]
     if config.visual_odometry.enabled:
-        parts.append(OdometryReplay(OdometrySight(rig), config.visual_odometry, config.vision, sides, log))
+        parts.append(OdometryReplay(OdometryProcessor(rig), config.visual_odometry, config.vision, sides, log))
     summary = replay(log, estimate, config, progress, Together(parts))
     drawn = write_sheet(estimate, sheet, rig, landmarks)
     return summary, str(sheet) if drawn else ""
@@ -141,19 +141,19 @@ def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> 
     from logs.evaluation import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
 
     estimate = folder / "estimate.mcap"
-    evidence, gathered = gather(estimate, progress=progress)
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, _OUTAGE_S)
-    figure = plots.overview(evidence, outages["all"].spans)
-    gps_off_s = (outages["/gnss"].spans[0][0] - int(evidence.estimate.t_ns[0])) * 1e-9
+    collected, gathered = gather(estimate, progress=progress)
+    outages = find_outages(collected.aids, collected.health, collected.estimate, _OUTAGE_S)
+    figure = plots.overview(collected, outages["all"].spans)
+    gps_off_s = (outages["/gnss"].spans[0][0] - int(collected.estimate.t_ns[0])) * 1e-9
     figure.axes[1].axvline(gps_off_s, color="black", linestyle="--", linewidth=1.0)
     figure.axes[1].text(gps_off_s, 0.97, " GPS cut off", va="top", transform=figure.axes[1].get_xaxis_transform())
     for span in outages["all"].spans:
-        begin_s = (span[0] - int(evidence.estimate.t_ns[0])) * 1e-9
-        figure.axes[1].text(begin_s, 0.90, carried_by(evidence, span), va="top", transform=figure.axes[1].get_xaxis_transform())
+        begin_s = (span[0] - int(collected.estimate.t_ns[0])) * 1e-9
+        figure.axes[1].text(begin_s, 0.90, carried_by(collected, span), va="top", transform=figure.axes[1].get_xaxis_transform())
     figure.savefig(folder / "demo.png")
     report, illustrate = folder / "report.html", illustrations(estimate)
     return compose(
-        evidence,
+        collected,
         gathered,
         str(estimate),
         report,
@@ -163,10 +163,10 @@ def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> 
     )
 
 
-def carried_by(evidence: Evidence, span: tuple[int, int]) -> str:
+def carried_by(collected: Collected, span: tuple[int, int]) -> str:
     """What the estimate rests on in an outage, for an image."""
     begin, end = span
-    steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in evidence.aids)
+    steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in collected.aids)
     return " no landmark\n in view:\n odometry" if steps else " lens dark:\n IMU alone"
 
 

@@ -18,7 +18,7 @@ from typing import Final, Self
 import numpy as np
 
 from logs.evaluation import metrics
-from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, HealthPoint, read
+from logs.evaluation.collected import TRUTH_TOPIC, Collected, HealthPoint, read
 from logs.evaluation.integrity import summarise
 from logs.evaluation.metrics import Mask, Stats, Times
 from logs.evaluation.records import (
@@ -189,21 +189,21 @@ def evaluate(
     flight, replayed without odometry.
     Raises LogError for a file that is no log, holds no estimate, or no truth on a topic that was asked for.
     """
-    evidence = read(path, truth_topic, progress)
+    collected = read(path, truth_topic, progress)
     without = read(without_odometry, truth_topic).estimate if without_odometry else None
-    return assess(evidence, str(path), burn_in_s, outage_s, without)
+    return assess(collected, str(path), burn_in_s, outage_s, without)
 
 
 def assess(
-    evidence: Evidence,
+    collected: Collected,
     name: str,
     burn_in_s: float = 0.0,
     outage_s: float | None = None,
     without_odometry: Trajectory | None = None,
 ) -> Evaluation:
     """The Evaluation of what was read."""
-    estimate, truth = evidence.estimate, evidence.truth
-    outages = find_outages(evidence.aids, evidence.health, estimate, outage_s)
+    estimate, truth = collected.estimate, collected.truth
+    outages = find_outages(collected.aids, collected.health, estimate, outage_s)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     comparison = compare(estimate, truth)
     comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
@@ -211,12 +211,12 @@ def assess(
     compared = len(comparison) > 0
     without_odometry = without_odometry if without_odometry is not None and len(without_odometry) else None
     beside = compare(without_odometry, truth) if without_odometry is not None else None
-    steps = np.array([a.t_ns for a in evidence.aids if a.kind == _ODOMETRY and a.reason is Reason.FUSED], np.int64)
+    steps = np.array([a.t_ns for a in collected.aids if a.kind == _ODOMETRY and a.reason is Reason.FUSED], np.int64)
     path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
     without = sum(b - a for a, b in outages[ALL_SOURCES].spans) * 1e-9
     return Evaluation(
         log=name,
-        compared_with=f"reference ({evidence.reference})" if evidence.reference else "truth",
+        compared_with=f"reference ({collected.reference})" if collected.reference else "truth",
         duration_s=(end - start) * 1e-9,
         estimates=len(estimate),
         distance_m=float(metrics.path_length(path)[-1]) if len(path) else 0.0,
@@ -224,7 +224,7 @@ def assess(
         compared=len(comparison),
         without_estimate=comparison.left_out,
         without_truth=_count_far(truth, estimate),
-        modes=_mode_shares(evidence.health, end),
+        modes=_mode_shares(collected.health, end),
         without_absolute_s=without,
         accuracy=_accuracy(comparison, aided) if compared else None,
         consistency=_consistency(comparison, aided) if compared else None,
@@ -232,16 +232,16 @@ def assess(
             _outage(source, span, comparison, start, steps, beside) for source, of in outages.items() for span in of.spans
         ),
         outage_thresholds_s={source: of.longer_than_s for source, of in outages.items()},
-        aids=_aid_summaries(evidence.aids),
-        latency_s=_latency(evidence),
+        aids=_aid_summaries(collected.aids),
+        latency_s=_latency(collected),
         resets=tuple(
             ResetRow(
                 (j.t_ns - start) * 1e-9, j.counter, _norm(j.delta_p), _norm(j.delta_v), float(np.rad2deg(_norm(j.delta_theta)))
             )
-            for j in evidence.resets
+            for j in collected.resets
         ),
-        notes=_notes(evidence, comparison),
-        integrity=summarise(evidence.integrity, comparison.t_ns, comparison.p_error),
+        notes=_notes(collected, comparison),
+        integrity=summarise(collected.integrity, comparison.t_ns, comparison.p_error),
     )
 
 
@@ -377,9 +377,9 @@ def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
     )
 
 
-def _latency(evidence: Evidence) -> dict[str, Percentiles]:
+def _latency(collected: Collected) -> dict[str, Percentiles]:
     """Arrival - validity of the estimate, s: what a listener to /landfix/odometry sees."""
-    late = _percentiles(((evidence.estimate.arrived_ns - evidence.estimate.t_ns) * 1e-9).astype(float))
+    late = _percentiles(((collected.estimate.arrived_ns - collected.estimate.t_ns) * 1e-9).astype(float))
     return {"/landfix/odometry": late} if late else {}
 
 
@@ -390,23 +390,23 @@ def _percentiles(values: Array | list[float]) -> Percentiles | None:
     return Percentiles(p50, p95, p99, most)
 
 
-def _notes(evidence: Evidence, c: Comparison) -> tuple[str, ...]:
+def _notes(collected: Collected, c: Comparison) -> tuple[str, ...]:
     """What a reader of the figures must know."""
-    estimate = evidence.estimate
+    estimate = collected.estimate
     finite = np.isfinite(estimate.p).all(axis=1)
     broken, level = np.count_nonzero(~finite), np.count_nonzero(finite & ~estimate.has_attitude)
     not_definite = np.count_nonzero(np.isinf(metrics.nees(c.p_error, c.p_covariance)))
     notes = {
-        "the log is truncated: read to its last whole record": evidence.torn,
-        f"{evidence.unreadable} messages could not be read": evidence.unreadable > 0,
+        "the log is truncated: read to its last whole record": collected.torn,
+        f"{collected.unreadable} messages could not be read": collected.unreadable > 0,
         f"{broken} estimates are not finite": broken > 0,
         f"{level} estimates have no attitude that is known: of these the position counts": level > 0,
         f"{not_definite} position covariances are not positive definite: their NEES is infinite": not_definite > 0,
-        "no truth: nothing can be said about errors": not len(evidence.truth),
-        f"the {evidence.yardstick} and the estimate have no stamp in common": len(evidence.truth) > 0 and not len(c),
-        f"/truth is {evidence.reference}, of the same sensors: differences are no errors": bool(evidence.reference),
-        f"the {evidence.yardstick} has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
-        "no /landfix/aid_status: outages are found from the health alone": bool(evidence.health) and not evidence.aids,
-        "neither /landfix/aid_status nor /landfix/health: outages are not known": not evidence.health and not evidence.aids,
+        "no truth: nothing can be said about errors": not len(collected.truth),
+        f"the {collected.yardstick} and the estimate have no stamp in common": len(collected.truth) > 0 and not len(c),
+        f"/truth is {collected.reference}, of the same sensors: differences are no errors": bool(collected.reference),
+        f"the {collected.yardstick} has no attitude": len(c) > 0 and not c.truth.has_attitude.any(),
+        "no /landfix/aid_status: outages are found from the health alone": bool(collected.health) and not collected.aids,
+        "neither /landfix/aid_status nor /landfix/health: outages are not known": not collected.health and not collected.aids,
     }
     return tuple(text for text, holds in notes.items() if holds)

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import Comparison, compare
-from logs.evaluation.evidence import Evidence
 from logs.evaluation.metrics import Indices, Times, within
 from models.messages import Array
 from models.radius import horizontal_radius
@@ -28,30 +28,30 @@ _ELLIPSES: Final = 24
 Spans = list[tuple[int, int]]
 
 
-def from_above(evidence: Evidence, outages: Spans) -> Figure:
+def from_above(collected: Collected, outages: Spans) -> Figure:
     """The flight in the plane of the map: truth, estimate with 95 % ellipses, fixes used and not used, outages."""
     figure = _figure(8.0, 8.0)
     axes = figure.add_subplot()
-    draw_from_above(axes, evidence, outages)
+    draw_from_above(axes, collected, outages)
     _legend_below(figure, axes)
     return figure
 
 
-def errors(evidence: Evidence, outages: Spans) -> Figure:
+def errors(collected: Collected, outages: Spans) -> Figure:
     """Error of each axis, true minus estimated, with its 95 % band: position, and attitude where the truth has it."""
-    comparison = compare(evidence.estimate, evidence.truth)
+    comparison = compare(collected.estimate, collected.truth)
     columns = 2 if comparison.has_attitude.any() else 1
     figure = _figure(6.5 * columns + 0.5, 7.5)
     grid = figure.subplots(3, columns, sharex=True, squeeze=False)
     variance = np.diagonal(comparison.p_covariance, axis1=1, axis2=2)
     for k, name in enumerate(("east", "north", "up")):
-        _draw_error(grid[k, 0], comparison, comparison.p_error[:, k], np.sqrt(variance[:, k]), evidence, outages)
+        _draw_error(grid[k, 0], comparison, comparison.p_error[:, k], np.sqrt(variance[:, k]), collected, outages)
         grid[k, 0].set_ylabel(f"{name} error [m]")
     if columns == 2:
         sigma = np.sqrt(np.diagonal(comparison.estimate.covariance, axis1=1, axis2=2))[:, 3:]
         for k, name in enumerate(("about east", "about north", "heading")):
             error, band = np.rad2deg(comparison.theta_error[:, k]), np.rad2deg(sigma[:, k])
-            _draw_error(grid[k, 1], comparison, error, band, evidence, outages)
+            _draw_error(grid[k, 1], comparison, error, band, collected, outages)
             grid[k, 1].set_ylabel(f"{name} error [deg]" if name == "heading" else f"tilt {name} error [deg]")
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
@@ -59,28 +59,28 @@ def errors(evidence: Evidence, outages: Spans) -> Figure:
     return figure
 
 
-def horizontal_error(evidence: Evidence, outages: Spans) -> Figure:
+def horizontal_error(collected: Collected, outages: Spans) -> Figure:
     """Horizontal error and the reported 95 % radius, on a logarithmic scale."""
     figure = _figure(9.0, 4.5)
     axes = figure.add_subplot()
-    draw_horizontal_error(axes, evidence, outages)
+    draw_horizontal_error(axes, collected, outages)
     _legend_below(figure, axes)
     return figure
 
 
-def overview(evidence: Evidence, outages: Spans) -> Figure:
+def overview(collected: Collected, outages: Spans) -> Figure:
     """One picture of a flight: from above, and the horizontal error below the reported radius (or that alone)."""
     figure = _figure(13.0, 6.0)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
-    draw_from_above(left, evidence, outages)
-    draw_horizontal_error(right, evidence, outages)
+    draw_from_above(left, collected, outages)
+    draw_horizontal_error(right, collected, outages)
     _legend_below(figure, left, right)
     return figure
 
 
-def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
+def draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
     """The picture of from_above on given axes."""
-    estimate, truth = evidence.estimate, evidence.truth
+    estimate, truth = collected.estimate, collected.truth
     p = np.where(within(estimate.t_ns, outages)[:, None], np.nan, estimate.p)
     blind = np.where(within(estimate.t_ns, outages)[:, None], estimate.p, np.nan)
     few, few_true = _thinned(len(estimate)), _thinned(len(truth))
@@ -90,12 +90,12 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
         if ellipse.get_height() < 2.0 * half_view:  # a larger one would be a line across the picture
             axes.add_patch(ellipse)
     if len(truth):
-        _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, evidence.yardstick, linewidth=0.8, zorder=5)
+        _line(axes, truth.p[few_true, 0], truth.p[few_true, 1], BLACK, collected.yardstick, linewidth=0.8, zorder=5)
     if np.isfinite(p).any():
         _line(axes, p[few, 0], p[few, 1], BLUE, "estimate, aided" if outages else "estimate", linewidth=2.2, zorder=4)
     if outages:
         _line(axes, blind[few, 0], blind[few, 1], ORANGE, "estimate in an outage", linewidth=2.2, zorder=4)
-    _draw_fixes_from_above(axes, evidence)
+    _draw_fixes_from_above(axes, collected)
     axes.plot(*estimate.p[:1, :2].T, "o", markersize=9, markerfacecolor="white", markeredgecolor=BLACK, label="start", zorder=7)
     axes.plot([], [], color=SKY, linewidth=0.8, label="95 % ellipse")
     axes.set_aspect("equal")
@@ -104,10 +104,10 @@ def draw_from_above(axes: Axes, evidence: Evidence, outages: Spans) -> None:
     axes.grid(alpha=0.25)
 
 
-def draw_horizontal_error(axes: Axes, evidence: Evidence, outages: Spans) -> None:
+def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> None:
     """The picture of horizontal_error on given axes; without a truth the radius alone."""
-    c, start = compare(evidence.estimate, evidence.truth), int(evidence.estimate.t_ns[0])
-    reported = evidence.estimate if not len(c) else c.estimate
+    c, start = compare(collected.estimate, collected.truth), int(collected.estimate.t_ns[0])
+    reported = collected.estimate if not len(c) else c.estimate
     t, few = _seconds(reported.t_ns, start), _thinned(len(reported))
     radius = horizontal_radius(c.p_covariance[:, :2, :2] if len(c) else reported.covariance[:, :2, :2])
     t_whole, radius_whole = _broken_at_holes(t[few], radius[few])
@@ -122,29 +122,29 @@ def draw_horizontal_error(axes: Axes, evidence: Evidence, outages: Spans) -> Non
         if len(beyond):
             axes.plot(t[beyond], error[beyond], ".", color=VERMILLION, markersize=3, label="error beyond the radius")
         axes.set_title(f"inside the 95 % radius {100.0 * np.mean(error <= radius):.1f} % of the time", fontsize=10)
-    _draw_events(axes, evidence, outages)
+    _draw_events(axes, collected, outages)
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0.7 * lowest, None)
-    axes.set_xlim(0.0, _seconds(evidence.estimate.t_ns[-1:], start)[0])
+    axes.set_xlim(0.0, _seconds(collected.estimate.t_ns[-1:], start)[0])
     axes.set_xlabel("time [s]")
     axes.set_ylabel("horizontal error [m]")
     axes.grid(alpha=0.25, which="both")
 
 
-def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, evidence: Evidence, outages: Spans) -> None:
+def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, collected: Collected, outages: Spans) -> None:
     """One error over time in its 95 % band."""
-    start, few = int(evidence.estimate.t_ns[0]), _thinned(len(c))
+    start, few = int(collected.estimate.t_ns[0]), _thinned(len(c))
     t = _seconds(c.t_ns, start)[few]
     t_band, band = _broken_at_holes(t, _SIGMAS_95 * sigma[few])
     axes.fill_between(t_band, -band, band, color=_BAND, linewidth=0, zorder=1, label="95 % band")
     _line(axes, *_broken_at_holes(t, error[few]), BLUE, "error, true minus estimated", linewidth=0.9)
     axes.axhline(0.0, color=BLACK, linewidth=0.5)
-    _draw_events(axes, evidence, outages)
+    _draw_events(axes, collected, outages)
     _compress_outages(axes, sigma, sigma[~within(c.t_ns, outages)])
-    axes.set_xlim(0.0, _seconds(evidence.estimate.t_ns[-1:], start)[0])
+    axes.set_xlim(0.0, _seconds(collected.estimate.t_ns[-1:], start)[0])
     axes.grid(alpha=0.25)
 
 
@@ -158,26 +158,26 @@ def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
         axes.yaxis.set_major_formatter("{x:g}")
 
 
-def _draw_events(axes: Axes, evidence: Evidence, outages: Spans) -> None:
+def _draw_events(axes: Axes, collected: Collected, outages: Spans) -> None:
     """Outages as shades, fixes as ticks along the lower edge (used) and crosses on the upper one itself (not used)."""
-    start, edge = int(evidence.estimate.t_ns[0]), axes.get_xaxis_transform()
+    start, edge = int(collected.estimate.t_ns[0]), axes.get_xaxis_transform()
     for k, span in enumerate(outages):
         label = None if k else "outage"
         axes.axvspan(*_seconds(np.array(span), start), color=ORANGE, alpha=0.18, linewidth=0, zorder=0, label=label)
-    if evidence.fixes:
-        t = np.concatenate([_seconds(f.t_ns, start) for f in evidence.fixes.values()])
-        used = np.concatenate([f.used for f in evidence.fixes.values()])
+    if collected.fixes:
+        t = np.concatenate([_seconds(f.t_ns, start) for f in collected.fixes.values()])
+        used = np.concatenate([f.used for f in collected.fixes.values()])
         low, high = np.full(int(used.sum()), 0.015), np.ones(int((~used).sum()))
         axes.plot(t[used], low, "|", color=GREEN, markersize=6, label="fix used", transform=edge)
         if len(high):
             axes.plot(t[~used], high, "x", color=VERMILLION, markersize=5, label="fix not used", transform=edge, clip_on=False)
 
 
-def _draw_fixes_from_above(axes: Axes, evidence: Evidence) -> None:
-    if not evidence.fixes:
+def _draw_fixes_from_above(axes: Axes, collected: Collected) -> None:
+    if not collected.fixes:
         return
-    p = np.vstack([f.p for f in evidence.fixes.values()])
-    used = np.concatenate([f.used for f in evidence.fixes.values()])
+    p = np.vstack([f.p for f in collected.fixes.values()])
+    used = np.concatenate([f.used for f in collected.fixes.values()])
     axes.plot(*p[used, :2].T, "o", color=GREEN, markersize=4, markeredgewidth=0, label="fix used", zorder=6)
     if not used.all():
         axes.plot(*p[~used, :2].T, "x", color=VERMILLION, markersize=5, label="fix not used", zorder=6)

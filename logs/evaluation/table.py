@@ -24,11 +24,20 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
         console.print(_table(*consistency(evaluation.consistency)))
     if evaluation.integrity:
         console.print(_table(*integrity(evaluation.integrity)))
-    for title, header, rows in (outages(evaluation), odometry(evaluation), aids(evaluation), resets(evaluation)):
+    for title, header, rows in (outages(evaluation), odometry(evaluation), _narrow(aids(evaluation)), resets(evaluation)):
         if rows:
             console.print(_table(title, header, rows))
     for note in evaluation.notes:
         console.print(f"note: {note}", style="yellow", markup=False, highlight=False)
+
+
+def _narrow(table: Rows) -> Rows:
+    """Measurements for 80 columns: what was not fused stands under its source."""
+    title, (source, kind, *numbers), rows = table
+    fused, _, *others = numbers
+    return title, (f"{source}, {kind}", fused, *others), [
+        (f"{r[0]} {r[1]}" + (f"\n  {r[3]}" if r[3] != "-" else ""), r[2], *r[4:]) for r in rows
+    ]  # fmt: skip
 
 
 def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) -> Table:
@@ -111,17 +120,19 @@ def consistency(h: ConsistencySummary) -> Rows:
 
 
 def integrity(i: IntegritySummary) -> Rows:
-    """Protection levels against errors; states."""
-    rows = []
-    for name, r, limit in zip(("horizontal", "vertical"), (i.horizontal, i.vertical), i.limits_m, strict=True):
+    """Protection levels against errors, a column each for horizontal and vertical; states."""
+    names = ("limit m", "median level m", "available", "compared", "nominal", "misleading", "hazardous", "unavailable")
+    columns = []
+    for r, limit in zip((i.horizontal, i.vertical), i.limits_m, strict=True):
         if r is not None:
             share = "-" if limit is None else f"{r.available:.1%}"
             counts = (r.compared, r.nominal, r.misleading, r.hazardous, r.unavailable, *r.exceeded[:-1])
-            rows.append((name, number(limit), number(r.median_level_m), share, *map(str, counts)))
+            columns.append((number(limit), number(r.median_level_m), share, *map(str, counts)))
+    above = [f"above PL({r:g}/h)" for r in i.risks_per_hour]
+    rows = [(name, *cells) for name, *cells in zip((*names, *above), *columns, strict=False)]
     states = ", ".join(f"{state} {share:.1%}" for state, share in sorted(i.states.items(), key=lambda s: -s[1]))
-    counted = "compared", "nominal", "misleading", "hazardous", "unavailable"
-    header = ("level", "limit m", "median m", "available", *counted, *(f"> PL({r:g}/h)" for r in i.risks_per_hour))
-    return f"Integrity at {i.risk_per_hour:g} per hour, {i.hours:.2g} h: {states}", header, rows
+    levels = [name for name, r in (("horizontal", i.horizontal), ("vertical", i.vertical)) if r is not None]
+    return f"Integrity at {i.risk_per_hour:g} per hour, {i.hours:.2g} h: {states}", ("", *levels), rows if columns else []
 
 
 def outages(e: Evaluation) -> Rows:
@@ -154,7 +165,7 @@ def _thresholds(e: Evaluation) -> str:
 
 
 def aids(e: Evaluation) -> Rows:
-    """What became of each source's measurements."""
+    """Decisions on each source's measurements."""
     rows = []
     for a in e.aids:
         others = ", ".join(f"{reason} {n}" for reason, n in a.reasons.items() if reason != "fused")

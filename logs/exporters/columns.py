@@ -13,7 +13,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from logs.evaluation.evidence import ODOMETRY_TOPIC, HealthPoint, read
+from logs.evaluation.collected import ODOMETRY_TOPIC, HealthPoint, read
 from logs.evaluation.metrics import Times, rotation
 from logs.evaluation.trajectory import Trajectory
 from logs.store.reader import Attachment, LogError
@@ -49,18 +49,18 @@ def table(log: Path, topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0, progress
     0: all. Raises LogError.
     """
     if topic == ODOMETRY_TOPIC:
-        evidence = read(log, progress=progress)
-        trajectory, health = evidence.estimate, evidence.health
+        collected = read(log, progress=progress)
+        trajectory, health = collected.estimate, collected.health
     else:
-        evidence = read(log, topic, progress)
-        trajectory, health = evidence.truth, ()
+        collected = read(log, topic, progress)
+        trajectory, health = collected.truth, ()
     if not len(trajectory):
         raise LogError(f"{log}: holds no {topic}")
     if rate_hz > 0.0:
         trajectory = trajectory[_thinned(trajectory.t_ns, rate_hz)]
-    origin = evidence.origin
+    origin = collected.origin
     columns = _columns(trajectory, origin, health)
-    return Table(topic, columns, origin.lla if origin else None, _geoid_m(evidence.attachments))
+    return Table(topic, columns, origin.lla if origin else None, _geoid_m(collected.attachments))
 
 
 def _geoid_m(attachments: Iterable[Attachment]) -> float:

@@ -16,7 +16,7 @@ from typing import Final
 
 import msgspec
 
-from logs.evaluation.evidence import ODOMETRY_TOPIC
+from logs.evaluation.collected import ODOMETRY_TOPIC
 from logs.exporters import text
 from logs.exporters.columns import Table, table
 from logs.store.reader import LogError, check_output

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from logs.evaluation.evidence import ODOMETRY_TOPIC
+from logs.evaluation.collected import ODOMETRY_TOPIC
 from logs.exporters.columns import table
 from logs.store.reader import LogError
 

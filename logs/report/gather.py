@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from rosbags.serde import SerdeError
 
-from logs.evaluation.evidence import ODOMETRY_TOPIC
+from logs.evaluation.collected import ODOMETRY_TOPIC
 from logs.evaluation.metrics import Indices, Times
 from logs.evaluation.trajectory import Trajectory, decode
 from logs.report.buckets import Buckets
@@ -61,7 +61,7 @@ class Traffic:
 
 
 @dataclass(slots=True)
-class Look:
+class Frame:
     """One attempt of vision: what it was asked, and what came of it."""
 
     request: VisionRequest | None = None
@@ -100,7 +100,7 @@ class Gathered:
     details: list[Stretch] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     daemon: dict[str, str] = field(default_factory=dict)
-    looks: dict[int, Look] = field(default_factory=dict)
+    frames: dict[int, Frame] = field(default_factory=dict)
     traffic: dict[str, Traffic] = field(default_factory=dict)
     unreadable: Counter[str] = field(default_factory=Counter)
 
@@ -205,17 +205,17 @@ class Gathered:
 
     # --- vision ---------------------------------------------------------------------------------------------------------------
 
-    def _look(self, t_ns: int) -> Look:
-        return self.looks.setdefault(t_ns, Look())
+    def _frame(self, t_ns: int) -> Frame:
+        return self.frames.setdefault(t_ns, Frame())
 
     def _request(self, record: Record) -> None:
         request = decode_vision_request(record.data, record.log_time_ns)
-        self._look(request.t_ns).request = request
+        self._frame(request.t_ns).request = request
 
     def _report(self, record: Record) -> None:
         m: Any = schemas.STORE.deserialize_cdr(record.data, schemas.VISION_REPORT)
         t_ns = stamp_of(record.data) or 0
-        self._look(t_ns).report = VisionReport(
+        self._frame(t_ns).report = VisionReport(
             t_ns, record.log_time_ns, m.outcome, m.detail, int(m.regions), int(m.candidates), tuple(m.landmarks),
             tuple(m.similarities.tolist()), float(m.residual_px), float(m.processing_s),
         )  # fmt: skip
@@ -223,7 +223,7 @@ class Gathered:
     def _fix(self, record: Record) -> None:
         fix = self._decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
         if isinstance(fix, LandmarkFix):
-            self._look(fix.t_ns).fix = fix
+            self._frame(fix.t_ns).fix = fix
 
 
 def attitude_deg(q_wxyz: Array) -> Array:

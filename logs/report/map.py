@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from logs.evaluation.evidence import Evidence
+from logs.evaluation.collected import Collected
 from logs.evaluation.metrics import Indices, Mask, Times
 from logs.evaluation.trajectory import Trajectory
 from logs.report.charts import Colour, Ellipse, MapChart, Marks, Numbers, Path, Place, Shape
@@ -23,21 +23,21 @@ _HOLE_NS: Final = 2_000_000_000
 _SIGMAS_95_PLANE: Final = 2.447747
 
 
-def flight(evidence: Evidence, gathered: Gathered, outages: list[tuple[int, int]], landmarks: Sequence[Landmark]) -> MapChart:
+def flight(collected: Collected, gathered: Gathered, outages: list[tuple[int, int]], landmarks: Sequence[Landmark]) -> MapChart:
     """The map. landmarks: of the map that vision had, in its frame; those that a fix names stand out."""
-    estimate, truth, start_ns = evidence.estimate, evidence.truth, int(evidence.estimate.t_ns[0])
+    estimate, truth, start_ns = collected.estimate, collected.truth, int(collected.estimate.t_ns[0])
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     paths = _by_mode(estimate, gathered, start_ns)
     if len(truth):
-        paths = [*_paths(evidence.yardstick, "black", truth[_few(len(truth))], start_ns, dashed=True), *paths]
+        paths = [*_paths(collected.yardstick, "black", truth[_few(len(truth))], start_ns, dashed=True), *paths]
     box = _box(np.vstack([estimate.p[:, :2], truth.p[:, :2]]))
-    used = {name for look in gathered.looks.values() if look.fix for name in look.fix.landmarks}
+    used = {name for frame in gathered.frames.values() if frame.fix for name in frame.fix.landmarks}
     return MapChart(
         title="From above: east to the right, north up",
         paths=paths,
         ellipses=_ellipses(estimate, outages, start_ns, max(box[2] - box[0], box[3] - box[1])),
         places=_places(landmarks, used, box),
-        marks=_marks(evidence, estimate, start_ns),
+        marks=_marks(collected, estimate, start_ns),
         box=box,
     )
 
@@ -101,11 +101,11 @@ def _places(landmarks: Sequence[Landmark], used: Collection[str], box: tuple[flo
     return [Place(m.label, m.id in used, _m(m.outline_n[:, 1]), _m(m.outline_n[:, 0])) for m in near[:_MOST_PLACES]][::-1]
 
 
-def _marks(evidence: Evidence, estimate: Trajectory, start_ns: int) -> list[Marks]:
+def _marks(collected: Collected, estimate: Trajectory, start_ns: int) -> list[Marks]:
     marks = []
-    gnss = {aid.topic for aid in evidence.aids if aid.kind == "gnss_position"}
-    attitudes = {aid.topic for aid in evidence.aids if aid.kind == "attitude"}  # that have no position
-    for topic, fixes in sorted(evidence.fixes.items()):
+    gnss = {aid.topic for aid in collected.aids if aid.kind == "gnss_position"}
+    attitudes = {aid.topic for aid in collected.aids if aid.kind == "attitude"}  # that have no position
+    for topic, fixes in sorted(collected.fixes.items()):
         if topic in attitudes:
             continue
         used, not_used = _SHAPES[topic in gnss]

@@ -3,7 +3,7 @@
 from collections import Counter
 from importlib import resources
 
-from logs.evaluation.evidence import NoEstimateError
+from logs.evaluation.collected import NoEstimateError
 from logs.report.gather import Gathered
 from models import web_page
 from models.web_page import BAD, text

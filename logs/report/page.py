@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from logs.evaluation import table as evaluation_table
+from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import Comparison, compare
-from logs.evaluation.evidence import Evidence
 from logs.evaluation.records import Evaluation
 from logs.evaluation.table import number
 from logs.report import integrity as report_integrity
@@ -56,7 +56,7 @@ class Illustrations:
 class Material:
     """All that a report is made of."""
 
-    evidence: Evidence
+    collected: Collected
     gathered: Gathered
     evaluation: Evaluation
     outages: list[tuple[int, int]]
@@ -66,7 +66,7 @@ class Material:
     @property
     def start_ns(self) -> int:
         """Zero of the time that is shown."""
-        return int(self.evidence.estimate.t_ns[0])
+        return int(self.collected.estimate.t_ns[0])
 
     @property
     def name(self) -> str:
@@ -95,9 +95,9 @@ class _Sheet:
 def page(m: Material) -> str:
     """The whole page."""
     sheet = _Sheet()
-    c = compare(m.evidence.estimate, m.evidence.truth)
+    c = compare(m.collected.estimate, m.collected.truth)
     parts = {
-        "Map": sheet.add({"map": report_map.flight(m.evidence, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
+        "Map": sheet.add({"map": report_map.flight(m.collected, m.gathered, m.outages, m.illustrations.landmarks)}, "one"),
         "Error and 95 % radius": _errors(m, sheet, c),
         "Integrity": _integrity(m, sheet, c),
         "Outages and resets": _beside(
@@ -106,11 +106,11 @@ def page(m: Material) -> str:
         or _faint("None."),
         "Measurements": _measurements(m, sheet),
         "Vision": _vision(m, sheet),
-        "State": sheet.add(report_plots.states(m.evidence, m.gathered), "three"),
-        "Biases": sheet.add(report_plots.biases(m.evidence, m.gathered))
+        "State": sheet.add(report_plots.states(m.collected, m.gathered), "three"),
+        "Biases": sheet.add(report_plots.biases(m.collected, m.gathered))
         or _faint("The health messages in this log hold no biases."),
         "Health": _health(m, sheet),
-        "Times and drops": sheet.add(report_plots.times(m.evidence, m.gathered), "three")
+        "Times and drops": sheet.add(report_plots.times(m.collected, m.gathered), "three")
         + web_page.table(topics(m.gathered, m.start_ns))
         + _daemon(m),
         "Configuration and calibration": _attachments(m),
@@ -118,7 +118,7 @@ def page(m: Material) -> str:
     parts = {name: body for name, body in parts.items() if body}
     links = " ".join(f'<a href="#{_anchor(name)}">{text(name)}</a>' for name in parts)
     sections = "".join(f'<section id="{_anchor(name)}"><h2>{text(name)}</h2>{body}</section>' for name, body in parts.items())
-    end = (int(m.evidence.estimate.t_ns[-1]) - m.start_ns) * 1e-9
+    end = (int(m.collected.estimate.t_ns[-1]) - m.start_ns) * 1e-9
     spans = [Span((a - m.start_ns) * 1e-9, (b - m.start_ns) * 1e-9, "no absolute fix") for a, b in m.outages]
     drawing = msgspec.json.encode(Drawing(sheet.charts, spans, 0.0, max(end, 1e-3))).decode()
     body = (
@@ -160,10 +160,10 @@ def _at(m: Material, t_ns: int) -> str:
 def _head(m: Material) -> str:
     e, began = m.evaluation, np.datetime64(m.start_ns, "ns").astype("datetime64[s]")
     reasons = "".join(f'<li class="is-{f.level.colour}">{text(f.text)}</li>' for f in m.findings)
-    landfix = m.evidence.metadata.get("landfix", {}).get("version", "")
+    landfix = m.collected.metadata.get("landfix", {}).get("version", "")
     made = f" by landfix {landfix}" if landfix else ""
     tiles = "".join(f'<div class="tile"><b>{text(value)}</b><span>{text(name)}</span></div>' for name, value in _tiles(m))
-    thinned = f" Errors are computed from one of {m.evidence.every} estimates." if m.evidence.every > 1 else ""
+    thinned = f" Errors are computed from one of {m.collected.every} estimates." if m.collected.every > 1 else ""
     return (
         f'<h1>{text(m.name)}</h1><p class="faint">First estimate {text(began)} UTC{text(made)}.{thinned}</p>'
         f"<p>{web_page.verdict(m.level.word, m.level.colour)}</p><ul class='reasons'>{reasons}</ul>"
@@ -172,7 +172,7 @@ def _head(m: Material) -> str:
 
 
 def _tiles(m: Material) -> list[tuple[str, str]]:
-    e, estimate = m.evaluation, m.evidence.estimate
+    e, estimate = m.evaluation, m.collected.estimate
     radius = horizontal_radius(estimate.covariance[:, :2, :2])
     if m.gathered.signals is not None:
         radius = m.gathered.signals.high[:, 18]
@@ -199,8 +199,8 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
 
 def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
     """Errors and reported covariances, and whether they agree."""
-    body = sheet.add(report_plots.reported_and_true(m.evidence, m.gathered, c), "one")
-    body += sheet.add(report_plots.errors(m.evidence, c), "three") + sheet.add(report_plots.consistency(m.evidence, c), "one")
+    body = sheet.add(report_plots.reported_and_true(m.collected, m.gathered, c), "one")
+    body += sheet.add(report_plots.errors(m.collected, c), "three") + sheet.add(report_plots.consistency(m.collected, c), "one")
     tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []
     tables += [evaluation_table.consistency(m.evaluation.consistency)] if m.evaluation.consistency else []
     return body + _beside(*tables)
@@ -208,7 +208,7 @@ def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
 
 def _integrity(m: Material, sheet: _Sheet, c: Comparison) -> str:
     """Protection levels over time, against errors where there is a truth, and the states."""
-    levels, found = m.evidence.integrity, m.evaluation.integrity
+    levels, found = m.collected.integrity, m.evaluation.integrity
     if found is None:
         return ""
     body = web_page.table(evaluation_table.integrity(found)) + sheet.add(report_integrity.charts(levels, c, m.start_ns), "one")
@@ -224,19 +224,19 @@ def _measurements(m: Material, sheet: _Sheet) -> str:
     return (
         _beside(("By source", header, rows), _refused(m))
         + (_faint(note) if max(counts, default=0) > report_plots.MOST_POINTS else "")
-        + sheet.add(report_plots.innovations(m.evidence), "three")
+        + sheet.add(report_plots.innovations(m.collected), "three")
     )
 
 
 def _refused(m: Material) -> web_page.Table:
     """Measurements that were not fused, by source and reason."""
     groups: dict[tuple[str, str, str], list[int]] = {}
-    for row, aid in enumerate(m.evidence.aids):
+    for row, aid in enumerate(m.collected.aids):
         if aid.reason is not Reason.FUSED:
             groups.setdefault((aid.topic, aid.kind, aid.reason), []).append(row)
     rows = []
     for (topic, kind, reason), members in sorted(groups.items(), key=lambda g: -len(g[1])):
-        aids = [m.evidence.aids[k] for k in members]
+        aids = [m.collected.aids[k] for k in members]
         at = [_at(m, a.t_ns) for a in (aids[0], aids[-1])]
         worst = max(aids, key=lambda a: a.test_ratio)
         ratio = number(worst.test_ratio) if worst.test_ratio else "-"
@@ -245,7 +245,7 @@ def _refused(m: Material) -> web_page.Table:
 
 
 def _vision(m: Material, sheet: _Sheet) -> str:
-    charts = sheet.add(report_plots.vision(m.evidence, m.gathered))
+    charts = sheet.add(report_plots.vision(m.collected, m.gathered))
     shots = "".join(_figure(m, s) for s in m.illustrations.shots)
     note = _faint(m.illustrations.note) if m.illustrations.note and (charts or shots) else ""
     return charts + (f"<h3>Images</h3><div class='gallery'>{shots}</div>" if shots else "") + note
@@ -258,7 +258,7 @@ def _figure(m: Material, s: Shot) -> str:
 
 
 def _health(m: Material, sheet: _Sheet) -> str:
-    strip, numbers = report_plots.mode_and_sources(m.evidence, m.gathered), report_plots.health(m.evidence, m.gathered)
+    strip, numbers = report_plots.mode_and_sources(m.collected, m.gathered), report_plots.health(m.collected, m.gathered)
     return sheet.add(strip, "one") + sheet.add(numbers, "three") + web_page.table(_remarks(m))
 
 
@@ -279,11 +279,11 @@ def _daemon(m: Material) -> str:
 
 
 def _attachments(m: Material) -> str:
-    files = [(a.name, a.media_type, f"{len(a.data)} bytes", sha256(a.data).hexdigest()[:16]) for a in m.evidence.attachments]
-    facts = [(f"{record} {key}", value) for record, values in m.evidence.metadata.items() for key, value in values.items()]
+    files = [(a.name, a.media_type, f"{len(a.data)} bytes", sha256(a.data).hexdigest()[:16]) for a in m.collected.attachments]
+    facts = [(f"{record} {key}", value) for record, values in m.collected.metadata.items() for key, value in values.items()]
     body = web_page.table(("Files in the log", ("name", "type", "size", "sha256, its beginning"), files))
     body += web_page.table(("", (), facts))
-    for a in m.evidence.attachments:
+    for a in m.collected.attachments:
         words = _readable(a.data)
         if words:
             body += f"<details><summary>{text(a.name)}</summary><pre>{text(words)}</pre></details>"

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from logs.evaluation import metrics
+from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import Comparison
-from logs.evaluation.evidence import Evidence
 from logs.report.buckets import Buckets
 from logs.report.charts import Band, BarChart, Chart, Colour, Level, Line, Points, Stay, StripChart, TimeChart, band, line, short
 from logs.report.gather import BIASES, NUMBERS, SIGMAS_95, Gathered, Stretch, attitude_deg, seconds
@@ -34,24 +34,24 @@ _COLOURS: Final[tuple[Colour, ...]] = ("vermillion", "green", "blue", "purple", 
 Charts = dict[str, Chart]
 
 
-def reported_and_true(evidence: Evidence, gathered: Gathered, c: Comparison) -> Charts:
+def reported_and_true(collected: Collected, gathered: Gathered, c: Comparison) -> Charts:
     """The 95 % radius over time, with the horizontal error where there is a truth, and the times of fixes."""
-    start_ns, parts = _start(evidence), list[Line | Band | Points]()
+    start_ns, parts = _start(collected), list[Line | Band | Points]()
     if gathered.signals is not None:
         parts.append(line("95 % radius", "blue", gathered.signals, 18, start_ns))
     if len(c):
         horizontal = np.linalg.norm(c.p_error[:, :2], axis=1)
         parts.append(line("horizontal error", "black", _buckets(c, horizontal[:, None]), 0, start_ns))
-    parts += _events(evidence)
+    parts += _events(collected)
     title = "Horizontal error and the radius that holds it 95 % of the time" if len(c) else "The radius that holds the error 95 %"
     return {"radius": TimeChart(title, "m", parts, scale="log", height=280)}
 
 
-def errors(evidence: Evidence, c: Comparison) -> Charts:
+def errors(collected: Collected, c: Comparison) -> Charts:
     """Error of each axis, true minus estimated, in its 95 % band."""
     if not len(c):
         return {}
-    start_ns = _start(evidence)
+    start_ns = _start(collected)
     with np.errstate(invalid="ignore"):
         p_sigma = np.sqrt(np.diagonal(c.p_covariance, axis1=1, axis2=2))
         theta_sigma = np.rad2deg(np.sqrt(np.diagonal(c.estimate.covariance, axis1=1, axis2=2)[:, 3:]))
@@ -86,29 +86,29 @@ def errors(evidence: Evidence, c: Comparison) -> Charts:
     return charts
 
 
-def states(evidence: Evidence, gathered: Gathered) -> Charts:
+def states(collected: Collected, gathered: Gathered) -> Charts:
     """Position, velocity, attitude with their 95 % bands, and the truth."""
-    signals, start_ns, truth = gathered.signals, _start(evidence), None
+    signals, start_ns, truth = gathered.signals, _start(collected), None
     if signals is None:
         return {}
-    if len(evidence.truth):
-        attitude = attitude_deg(evidence.truth.q_wxyz)
-        attitude[:, 2] = _nearest_turn(attitude[:, 2], evidence)
+    if len(collected.truth):
+        attitude = attitude_deg(collected.truth.q_wxyz)
+        attitude[:, 2] = _nearest_turn(attitude[:, 2], collected)
         truth = Buckets(9, signals.start_ns)
-        truth.add(evidence.truth.t_ns, np.hstack([evidence.truth.p, evidence.truth.v, attitude]))
+        truth.add(collected.truth.t_ns, np.hstack([collected.truth.p, collected.truth.v, attitude]))
     titles = [*_AXES, *(f"velocity {a}" for a in _AXES), "roll", "pitch, nose up", "heading, from north clockwise"]
     charts: Charts = {}
     for k, (title, unit) in enumerate(zip(titles, ["m"] * 3 + ["m/s"] * 3 + ["deg"] * 3, strict=True)):
         turn = 360.0 if k == 8 else 0.0
         parts: list[Line | Band | Points] = [band("95 % band", "sky", signals, k, 9 + k, start_ns)]
         if truth is not None and np.isfinite(truth.low[:, k]).any():
-            parts.append(line(evidence.yardstick, "black", truth, k, start_ns, turn))
+            parts.append(line(collected.yardstick, "black", truth, k, start_ns, turn))
         parts.append(line("estimate", "blue", signals, k, start_ns, turn))
         charts[f"state{k}"] = TimeChart(title, unit, parts, height=165)
     return charts
 
 
-def biases(evidence: Evidence, gathered: Gathered) -> Charts:
+def biases(collected: Collected, gathered: Gathered) -> Charts:
     """Biases of gyroscope and accelerometer from Health."""
     numbers = gathered.numbers
     columns = [NUMBERS.index(name) for name in BIASES]
@@ -120,25 +120,25 @@ def biases(evidence: Evidence, gathered: Gathered) -> Charts:
         for axis, colour, name in zip("xyz", _OF_AXES, BIASES[first : first + 3], strict=True):
             column, sigma = NUMBERS.index(name), NUMBERS.index(f"{name}_sigma")
             half = SIGMAS_95 * numbers.high[:, sigma]
-            parts.append(band(axis, colour, numbers, column, half, _start(evidence)))
-            parts.append(line(axis, colour, numbers, column, _start(evidence)))
+            parts.append(band(axis, colour, numbers, column, half, _start(collected)))
+            parts.append(line(axis, colour, numbers, column, _start(collected)))
         charts[f"bias{first}"] = TimeChart(title, unit, parts, height=210)
     return charts
 
 
-def innovations(evidence: Evidence) -> Charts:
+def innovations(collected: Collected) -> Charts:
     """Of each source: innovations in standard deviations, squared and summed (NIS), and the test against the gate."""
     by_source: dict[tuple[str, str], list[AidStatus]] = {}
-    for aid in evidence.aids:
+    for aid in collected.aids:
         if aid.innovation:
             by_source.setdefault((aid.topic, aid.kind), []).append(aid)
     charts: Charts = {}
     for number, ((topic, kind), members) in enumerate(sorted(by_source.items())):
         fused, others = _split(members)
         group = [*thinned(fused), *thinned(others)]
-        charts[f"innovation{number}"] = _innovation(f"{topic} {kind}: innovation / its sigma", group, _start(evidence))
-        charts[f"ratio{number}"] = _ratio(f"{topic} {kind}: squared distance / gate", group, _start(evidence))
-        charts[f"nis{number}"] = _nis(f"{topic} {kind}: NIS / degrees of freedom", group, _start(evidence))
+        charts[f"innovation{number}"] = _innovation(f"{topic} {kind}: innovation / its sigma", group, _start(collected))
+        charts[f"ratio{number}"] = _ratio(f"{topic} {kind}: squared distance / gate", group, _start(collected))
+        charts[f"nis{number}"] = _nis(f"{topic} {kind}: NIS / degrees of freedom", group, _start(collected))
     return charts
 
 
@@ -190,7 +190,7 @@ def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
     return TimeChart(title, "", parts, [Level(high / size, "95 % of single ones"), Level(low / size, "")], scale="log")
 
 
-def consistency(evidence: Evidence, c: Comparison) -> Charts:
+def consistency(collected: Collected, c: Comparison) -> Charts:
     """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of consistent ones."""
     if not len(c):
         return {}
@@ -202,7 +202,7 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     buckets, (low, high) = _buckets(c, values), metrics.chi2_band(3)
     names: list[tuple[str, Colour]] = [("position", "blue"), ("velocity", "green"), ("attitude", "purple")]
     parts: list[Line | Band | Points] = [
-        line(name, colour, buckets, k, _start(evidence))
+        line(name, colour, buckets, k, _start(collected))
         for k, (name, colour) in enumerate(names)
         if np.isfinite(values[:, k]).any()
     ]
@@ -214,9 +214,9 @@ def consistency(evidence: Evidence, c: Comparison) -> Charts:
     }
 
 
-def mode_and_sources(evidence: Evidence, gathered: Gathered) -> Charts:
+def mode_and_sources(collected: Collected, gathered: Gathered) -> Charts:
     """Mode and sources as stripes."""
-    start_ns, end_ns = _start(evidence), int(evidence.estimate.t_ns[-1])
+    start_ns, end_ns = _start(collected), int(collected.estimate.t_ns[-1])
     rows = {
         name: _stays(stretches, MODES if name == "mode" else _SOURCES, start_ns, end_ns)
         for name, stretches in gathered.states.items()
@@ -224,7 +224,7 @@ def mode_and_sources(evidence: Evidence, gathered: Gathered) -> Charts:
     return {"states": StripChart("Mode and sources", rows)} if rows else {}
 
 
-def health(evidence: Evidence, gathered: Gathered) -> Charts:
+def health(collected: Collected, gathered: Gathered) -> Charts:
     """Age of the last absolute fix, attitude sigma, number of hypotheses."""
     charts: Charts = {}
     if gathered.numbers is not None:
@@ -233,19 +233,19 @@ def health(evidence: Evidence, gathered: Gathered) -> Charts:
             ("attitude_sigma_deg", "Attitude, 1 sigma of the worst axis", "deg"),
             ("hypotheses", "Hypotheses: what may be true at the same time", ""),
         ):
-            given = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(evidence))
+            given = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(collected))
             charts[name] = TimeChart(title, unit, [given], height=165)
     return charts
 
 
-def times(evidence: Evidence, gathered: Gathered) -> Charts:
+def times(collected: Collected, gathered: Gathered) -> Charts:
     """How old estimates and measurements are when they arrive, and how far estimates are apart."""
     charts: Charts = {
         "latency": _bars("Age of estimates at arrival", gathered.latency.edges_s, gathered.latency.counts),
         "steps": _bars("From one estimate's stamp to the next", gathered.steps.edges_s, gathered.steps.counts),
     }
     by_topic: dict[str, list[float]] = {}
-    for aid in evidence.aids:
+    for aid in collected.aids:
         by_topic.setdefault(aid.topic, []).append(aid.delay_s)
     for number, (topic, delays) in enumerate(sorted(by_topic.items())):
         counts = np.histogram(np.clip(delays, 1.001e-4, 99.9), gathered.latency.edges_s)[0]
@@ -253,30 +253,30 @@ def times(evidence: Evidence, gathered: Gathered) -> Charts:
     return charts
 
 
-def vision(evidence: Evidence, gathered: Gathered) -> Charts:
+def vision(collected: Collected, gathered: Gathered) -> Charts:
     """What came of each look, how well outlines fitted, and how long it took."""
-    looks = [(t, look.report) for t, look in sorted(gathered.looks.items()) if look.report]
-    if not looks:
+    frames = [(t, frame.report) for t, frame in sorted(gathered.frames.items()) if frame.report]
+    if not frames:
         return {}
-    start_ns = _start(evidence)
+    start_ns = _start(collected)
     rows: dict[str, list[Stay]] = {}
-    step = float(np.median(np.diff(seconds([t for t, _ in looks], start_ns)))) if len(looks) > 1 else 0.1
-    for t, report in looks:
+    step = float(np.median(np.diff(seconds([t for t, _ in frames], start_ns)))) if len(frames) > 1 else 0.1
+    for t, report in frames:
         at = (t - start_ns) * 1e-9
         colour: Colour = "green" if report.outcome == "fixed" else "orange"
         rows.setdefault(report.outcome.replace("_", " "), []).append(
             Stay(at, at + step, colour, report.detail or report.outcome, "fix" if colour == "green" else "no fix")
         )
-    span = (looks[-1][0] - looks[0][0]) * 1e-9 / MOST_POINTS
+    span = (frames[-1][0] - frames[0][0]) * 1e-9 / MOST_POINTS
     strips = {outcome: _joined(stays, span) for outcome, stays in sorted(rows.items(), key=lambda r: -len(r[1]))}
     charts: Charts = {"outcomes": StripChart("What came of each pair of images", strips)}
-    fits = [(t, r) for t, r in looks if np.isfinite(r.residual_px)]
+    fits = [(t, r) for t, r in frames if np.isfinite(r.residual_px)]
     if fits:
         fits = [fits[row] for row in _worst([r.residual_px for _, r in fits])]
         y = short(np.array([r.residual_px for _, r in fits]))
         points = Points("fit", "green", "dot", short(seconds([t for t, _ in fits], start_ns), 7), y, [f"{v} px" for v in y])
         charts["fit"] = TimeChart("RMS of the outline fit", "px", [points], height=165)
-    spent = [r.processing_s for _, r in looks if r.processing_s > 0]
+    spent = [r.processing_s for _, r in frames if r.processing_s > 0]
     if spent:
         edges = np.geomspace(1e-4, 1e2, 61)
         charts["spent"] = _bars("Time vision took", edges, np.histogram(np.clip(spent, 1.001e-4, 99.9), edges)[0])
@@ -313,15 +313,15 @@ def _stays(stretches: list[Stretch], colours: dict[str, Colour], start_ns: int, 
     ]
 
 
-def _events(evidence: Evidence) -> list[Points]:
+def _events(collected: Collected) -> list[Points]:
     """When absolute fixes were used, and when they were not."""
-    absolute = [a for a in evidence.aids if a.kind in {"gnss_position", "pose"}]
+    absolute = [a for a in collected.aids if a.kind in {"gnss_position", "pose"}]
     used = thinned([a for a in absolute if a.reason in {Reason.FUSED, Reason.ALIGNING}])
     others = thinned([a for a in absolute if a.reason not in {Reason.FUSED, Reason.ALIGNING}])
-    events = [Points("fix used", "green", "tick", _times(used, _start(evidence)), [None] * len(used), [a.topic for a in used])]
+    events = [Points("fix used", "green", "tick", _times(used, _start(collected)), [None] * len(used), [a.topic for a in used])]
     if others:
         events.append(
-            Points("fix not used", "vermillion", "top", _times(others, _start(evidence)), [None] * len(others), _whys(others))
+            Points("fix not used", "vermillion", "top", _times(others, _start(collected)), [None] * len(others), _whys(others))
         )
     return events if absolute else []
 
@@ -351,14 +351,14 @@ def _buckets(c: Comparison, values: Array) -> Buckets:
     return buckets
 
 
-def _nearest_turn(heading_deg: Array, evidence: Evidence) -> Array:
+def _nearest_turn(heading_deg: Array, collected: Collected) -> Array:
     """The truth's heading, by whole turns nearest to that of the estimate as it is drawn."""
-    c = evidence.estimate
+    c = collected.estimate
     given = c.has_attitude
     drawn = np.unwrap(attitude_deg(c.q_wxyz[given])[:, 2], period=360.0)
     if not len(drawn):
         return heading_deg
-    beside = np.interp(evidence.truth.t_ns.astype(float), c.t_ns[given].astype(float), drawn)
+    beside = np.interp(collected.truth.t_ns.astype(float), c.t_ns[given].astype(float), drawn)
     turned: Array = heading_deg + 360.0 * np.round((beside - heading_deg) / 360.0)
     return turned
 
@@ -367,6 +367,6 @@ def _first(buckets: Buckets, start_ns: int) -> float:
     return (buckets.start_ns + buckets.step_ns // 2 - start_ns) * 1e-9
 
 
-def _start(evidence: Evidence) -> int:
+def _start(collected: Collected) -> int:
     """Zero of the time that is shown."""
-    return int(evidence.estimate.t_ns[0])
+    return int(collected.estimate.t_ns[0])

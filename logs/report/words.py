@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from logs.evaluation.evidence import Evidence
+from logs.evaluation.collected import Collected
 from logs.evaluation.metrics import Consistency
 from logs.evaluation.records import AidSummary, Evaluation
 from logs.report.gather import Gathered
@@ -78,15 +78,15 @@ def duration(s: float) -> str:
     return f"{s:.1f} s" if s < 120.0 else f"{s / 60.0:.1f} min" if s < 7200.0 else f"{s / 3600.0:.1f} h"
 
 
-def findings(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
+def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
     """What speaks for the estimate and against it, the worst first."""
     found = [
         *_consistency(e),
         *_behaviour(e, gathered),
-        *_jumps(evidence),
+        *_jumps(collected),
         *(f for aid in e.aids for f in _source(aid)),
         *_vision(gathered),
-        *_log(e, evidence, gathered),
+        *_log(e, collected, gathered),
     ]
     return sorted(found, key=lambda f: -f.level)
 
@@ -135,10 +135,10 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
     return found
 
 
-def _jumps(evidence: Evidence) -> list[Finding]:
+def _jumps(collected: Collected) -> list[Finding]:
     """Jumps that matter; one within the 95 % radius before it is consistent."""
-    estimate, start_ns = evidence.estimate, int(evidence.estimate.t_ns[0])
-    jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in evidence.resets]
+    estimate, start_ns = collected.estimate, int(collected.estimate.t_ns[0])
+    jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in collected.resets]
     jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]
     if not jumps:
         return []
@@ -176,7 +176,7 @@ def _source(aid: AidSummary) -> list[Finding]:
 
 
 def _vision(gathered: Gathered) -> list[Finding]:
-    reports = [look.report for look in gathered.looks.values() if look.report]
+    reports = [frame.report for frame in gathered.frames.values() if frame.report]
     if len(reports) < _FEW:
         return []
     fixed = sum(r.outcome == "fixed" for r in reports)
@@ -184,11 +184,11 @@ def _vision(gathered: Gathered) -> list[Finding]:
     return [Finding(level, f"vision computed a fix from {fixed} of {len(reports)} image pairs")]
 
 
-def _log(e: Evaluation, evidence: Evidence, gathered: Gathered) -> list[Finding]:
+def _log(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
     notes = [note for note in e.notes if not note.startswith("no truth") and not note.endswith("has no attitude")]
     found = [Finding(Level.FINE if note.endswith("are no errors") else Level.LOOK, note) for note in notes]
-    if evidence.skipped_chunks:
-        found.append(Finding(Level.LOOK, f"{evidence.skipped_chunks} damaged places in the log were skipped"))
+    if collected.skipped_chunks:
+        found.append(Finding(Level.LOOK, f"{collected.skipped_chunks} damaged places in the log were skipped"))
     if gathered.unreadable:
         found.append(
             Finding(Level.LOOK, f"unreadable messages: {', '.join(f'{n} on {t}' for t, n in gathered.unreadable.items())}")

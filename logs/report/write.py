@@ -13,8 +13,8 @@ from typing import Final
 
 import msgspec
 
+from logs.evaluation.collected import TRUTH_TOPIC, Collected, NoEstimateError, read
 from logs.evaluation.evaluate import assess, find_outages
-from logs.evaluation.evidence import TRUTH_TOPIC, Evidence, NoEstimateError, read
 from logs.evaluation.records import Evaluation
 from logs.report import no_estimate
 from logs.report.gather import Gathered
@@ -24,10 +24,10 @@ from logs.store.reader import LogError, check_output
 
 _MOST: Final = 50_000
 
-Illustrate = Callable[[Evidence, Gathered], Illustrations]
+Illustrate = Callable[[Collected, Gathered], Illustrations]
 
 
-def no_illustrations(_: Evidence, __: Gathered) -> Illustrations:
+def no_illustrations(_: Collected, __: Gathered) -> Illustrations:
     """Neither landmarks nor images."""
     return Illustrations()
 
@@ -64,29 +64,31 @@ def write(
     check_output(out, log)
     gathered = Gathered()
     try:
-        evidence = _read(log, truth_topic, progress, gathered)
+        collected = _read(log, truth_topic, progress, gathered)
     except NoEstimateError as missing:
         size = _save(out, no_estimate.page(log.name, missing, gathered))
         return Page(str(out), size, "no estimate", [str(missing)])
-    return compose(evidence, gathered, log.name, out, outage_s=outage_s, without_odometry=without_odometry, illustrate=illustrate)
+    return compose(
+        collected, gathered, log.name, out, outage_s=outage_s, without_odometry=without_odometry, illustrate=illustrate
+    )
 
 
 def gather(
     log: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float], None] | None = None
-) -> tuple[Evidence, Gathered]:
+) -> tuple[Collected, Gathered]:
     """What a report is made of, in one pass over the log. Raises LogError."""
     gathered = Gathered()
     return _read(log, truth_topic, progress, gathered), gathered
 
 
-def _read(log: Path, truth_topic: str, progress: Callable[[float], None] | None, gathered: Gathered) -> Evidence:
-    evidence = read(log, truth_topic, progress, most=_MOST, see=gathered.see)
+def _read(log: Path, truth_topic: str, progress: Callable[[float], None] | None, gathered: Gathered) -> Collected:
+    collected = read(log, truth_topic, progress, most=_MOST, see=gathered.see)
     gathered.close()
-    return evidence
+    return collected
 
 
 def compose(
-    evidence: Evidence,
+    collected: Collected,
     gathered: Gathered,
     name: str,
     out: Path,
@@ -100,10 +102,10 @@ def compose(
     without_odometry: a log of the same flight, replayed without odometry.
     """
     without = read(without_odometry).estimate if without_odometry else None
-    evaluation = assess(evidence, name, outage_s=outage_s, without_odometry=without)
-    outages = find_outages(evidence.aids, evidence.health, evidence.estimate, outage_s)["all"].spans
-    found = findings(evaluation, evidence, gathered)
-    material = Material(evidence, gathered, evaluation, outages, found, illustrate(evidence, gathered))
+    evaluation = assess(collected, name, outage_s=outage_s, without_odometry=without)
+    outages = find_outages(collected.aids, collected.health, collected.estimate, outage_s)["all"].spans
+    found = findings(evaluation, collected, gathered)
+    material = Material(collected, gathered, evaluation, outages, found, illustrate(collected, gathered))
     size = _save(out, page(material))
     return Written(str(out), size, material.level.word, [f.text for f in found], evaluation)
 

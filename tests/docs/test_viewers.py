@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from estimator.config import load
-from estimator.frontend.files import load_sight
-from estimator.frontend.replay_images import SightReplay
+from estimator.frontend.files import load_processor
+from estimator.frontend.replay_images import ImageReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader
 from logs.store.recorder import Recorder
@@ -44,9 +44,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 truth = encode_truth(record.log_time_ns, PLACE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
                 recorder.write(*truth, record.log_time_ns)
     config = load(config_file)
-    sight = load_sight(flight.with_name("rig.yaml"), flight.with_name("map.geojson"), config.map.origin)
-    seen = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
-    replay(source, out, config, sight=seen)
+    processor = load_processor(flight.with_name("rig.yaml"), flight.with_name("map.geojson"), config.map.origin)
+    seen = ImageReplay(processor, config.vision, config.inputs.left_image, config.inputs.right_image, source)
+    replay(source, out, config, processor=seen)
     return out
 
 

@@ -14,7 +14,7 @@ from benchmarks.service.vehicle import gnss, imu, pose_fix
 from estimator.config import Config, ConfigError, parse, read
 from estimator.fusion import Fusion
 from estimator.publish import Publisher
-from estimator.service.autopilot.output_policy import Handover
+from estimator.service.autopilot.output_policy import OutputPolicy
 from estimator.service.base.clock import Clock, Stamps
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.zenoh.config import session_config
@@ -157,7 +157,7 @@ def test_every_number_flies_at_its_extremes(number: tuple[str, int, int, mi.Floa
         if key.partition(".")[0] not in _NOT_OF_THE_ESTIMATOR:
             _fly(config)
         Stamps(Clock(), config.clock)
-        Handover(config.autopilot)
+        OutputPolicy(config.autopilot)
         assert len(list(Inputs(config.mavlink, config.inputs, config.geoid_m).requests(T0, None))) > 0
         session_config(config.zenoh, tmp_path, [], [])
 

@@ -13,7 +13,7 @@ from vision.identify.identify import Prior
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
-from vision.synthetic.world import Look, Sun, World
+from vision.synthetic.world import Appearance, Sun, World
 
 SIGMA: Final = np.array([0.5, 0.5, 0.3, *np.radians([0.2, 0.2, 0.7])])  # a filter that is aided
 HEIGHT_M: Final = 40.0
@@ -56,7 +56,7 @@ def part_view(kind: str, seed: int, sigma: Array = SIGMA) -> Flight:
     true = Landmark.of("0", (outline + middle) @ turn, 0.0, height_m, COLOURS[0])
     drawn = polygon(12, np.pi * _ROUND**2) if kind == "round" else outline
     mark = Landmark.of("0", (drawn + middle) @ turn, 0.0, height_m, COLOURS[0])
-    world = World((true,), (Look(COLOURS[0]),), (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
+    world = World((true,), (Appearance(COLOURS[0]),), (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
     roll, pitch = rng.normal(0.0, 0.05, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, yaw))
     p_n = np.array([0.0, 0.0, -HEIGHT_M])

@@ -15,7 +15,7 @@ from vision.image.rectify import Image
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
-from vision.synthetic.world import Look, World
+from vision.synthetic.world import Appearance, World
 
 COLOURS = ((40, 50, 190), (170, 80, 40), (60, 170, 60), (40, 170, 210), (160, 60, 150))
 _TEXTURES = ("paint", "shingles", "gravel", "metal")
@@ -48,30 +48,30 @@ def nadir_rig(
     return StereoRig(camera, camera, R_rc, np.array([-baseline_m, 0.0, 0.0]), R_bc, np.zeros(3))
 
 
-def roofs(rng: np.random.Generator, height_m: float) -> tuple[tuple[Landmark, ...], tuple[Look, ...]]:
+def roofs(rng: np.random.Generator, height_m: float) -> tuple[tuple[Landmark, ...], tuple[Appearance, ...]]:
     """Three to six boxes on a loose grid below a camera at height_m, painted in strong colours."""
-    marks, looks = [], []
-    places = [(x, y) for x in (-0.25, 0.25) for y in (-0.33, 0.0, 0.33)]
+    marks, appearances = [], []
+    positions = [(x, y) for x in (-0.25, 0.25) for y in (-0.33, 0.0, 0.33)]
     for k in rng.permutation(6)[: rng.integers(3, 7)]:
         sides = np.sort(rng.uniform(0.07, 0.17, 2)) * height_m
-        centre = (np.array(places[k]) + rng.uniform(-0.02, 0.02, 2)) * height_m
+        centre = (np.array(positions[k]) + rng.uniform(-0.02, 0.02, 2)) * height_m
         a = rng.uniform(0.0, np.pi)
         turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
         outline = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * sides[::-1] / 2.0 @ turn + centre
         outline = outline if polygon.area(outline) > 0 else outline[::-1]
         marks.append(Landmark.of(str(k), outline, 0.0, rng.uniform(0.0, 0.12) * height_m, COLOURS[k % 5]))
-        looks.append(Look(COLOURS[k % 5], texture=_TEXTURES[rng.integers(4)], contrast=rng.uniform(0.03, 0.15)))
-    return tuple(marks), tuple(looks)
+        appearances.append(Appearance(COLOURS[k % 5], texture=_TEXTURES[rng.integers(4)], contrast=rng.uniform(0.03, 0.15)))
+    return tuple(marks), tuple(appearances)
 
 
 def view(seed: int, height_m: float = 30.0, tilt_rad: float = 0.12, rig: StereoRig | None = None) -> View:
     """One view from a seed: world, ground, attitude and place drawn."""
     rng, rig = np.random.default_rng(seed), rig or nadir_rig()
-    landmarks, looks = roofs(rng, height_m)
+    landmarks, appearances = roofs(rng, height_m)
     yaw, tilt = rng.uniform(-np.pi, np.pi), np.array([*rng.normal(0.0, tilt_rad, 2), 0.0])
     R_nb = so3.matrix(so3.quat_exp(np.array([0.0, 0.0, yaw]))) @ so3.matrix(so3.quat_exp(tilt))
     p_n = np.array([*rng.normal(0.0, 0.05, 2) * height_m, -height_m])
-    left, right = render_pair(World(landmarks, looks, (), Ground.procedural(rng)), rig, p_n, R_nb, Conditions(), rng)
+    left, right = render_pair(World(landmarks, appearances, (), Ground.procedural(rng)), rig, p_n, R_nb, Conditions(), rng)
     p_nc, R_nc = rig.camera_pose(p_n, R_nb)
     corners = [(np.column_stack((m.outline_n, np.full(len(m.outline_n), m.roof_d))) - p_nc) @ R_nc for m in landmarks]
     known = so3.matrix(so3.quat_exp(rng.normal(0.0, np.radians(1.0), 3))) @ R_nc.T @ np.array([0.0, 0.0, -1.0])

@@ -256,8 +256,8 @@ def test_a_place_that_the_image_contradicts_is_no_fix(monkeypatch: pytest.Monkey
     v, sigma = view(), np.diag(np.array([0.5, 0.5, 0.5, *np.radians([0.3, 0.3, 0.5])]) ** 2)
     results = []
     for aside in (0.0, 13.0):
-        place = Prior(v.p_n + np.array([aside, 0.0, 0.0]), v.q_nb, sigma)
-        monkeypatch.setattr(SegmentPath, "locate", lambda _, images, *__, at=place: Identified(images, at, []))
+        position = Prior(v.p_n + np.array([aside, 0.0, 0.0]), v.q_nb, sigma)
+        monkeypatch.setattr(SegmentPath, "locate", lambda _, images, *__, at=position: Identified(images, at, []))
         segmenting = LandmarkPipeline(scene().rig_calibrated, scene().map, PipelineConfig(path="segment"))
         results.append(segmenting.process(v.left, v.right, 0, v.prior))
     assert results[0].fix is not None

@@ -23,7 +23,7 @@ from vision.describe.regions import Region
 from vision.image.rectify import Image
 
 Pixels = NDArray[np.int32]  # (N, 2) u, v
-_SQUARE = np.ones((5, 5), np.uint8)  # taken off a region's inside: half an edge has the gradient of an edge, but not its place
+_SQUARE = np.ones((5, 5), np.uint8)  # taken off a region's inside: half an edge has the gradient of an edge, but not its position
 _RIM = 2  # px around a region that belong to it: its edges are what can be matched
 
 
@@ -33,7 +33,7 @@ class Search:
 
     nearest_m: float = 4.0  # nothing is nearer than this
     least_score: float = 0.55  # of the correlation coefficient of the edges
-    least_lead: float = 0.02  # over the next best place
+    least_lead: float = 0.02  # over the next best position
     vertical_px: int = 6  # how far from its row a match is sought, to notice that rows do not fit
     template_px: int = 350  # pixels of a template at the coarse level
     cells: int = 24  # of a region, about
@@ -119,10 +119,10 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
         return Unmatched(region, found)
     disparity, score = found
     rim = correlation.template(region.mask, region.bbox[0], region.bbox[1], 0, _RIM)
-    place = _to_the_pixel(pair, rim, disparity, search)
-    if isinstance(place, str):
-        return Unmatched(region, place)
-    disparity, vertical = place
+    position = _to_the_pixel(pair, rim, disparity, search)
+    if isinstance(position, str):
+        return Unmatched(region, position)
+    disparity, vertical = position
     if disparity - offset < -1.5:
         return Unmatched(region, f"disparity {disparity - offset:.1f} px: behind the camera", behind=True)
     gain = correlation.gain(*pair.grey(0), rim, disparity, vertical)
@@ -144,7 +144,7 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
         return f"no match: best correlation {max(scores[best], 0.0):.2f}"
     others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
     if others.max() > scores[best] - search.least_lead:
-        return "ambiguous: two places fit alike"
+        return "ambiguous: two positions fit alike"
     shifted = pixels - np.array([low + best, 0], dtype=np.int32)
     back = correlation.scan(right, left, shifted, -(low + best) - 6, -(low + best) + 6, 0)
     if abs(int(back.argmax()) - 6) > 1:
@@ -170,7 +170,7 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
     others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
     peaks = others[1:-1][(others[1:-1] >= scores[:-2]) & (others[1:-1] >= scores[2:])]
     if peaks.max(initial=-1.0) > scores[best] - search.least_lead:
-        return "ambiguous: two places fit alike"
+        return "ambiguous: two positions fit alike"
     if scores[best] < search.least_score:
         return f"no match: best correlation {max(scores[best], 0.0):.2f}"
     return disparity, vertical

@@ -44,15 +44,15 @@ def edge_residual(
 
     None where fewer than eight are found again. Slower than the regions (some 0.2 s), for tools and for a pair in doubt.
     """
-    places = cv2.goodFeaturesToTrack(left, corners, 0.02, 2.0 * _WINDOW)
-    if places is None:
+    positions = cv2.goodFeaturesToTrack(left, corners, 0.02, 2.0 * _WINDOW)
+    if positions is None:
         return None
     offset = disparity_offset(rig)
     low, high = int(np.floor(offset)) - 4, int(np.ceil(offset + rig.left.fx * rig.baseline_m / nearest_m))
     grid = np.stack(np.meshgrid(*2 * [np.arange(-_WINDOW, _WINDOW + 1)]), axis=-1).reshape(-1, 2)
     found = []
-    for place in np.rint(places.reshape(-1, 2)).astype(np.int32):
-        pixels = np.ascontiguousarray(place + grid, dtype=np.int32)
+    for position in np.rint(positions.reshape(-1, 2)).astype(np.int32):
+        pixels = np.ascontiguousarray(position + grid, dtype=np.int32)
         rows = range(-vertical_px, vertical_px + 1)
         scores = np.stack([correlation.scan(left, right, pixels, low, high, dv) for dv in rows])
         row, column = np.unravel_index(int(scores.argmax()), scores.shape)

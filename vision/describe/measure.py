@@ -203,7 +203,7 @@ def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity:
 
 
 def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
-    """Of each side of the outline, px: place, then turn; a fitted side averages its points, an arc of a contour does not."""
+    """Of each side of the outline, px: position, then turn; a fitted side averages its points, an arc of a contour does not."""
     if region.corners is None:
         return np.full(_ARCS, np.hypot(region.edge_sigma_px, accuracy.edge_px))
     length = np.linalg.norm(np.roll(region.corners, -1, axis=0) - region.corners, axis=1)

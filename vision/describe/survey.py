@@ -80,7 +80,7 @@ def _measured(match: Match | Unmatched, rectification: Rectification, settings: 
 
 
 def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> list[Region]:
-    """Regions of one rectified 8-bit image. One of one channel has no colours to look for: what is darker or brighter."""
+    """Regions of one rectified 8-bit image. One of one channel has no colours to search for: what is darker or brighter."""
     image = grey(image) if settings.space == "grey" else image
     smooth = enhance.median(image, settings.median_window) if settings.median_window else image
     if image.ndim == 2:

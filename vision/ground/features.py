@@ -2,7 +2,7 @@
 
     keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
-It needs no good prior, only one that says which part of the map to look at. It fails where light or season have changed what the
+It needs no good prior, only one that says which part of the map to compare. It fails where light or season have changed what the
 ground looks like: then vision/ground/registration.py.
 """
 
@@ -30,7 +30,7 @@ _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4
 _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
 _REACH_SIGMA: Final = 4.0
-_FEATURE_PX = 0.5  # of a keypoint's place in its image
+_FEATURE_PX = 0.5  # of a keypoint's position in its image
 _TILE_PX, _MARGIN_PX = 1024, 64  # of a map whose keypoints are sought
 _DOUBLED_PX = 0.25  # OpenCV seeks in the doubled image and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
 _FEWEST = 8  # inliers that are worth fitting a pose to
@@ -67,12 +67,12 @@ class FeatureMap:
         while level < len(image.pyramid) - 1 and max(image.pyramid[level].shape) > config.longest_map:
             level += 1
         px, descriptors = _of_large(image.pyramid[level], config.most_in_map)
-        place = px * 2.0**level @ image.affine[:, :2].T + image.affine[:, 2]
-        return cls(image, image.points(place), descriptors)
+        position = px * 2.0**level @ image.affine[:, :2].T + image.affine[:, 2]
+        return cls(image, image.points(position), descriptors)
 
-    def near(self, place_n: Array, radius_m: float) -> NDArray[np.intp]:
-        """Rows of the keypoints within a circle about a place (2,)."""
-        return np.flatnonzero(np.hypot(*(self.x_n[:, :2] - place_n).T) < radius_m)
+    def near(self, position_n: Array, radius_m: float) -> NDArray[np.intp]:
+        """Rows of the keypoints within a circle about a position (2,)."""
+        return np.flatnonzero(np.hypot(*(self.x_n[:, :2] - position_n).T) < radius_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def recognise(
     camera = rig.left, *rig.camera_pose(prior.p_n, prior.R_nb)
     grid = make_grid(camera, map_image, _GRID)
     if grid is None:
-        return NotRecognised("no_ground", "the camera does not look at the ground")
+        return NotRecognised("no_ground", "the camera does not point at the ground")
     sigma = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:2, :2])[-1]))
     rows = known.near(grid.centre, 0.6 * grid.q * math.hypot(*grid.shape) + _REACH_SIGMA * sigma)
     levels = pyramid(image)

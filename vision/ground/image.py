@@ -1,6 +1,6 @@
 """A georeferenced image of the ground, an orthophoto or a satellite image: the map where it holds an image.
 
-(north, east) = A (u, v, 1): place [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
+(north, east) = A (u, v, 1): position [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
 """
 
 import math
@@ -37,10 +37,10 @@ class Heights:
         """The same everywhere."""
         return cls(np.full((2, 2), down), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), unevenness_m, slope)
 
-    def at(self, place_n: Array) -> Array:
-        """Down (N,) of places (N, 2) north, east."""
+    def at(self, position_n: Array) -> Array:
+        """Down (N,) of positions (N, 2) north, east."""
         height, width = self.down.shape
-        u, v = to_pixels(self.affine, place_n).T
+        u, v = to_pixels(self.affine, position_n).T
         u, v = np.clip(u, 0.0, width - 1.0), np.clip(v, 0.0, height - 1.0)
         j, i = np.minimum(u.astype(np.int64), width - 2), np.minimum(v.astype(np.int64), height - 2)
         s, t, d = u - j, v - i, self.down
@@ -87,24 +87,24 @@ class GroundImage:
         """The image in grey, and halved again and again."""
         return pyramid(self.image)
 
-    def to_pixels(self, place_n: Array) -> Array:
-        """(u, v) (N, 2) of places (N, 2) north, east."""
-        return to_pixels(self.affine, place_n)
+    def to_pixels(self, position_n: Array) -> Array:
+        """(u, v) (N, 2) of positions (N, 2) north, east."""
+        return to_pixels(self.affine, position_n)
 
-    def points(self, place_n: Array) -> Array:
-        """Points of the ground (N, 3) in n at places (N, 2)."""
-        return np.column_stack((place_n, self.heights.at(place_n)))
+    def points(self, position_n: Array) -> Array:
+        """Points of the ground (N, 3) in n at positions (N, 2)."""
+        return np.column_stack((position_n, self.heights.at(position_n)))
 
-    def contains(self, place_n: Array) -> NDArray[np.bool_]:
-        """Which places (N, 2) the image shows."""
-        px, (height, width) = self.to_pixels(place_n), self.image.shape[:2]
+    def contains(self, position_n: Array) -> NDArray[np.bool_]:
+        """Which positions (N, 2) the image shows."""
+        px, (height, width) = self.to_pixels(position_n), self.image.shape[:2]
         inside: NDArray[np.bool_] = np.all((px >= 0.0) & (px <= (width - 1.0, height - 1.0)), axis=1)
         return inside
 
 
-def to_pixels(affine: Array, place_n: Array) -> Array:
+def to_pixels(affine: Array, position_n: Array) -> Array:
     """The inverse of an affine (2, 3)."""
-    px: Array = (place_n - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+    px: Array = (position_n - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
     return px
 
 

@@ -1,6 +1,6 @@
 """Position by the peak of registration's search alone, where its blocks do not agree: north and east of what is seen.
 
-Images of another date have few blocks that fit, but one place where the whole fits best. The middle of what the camera sees, at
+Images of another date have few blocks that fit, but one position where the whole fits best. The middle of the camera's view, at
 a pixel known by the prior, is the point of the map at the peak. Of each image, and common to all (it counts as the map's error):
 
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
@@ -9,7 +9,7 @@ a pixel known by the prior, is the point of the map at the peak. Of each image, 
 s: edges that are not where the map has them, of shadows and of what leans over, move the peak, the more the less is explained.
 Where the sun has gone from one side to the other, the edge of a shadow is as far off as the shadow is long, h / tan(elevation),
 and its object's edge is not off: at worst the peak is half-way. m = 1 / (2 tan 15 deg): a lower sun lights little.
-Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other places.
+Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other positions.
 """
 
 import math
@@ -34,7 +34,7 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second")] = 1.25
     correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak")] = 0.2
-    deviations: Annotated[float, Meta(ge=0, description="correlation at the peak over the scatter at other places")] = 5.0
+    deviations: Annotated[float, Meta(ge=0, description="correlation at the peak over the scatter at other positions")] = 5.0
     noise: Annotated[float, Meta(gt=0, description="c: variance of the correlation's noise")] = 2e-3
     step: Annotated[float, Meta(gt=0, description="f: of the search's step, 1 sigma")] = 0.3
     moved: Annotated[float, Meta(ge=0, description="m: of the unevenness, 1 sigma, where nothing correlates")] = 1.9
@@ -43,20 +43,20 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def peak_flaw(peak: Peak, config: PeakConfig) -> str:
     """Why a peak makes no fix; empty where it does."""
     if peak.curvature is None:
-        return "the peak of the search has no one place within it"
+        return "the search has no single peak inside its area"
     if peak.ratio < config.ratio:
         return f"the peak is {peak.ratio:.2f} times the second, needed {config.ratio:g}"
     if peak.correlation < config.correlation:
         return f"correlation {peak.correlation:.2f}, needed {config.correlation:g}"
     if peak.deviations < config.deviations:
-        return f"the peak is {peak.deviations:.1f} standard deviations of other places high, needed {config.deviations:g}"
+        return f"the peak is {peak.deviations:.1f} standard deviations of other positions high, needed {config.deviations:g}"
     return ""
 
 
 def fit_peak(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
-    """The pose by the prior and the place of the peak, or why there is none; measured along two directions only."""
+    """The pose by the prior and the position of the peak, or why there is none; measured along two directions only."""
     config = config or PeakConfig()
     if flaw := peak_flaw(peak, config):
         return flaw

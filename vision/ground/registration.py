@@ -5,14 +5,14 @@ map. Edges stay where brightness and colours change with season and light.
 
     coarse   the camera's image as seen from straight above, by the prior's attitude and height, is shifted over the map within
              reach_sigma of the prior's covariance, turned and stretched as far as that leaves heading and height open
-    blocks   from the best place its blocks are shifted one by one, to a fraction of a pixel, twice, then finer: each is a point
+    blocks   from the best position its blocks are shifted singly, to a fraction of a pixel, twice, then finer: each is a point
              of the map whose pixel is known, with the covariance that the peak's curvature and height give
 
         C = (1 - rho^2) / rho  K^-1  a / n,   K = -d^2 rho / ds^2,   a = 2 pi s^2: pixels whose noise is one after the blur s
 
     pose     of these points and the prior (point_pose.py)
-    no       unless one place stands out of all (peak to second peak), and so many blocks agree on one pose that chance does not
-             explain it. A place that is only likely waits for the next image to say the same (recognisers.py)
+    no       unless one position stands out (peak to second peak), and so many blocks agree on one pose that chance does not
+             explain it. A position that is only likely waits for the next image to say the same (recognisers.py)
 """
 
 import math
@@ -42,12 +42,11 @@ _AROUND_PX = 15  # over which the contrast is made even
 _FAINT = 24.0  # Sobel magnitude (8 grey levels per 3 px) of what is noise rather than structure
 _PLAIN = 0.08  # standard deviation of a block's structure below which it has none
 _STEP_PX = 2.0  # at the patch's end, half a step of heading and scale
-_LOBE_PX = 6.0  # from the peak: another place begins there
-_FLOOR_PX = (
-    0.1  # of a block's place: two interpolations; all blocks lie at about the same fraction of a pixel, so it does not average
-)
+_LOBE_PX = 6.0  # from the peak: another position begins there
+# Of a block's position: two interpolations. All blocks lie at about the same fraction of a pixel, so it does not average.
+_FLOOR_PX = 0.1
 _AGREES_PX = 2.0  # of the grid: a block that is no farther off
-_BY_CHANCE = 0.15  # share of the blocks of a wrong place that agree: pi 2^2 / 11^2, and a pose was fitted to them
+_BY_CHANCE = 0.15  # share of the blocks of a wrong position that agree: pi 2^2 / 11^2, and a pose was fitted to them
 _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 
@@ -69,11 +68,11 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The best place of the search. p_n, R_nb: the pose there; ratio: of first to second peak; correlation: coefficient at it.
+    """The best position of the search. p_n, R_nb: the pose there; ratio: of first to second peak; correlation: coefficient at it.
 
-    deviations: correlation over the standard deviation of those of all other places; seen_n (3,): ground where by the prior the
+    deviations: correlation over the standard deviation of those of other positions; seen_n (3,): ground where by the prior the
     middle of what is seen lies; shown_n (2,): where by the map; q: points of the search are so many m apart; curvature (2, 2):
-    -d^2 rho / d(north, east)^2 [1/m^2], None where the peak has no one place, or lies at the border of the search.
+    -d^2 rho / d(north, east)^2 [1/m^2], None where the peak has no one position, or lies at the border of the search.
     """
 
     p_n: Array
@@ -148,28 +147,30 @@ def register(
     """Where the left camera of the rig took the image. The result is likely or sure by its own is_likely, is_sure."""
     config = config or RegistrationConfig()
     levels = pyramid(image)
-    place = _search(rig, levels, prior, map_image, config)
-    if isinstance(place, NotRegistered):
-        return place
-    pose = place.p_n, place.R_nb
+    position = _search(rig, levels, prior, map_image, config)
+    if isinstance(position, NotRegistered):
+        return position
+    pose = position.p_n, position.R_nb
     fit, matched = None, _Matched.none()
     for points, reach in zip(config.fine, config.search, strict=True):
         matched = _blocks(rig, levels, pose, map_image, (points, reach, config.block))
         if len(matched.points.px) < _POINTS.least:
-            return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a place", place)
+            return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a position", position)
         horizontal, height, slope = map_image.shared_sigma
         shared = math.hypot(horizontal, _FLOOR_PX * matched.step_m), height, slope
         found = fit_points(rig, matched.points, pose, prior, shared, _POINTS)
         if isinstance(found, str):
-            return NotRegistered("no_pose", f"{found}, of {matched.tried} blocks; correlation {place.correlation:.2f}", place)
+            return NotRegistered(
+                "no_pose", f"{found}, of {matched.tried} blocks; correlation {position.correlation:.2f}", position
+            )
         fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
     assert fit is not None
     tried = matched.tried
     agreed = int(np.sum(np.linalg.norm(fit.residual, axis=1) < _AGREES_PX * matched.point_px))
     if agreed < config.least_blocks:
-        return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {place.correlation:.2f}", place)
+        return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {position.correlation:.2f}", position)
     chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE))  # of so many or more, binomial
-    return Registered(fit.estimate, tried, agreed, chance, place)
+    return Registered(fit.estimate, tried, agreed, chance, position)
 
 
 def structure(view: Float) -> Float:
@@ -180,7 +181,7 @@ def structure(view: Float) -> Float:
 
 
 def shift_of_ground(arm_n: Array) -> Array:
-    """dg = J (dp, dtheta), J (2, 6): how the place that a ray shows moves with the pose; arm_n (3,): from the body to that place.
+    """dg = J (dp, dtheta), J (2, 6): how a ray's ground point moves with the pose; arm_n (3,): from the body to that point.
 
     dg = dp + dtheta x r - r (dp + dtheta x r)_d / r_d
     """
@@ -193,11 +194,11 @@ def shift_of_ground(arm_n: Array) -> Array:
 def _search(
     rig: StereoRig, levels: tuple[Image, ...], prior: Prior, map_image: GroundImage, config: RegistrationConfig
 ) -> Peak | NotRegistered:
-    """The place, heading and height where the image's structure is most like the map's."""
+    """The position, heading and height where the image's structure is most like the map's."""
     camera: Camera = (rig.left, *rig.camera_pose(prior.p_n, prior.R_nb))
     grid = make_grid(camera, map_image, config.coarse)
     if grid is None:
-        return NotRegistered("no_ground", "the camera does not look at the ground")
+        return NotRegistered("no_ground", "the camera does not point at the ground")
     ground = map_image.points(grid.centre[None])[0]
     J = shift_of_ground(ground - prior.p_n)
     to_grid = grid.axes.T / grid.q
@@ -213,7 +214,7 @@ def _search(
     mask = cv2.erode(seen.astype(np.float32), np.ones((5, 5)), borderValue=1.0).astype(np.float32)
     known = map_view(map_image, grid, reach)[1]
     if mask.mean() < 0.2 or known.mean() < 0.5:
-        return NotRegistered("outside", f"the map's image shows {known.mean():.0%} of where the camera may look")
+        return NotRegistered("outside", f"the map's image shows {known.mean():.0%} of that the camera may see")
     template = structure(view)
     if not template[mask > 0.0].std() > _PLAIN:
         return NotRegistered("no_structure", "the image shows nothing that could be compared")
@@ -251,7 +252,7 @@ def _correlation(image: Float, template: Float, mask: Float) -> Float:
 def _stands_out(
     scores: Float, inside: Mask, turns: list[tuple[float, float]], grid: Grid, ground: Array, prior: Prior
 ) -> Peak | NotRegistered:
-    """The best of all places and turns, and how far it stands out of the rest: (rho_1 - median) / (rho_2 - median)."""
+    """The best of all positions and turns, and how far it stands out of the rest: (rho_1 - median) / (rho_2 - median)."""
     k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
     best, reach = float(scores[k, i, j]), len(inside) // 2
     if not best > 0.0:
@@ -283,7 +284,7 @@ def _stands_out(
 
 
 def _surrounded(inside: Mask, i: int, j: int) -> bool:
-    """Whether a place and its eight neighbours were searched."""
+    """Whether a position and its eight neighbours were searched."""
     return 0 < i < len(inside) - 1 and 0 < j < inside.shape[1] - 1 and bool(inside[i - 1 : i + 2, j - 1 : j + 2].all())
 
 
@@ -324,7 +325,7 @@ def _blocks(
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
-    """Where a block fits best (column, row) to a fraction of a pixel, and covariance (2, 2); None where it has no one place."""
+    """Where a block fits best (column, row), to a fraction of a pixel, covariance (2, 2); None where there is no single one."""
     rho = cv2.matchTemplate(image, block, cv2.TM_CCOEFF_NORMED)
     i, j = np.unravel_index(int(np.argmax(rho)), rho.shape)
     best = float(rho[i, j])
@@ -346,9 +347,9 @@ def _as_points(
     R = J C J^T + (unevenness du/dd)^2: what stands on the ground leans over.
     """
     (model, p_nc, R_nc), (at, shift, covariance) = camera, map(np.array, zip(*found, strict=True))
-    x_c = (map_image.points(grid.place(at)) - p_nc) @ R_nc
+    x_c = (map_image.points(grid.position(at)) - p_nc) @ R_nc
     by_n = model.project_jacobian(x_c) @ R_nc.T
     J = by_n[:, :, :2] @ grid.axes * grid.q
     lean = map_image.heights.unevenness_m * by_n[:, :, 2]
     R = J @ covariance @ J.transpose(0, 2, 1) + lean[:, :, None] * lean[:, None, :]
-    return Points(map_image.points(grid.place(at + shift)), model.project(x_c), R)
+    return Points(map_image.points(grid.position(at + shift)), model.project(x_c), R)

@@ -1,6 +1,6 @@
-"""The ground from straight above, on a grid of places: as the camera sees it from a pose, and as the map's image shows it.
+"""The ground from straight above, on a grid of positions: as the camera sees it from a pose, and as the map's image shows it.
 
-place(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
+position(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
 """
 
 from dataclasses import dataclass
@@ -32,17 +32,17 @@ class Grid:
     shape: tuple[int, int]
     camera_m: float
 
-    def place(self, at: Array) -> Array:
-        """Places (N, 2) of grid coordinates (N, 2) column, row."""
+    def position(self, at: Array) -> Array:
+        """Positions (N, 2) of grid coordinates (N, 2) column, row."""
         middle = 0.5 * (np.array(self.shape[::-1]) - 1.0)
-        place: Array = self.centre + self.q * (at - middle) @ self.axes.T
-        return place
+        position: Array = self.centre + self.q * (at - middle) @ self.axes.T
+        return position
 
-    def places(self, margin: int = 0) -> Array:
+    def positions(self, margin: int = 0) -> Array:
         """All of them, grown by a margin: (h + 2 margin, w + 2 margin, 2)."""
         rows, columns = (np.arange(-margin, n + margin, dtype=np.float64) for n in self.shape)
         at = np.stack(np.meshgrid(columns, rows), axis=-1)
-        return self.place(at.reshape(-1, 2)).reshape(at.shape)
+        return self.position(at.reshape(-1, 2)).reshape(at.shape)
 
     def turned(self, yaw: float, scale: float) -> "Grid":
         """Turned from north to east and stretched, about its centre."""
@@ -51,18 +51,18 @@ class Grid:
 
 
 def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float = 0.0) -> Grid | None:
-    """A grid over what the camera sees of the ground, at most `most` points long; None where it looks at the sky.
+    """A grid over what the camera sees of the ground, at most `most` points long; None where it points at the sky.
 
     Its points are no closer than the pixels of image and camera are.
     """
     model, _, R_nc = camera
-    places = _footprint(camera, map_image)
+    positions = _footprint(camera, map_image)
     right = R_nc[:2, 0]
-    if places is None or np.linalg.norm(right) < _STEEPEST:
+    if positions is None or np.linalg.norm(right) < _STEEPEST:
         return None
     e = right / np.linalg.norm(right)
     axes = np.array([[e[0], -e[1]], [e[1], e[0]]])
-    along = places @ axes
+    along = positions @ axes
     low, high = along.min(axis=0), along.max(axis=0)
     size = high - low
     camera_m = float(np.sqrt(size[0] * size[1] / (model.width * model.height)))
@@ -72,34 +72,34 @@ def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float
 
 
 def _footprint(camera: Camera, map_image: GroundImage) -> Array | None:
-    """Places (N, 2) that a raster of the camera's pixels shows."""
+    """Positions (N, 2) that a raster of the camera's pixels shows."""
     model, p_nc, R_nc = camera
     u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip((model.width, model.height), _RASTER, strict=True)))
     rays = model.ray(np.column_stack((u.ravel(), v.ravel()))) @ R_nc.T
     rays = rays[rays[:, 2] > _STEEPEST]
     ground = float(map_image.heights.at(p_nc[None, :2])[0])
-    places = None
+    positions = None
     for _ in range(3):  # the ground's height where it is seen
         if len(rays) < _RASTER[0] or not ground - p_nc[2] > 0.0:
             return None
         reach = (ground - p_nc[2]) / rays[:, 2]
         near = reach < _FARTHEST * reach.min()
-        places = p_nc[:2] + rays[near, :2] * reach[near, None]
-        ground = float(np.mean(map_image.heights.at(places)))
-    return places
+        positions = p_nc[:2] + rays[near, :2] * reach[near, None]
+        ground = float(np.mean(map_image.heights.at(positions)))
+    return positions
 
 
 def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, map_image: GroundImage) -> tuple[Float, Mask]:
     """Grey values (h, w) of the camera's image (pyramid `levels`), and where it shows the ground."""
     model, p_nc, R_nc = camera
-    px = model.project((map_image.points(grid.places().reshape(-1, 2)) - p_nc) @ R_nc)
+    px = model.project((map_image.points(grid.positions().reshape(-1, 2)) - p_nc) @ R_nc)
     values = sample(levels, px.reshape(*grid.shape, 2), grid.q / grid.camera_m)
     return values, model.contains(px, _BORDER_PX).reshape(grid.shape)
 
 
 def map_view(map_image: GroundImage, grid: Grid, margin: int) -> tuple[Float, Mask]:
     """Grey values of the georeferenced image, margin points larger on each side, and where there are any."""
-    places = grid.places(margin)
-    flat = places.reshape(-1, 2)
-    values = sample(map_image.pyramid, map_image.to_pixels(flat).reshape(places.shape), grid.q / map_image.pixel_m)
-    return values, map_image.contains(flat).reshape(places.shape[:2])
+    positions = grid.positions(margin)
+    flat = positions.reshape(-1, 2)
+    values = sample(map_image.pyramid, map_image.to_pixels(flat).reshape(positions.shape), grid.q / map_image.pixel_m)
+    return values, map_image.contains(flat).reshape(positions.shape[:2])

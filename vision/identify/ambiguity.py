@@ -69,17 +69,17 @@ def steps_off(
     map.
     """
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
-    places = np.array([(*mark.centre_n, mark.roof_d) for mark in near])
+    positions = np.array([(*mark.centre_n, mark.roof_d) for mark in near])
     own = np.array([(*mark.centre_n, mark.roof_d) for mark in used]).reshape(-1, 3)
     alike = np.array([[_as_turned(one, mark) for one in near] for mark in used])
     alike &= similarity(_described(used)[:, None], several[None], weights[None]) >= _ALIKE
-    steps = places[None] - own[:, None]
+    steps = positions[None] - own[:, None]
     alike &= np.linalg.norm(steps[..., :2], axis=2) > 0.5 * np.array([mark.width_m for mark in used])[:, None]  # not the same one
     step = steps[alike]
     inverse, apart = np.linalg.inv(prior_covariance[:3, :3]), p_n - prior_p_n
     limit = float(apart @ inverse @ apart) + 2.0 * math.log(odds)
     allowed = step[np.einsum("sa,ab,sb->s", apart + step, inverse, apart + step) < limit]
-    beside = np.linalg.norm(own[None, :, None, :2] + allowed[:, None, None, :2] - places[None, None, :, :2], axis=3) < _STEP_M
+    beside = np.linalg.norm(own[None, :, None, :2] + allowed[:, None, None, :2] - positions[None, None, :, :2], axis=3) < _STEP_M
     repeated = (beside & alike[None]).any(axis=2).sum(axis=1)
     return _apart(allowed[repeated > share * len(used)], _ONE_STEP * min((mark.width_m for mark in used), default=0.0))
 

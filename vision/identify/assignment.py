@@ -1,7 +1,7 @@
 """Which region is which landmark: the posterior of the joint assignment of all regions in view.
 
     x = (dp, dtheta, s): errors common to all regions: prior position [m] and attitude (about n's axes) [rad], log scale of depth
-    y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): what landmark j says minus what region i shows, whitened
+    y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): the value of landmark j minus that of region i, whitened
     p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia (x, exp(s) - 1), I) dx . prod_j missed_j(a, x)
 
 The integral is built region by region (a Kalman update each), so regions are correlated through the pose as they are in truth:
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from models import order as ordering
 from models.messages import Array
-from vision.identify.clutter_density import Crowd
+from vision.identify.clutter_density import ClutterDensity
 
 SCALE, STATES = 6, 7
 GROWTH, COLUMNS = 7, 8  # the last column of A is of exp(s) - 1: distances grow so, logarithms of sizes by s
 ROWS = 7  # log width, log length, fill ratio, orientation, position (3)
-PLACE = 4  # first of the three rows that say where; sizes stand before them, so that s is known when they come
+POSITION = 4  # first of the three rows that say where; sizes stand before them, so that s is known when they come
 
 _NOTHING: Final = -1e300
 _EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its position is, and this many sigmas around it
@@ -35,8 +35,8 @@ class Options:
     """What each region may be. Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
 
     landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 8) whitened, rows of zeros where there is less
-    to say;  log_weight (N,): everything of the option's weight that does not depend on x;  crowd: how dense what is not in the
-    map is at each x (the highest of it is in log_weight), None: everywhere alike.
+    to say;  log_weight (N,): everything of the option's weight that does not depend on x;  clutter_density: density of unmapped
+    objects at each x (the highest of it is in log_weight), None: everywhere alike.
     """
 
     start: NDArray[np.int64]
@@ -44,7 +44,7 @@ class Options:
     y: Array
     A: Array
     log_weight: Array
-    crowd: Crowd | None = None
+    clutter_density: ClutterDensity | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Expected:
     x_c (J, 3) and A (J, 3, 7): position in the camera's frame at the prior, and its change with x;  radius_m of the landmark
     log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
     view: (4,) x/z and y/z limits of the image: left, right, top, bottom
-    place_c (M, 3): of the regions (NaN: remembered from an earlier image)
+    position_c (M, 3): of the regions (NaN: remembered from an earlier image)
     """
 
     x_c: Array
@@ -63,7 +63,7 @@ class Expected:
     log_missed: Array
     log_gone: float
     view: Array
-    place_c: Array
+    position_c: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +93,10 @@ def search(options: Options, expected: Expected, covariance: Array, breadth: int
     clutter = o.landmark[option] < 0 if count else np.zeros((len(weight), 0), np.bool_)
     weight = weight + _missed(
         o.landmark[option].reshape(len(weight), count), clutter, x, cov, e.x_c, e.A, e.radius_m, e.log_missed, e.log_gone,
-        e.view, e.place_c,
+        e.view, e.position_c,
     )  # fmt: skip
-    if o.crowd is not None:
-        weight = weight + o.crowd.below_highest(clutter, x, cov)
+    if o.clutter_density is not None:
+        weight = weight + o.clutter_density.below_highest(clutter, x, cov)
     best = np.argsort(-weight, kind="stable")
     probability = np.exp(weight[best] - weight[best[0]])
     total = float(probability.sum()) + cut
@@ -172,7 +172,7 @@ def _search(
                 if _taken(chosen[h], landmark, o):
                     continue
                 base = weight[h] + log_weight[o]
-                if h and base + _alone(x[h], cov[h], y[o, PLACE], A[o, PLACE], row) < best - drop:
+                if h and base + _alone(x[h], cov[h], y[o, POSITION], A[o, POSITION], row) < best - drop:
                     continue
                 _copy(x[h], cov[h], x_new, cov_new)
                 children[h * choices + k] = base + _update(x_new, cov_new, y[o], A[o], best - drop - base)
@@ -236,14 +236,14 @@ def _taken(chosen: NDArray[np.int64], landmark: NDArray[np.int64], option: int) 
 @njit(cache=True)
 def _missed(
     landmark: NDArray[np.int64], clutter: NDArray[np.bool_], x: Array, cov: Array, x_c: Array, A: Array, radius: Array,
-    log_missed: Array, log_gone: float, view: Array, place_c: Array,
+    log_missed: Array, log_gone: float, view: Array, position_c: Array,
 ) -> Array:  # fmt: skip
     """Log probability, for each hypothesis, of seeing no region where landmarks should be (H,).
 
     Where an object that is not in the map stands on a landmark's own position, the landmark must be gone.
     """
     result = np.zeros(landmark.shape[0])
-    assigned, place = np.empty(x_c.shape[0], np.bool_), np.empty(3)
+    assigned, position = np.empty(x_c.shape[0], np.bool_), np.empty(3)
     for h in range(landmark.shape[0]):
         assigned[:] = False
         for i in landmark[h]:
@@ -253,15 +253,15 @@ def _missed(
             if assigned[j]:
                 continue
             for a in range(3):
-                place[a] = x_c[j, a]
+                position[a] = x_c[j, a]
                 for b in range(STATES):
-                    place[a] += A[j, a, b] * x[h, b]
-            u, v = place[0] / place[2], place[1] / place[2]
-            if not (place[2] > 1.0 and view[0] < u < view[1] and view[2] < v < view[3]):
+                    position[a] += A[j, a, b] * x[h, b]
+            u, v = position[0] / position[2], position[1] / position[2]
+            if not (position[2] > 1.0 and view[0] < u < view[1] and view[2] < v < view[3]):
                 continue
             sigma = math.sqrt(max(_variance(A[j, 0], cov[h]), _variance(A[j, 1], cov[h])))
-            margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / place[2]
-            if sigma < radius[j] and _occupied(clutter[h], place_c, math.exp(x[h, SCALE]), place, 0.5 * radius[j]):
+            margin = (radius[j] + _EXPECTED_SIGMAS * sigma) / position[2]
+            if sigma < radius[j] and _occupied(clutter[h], position_c, math.exp(x[h, SCALE]), position, 0.5 * radius[j]):
                 result[h] += log_gone
             elif view[0] + margin < u < view[1] - margin and view[2] + margin < v < view[3] - margin:
                 result[h] += log_missed[j]
@@ -279,13 +279,13 @@ def _variance(a: Array, cov: Array) -> float:
 
 
 @njit(cache=True)
-def _occupied(clutter: NDArray[np.bool_], place_c: Array, growth: float, place: Array, radius: float) -> bool:
+def _occupied(clutter: NDArray[np.bool_], position_c: Array, growth: float, position: Array, radius: float) -> bool:
     """Whether a region that is said not to be in the map stands within a radius of a position."""
-    for i in range(place_c.shape[0]):
+    for i in range(position_c.shape[0]):
         if clutter[i]:
             square = 0.0
             for a in range(3):
-                square += (place_c[i, a] * growth - place[a]) ** 2
+                square += (position_c[i, a] * growth - position[a]) ** 2
             if square < radius * radius:
                 return True
     return False

@@ -67,13 +67,13 @@ class Sighting:
 class Catalogue:
     """Landmarks near the prior as arrays.
 
-    place_n (J, 3) of the roof's centre, variance_n (J, 3) of it; features (J, 4): log width, log length, fill ratio, orientation;
+    position_n (J, 3) of the roof's centre, variance_n (J, 3); features (J, 4): log width, log length, fill ratio, orientation;
     description and weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2: of objects around an object.
     vertices (V, 2), offsets (J + 1,): the outlines one after the other.
     """
 
     ids: tuple[str, ...]
-    place_n: Array
+    position_n: Array
     variance_n: Array
     features: Array
     outline_sigma_m: Array
@@ -93,19 +93,19 @@ class Catalogue:
 def catalogue(landmarks: list[Landmark]) -> Catalogue:
     """The landmarks' numbers side by side."""
     m = landmarks
-    place = np.array([(*k.centre_n, k.roof_d) for k in m]).reshape(-1, 3)
+    position = np.array([(*k.centre_n, k.roof_d) for k in m]).reshape(-1, 3)
     colour = [k.colour_bgr or (math.nan,) * 3 for k in m]
     features = [(math.log(k.width_m), math.log(k.length_m), k.fill_ratio, k.orientation_rad) for k in m]
     return Catalogue(
         ids=tuple(k.id for k in m),
-        place_n=place,
+        position_n=position,
         variance_n=np.array([(k.sigma_m, k.sigma_m, k.height_sigma_m) for k in m]).reshape(-1, 3) ** 2,
         features=np.array(features).reshape(-1, 4),
         outline_sigma_m=np.array([k.outline_sigma_m for k in m]),
         description=np.array([(k.size_m2, k.width_m, k.length_m, k.fill_ratio) for k in m]).reshape(-1, 4),
         weights=normalised(np.array([k.weights for k in m]).reshape(-1, 4)),
         chroma=chroma(np.array(colour).reshape(-1, 3)),
-        density_per_m2=_density(place),
+        density_per_m2=_density(position),
         vertices=np.concatenate([np.empty((0, 2)), *(k.outline_n for k in m)]),
         offsets=np.cumsum([0, *(len(k.outline_n) for k in m)]),
     )
@@ -117,9 +117,9 @@ def chroma(colour_bgr: Array) -> Array:
     return np.asarray(colour_bgr[..., :2] / total)
 
 
-def _density(place: Array) -> float:
+def _density(position: Array) -> float:
     """Objects per m^2 around an object."""
-    if len(place) < 2:
+    if len(position) < 2:
         return 0.0
-    apart = np.hypot(*(place[:, None, :2] - place[None, :, :2]).transpose(2, 0, 1))
-    return float(((apart < _AROUND_M).sum() - len(place)) / len(place) / (math.pi * _AROUND_M**2))
+    apart = np.hypot(*(position[:, None, :2] - position[None, :, :2]).transpose(2, 0, 1))
+    return float(((apart < _AROUND_M).sum() - len(position)) / len(position) / (math.pi * _AROUND_M**2))

@@ -1,7 +1,7 @@
 """A region that is no landmark of the map: an object like those of the map, or anything.
 
 Unmapped objects look like mapped ones, and stand in the same streets. Their density is estimated from the map around: assuming
-it uniform would make every look-alike a sure landmark.
+it uniform would make every similar object a sure landmark.
 """
 
 import itertools
@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 
 from models.messages import Array
-from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE
+from vision.identify.assignment import COLUMNS, GROWTH, POSITION, ROWS, SCALE
 from vision.identify.catalogue import OBLONG, Assumptions, Catalogue
-from vision.identify.clutter_density import Crowd
+from vision.identify.clutter_density import ClutterDensity
 from vision.identify.partial import Partial
 
 _LIKENESS = 0.05, 0.05, 0.03  # of the kernel: how far width, length (logarithms), fill ratio of an object are from its like
@@ -27,23 +27,23 @@ def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions
     y, A = np.zeros((count, ROWS)), np.zeros((count, ROWS, COLUMNS))
     if not len(landmarks.ids):
         return y, A, np.zeros(count)
-    roof = landmarks.place_n[:, 2]
+    roof = landmarks.position_n[:, 2]
     sigma = np.sqrt(float(np.var(roof)) + b.height_spread_m**2 + own[:, 2, 2])
-    d = PLACE + 2
+    d = POSITION + 2
     y[:, d] = (float(np.mean(roof)) - p_n[:, 2] - arm[:, 2]) / sigma
     A[:, d, 2] = 1.0 / sigma
     A[:, d, 3], A[:, d, 4], A[:, d, GROWTH] = arm[:, 1] / sigma, -arm[:, 0] / sigma, arm[:, 2] / sigma
     return y, A, -0.5 * math.log(2.0 * math.pi) - np.log(sigma)
 
 
-def crowd(
+def clutter_density(
     arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions
-) -> Crowd:
+) -> ClutterDensity:
     """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
     S).
     """
     density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
-    return Crowd(np.log(density), turns, log_scales)
+    return ClutterDensity(np.log(density), turns, log_scales)
 
 
 def grid(covariance: Array) -> tuple[Array, Array]:
@@ -106,23 +106,23 @@ def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_sc
     """
     unmapped = b.unmapped_fraction / (1.0 - b.unmapped_fraction)
     radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
-    place = landmarks.place_n[:, :2].copy()
-    moved = _displacement_density(arm[:, :2].copy(), radius, place, turns, np.exp(log_scales))
+    position = landmarks.position_n[:, :2].copy()
+    moved = _displacement_density(arm[:, :2].copy(), radius, position, turns, np.exp(log_scales))
     return np.asarray(unmapped * np.maximum(landmarks.density_per_m2, moved) + b.background_per_m2)
 
 
 @njit(cache=True)
-def _displacement_density(region: Array, radius: Array, place: Array, turns: Array, grown: Array) -> Array:
+def _displacement_density(region: Array, radius: Array, position: Array, turns: Array, grown: Array) -> Array:
     """Density of landmarks at region i's displacement from region r, seen from any landmark: mean over r (M, T, S).
 
     One pair of landmarks is left out, for it may be these very regions.
     """
     result = np.zeros((region.shape[0], turns.shape[0], grown.shape[0]))
-    if region.shape[0] < 2 or place.shape[0] < 2:
+    if region.shape[0] < 2 or position.shape[0] < 2:
         return result
-    apart = _apart(place)
+    apart = _apart(position)
     for i in range(region.shape[0]):
-        norm = (region.shape[0] - 1) * min(place.shape[0], _CONSIDERED) * math.pi * radius[i] * radius[i]
+        norm = (region.shape[0] - 1) * min(position.shape[0], _CONSIDERED) * math.pi * radius[i] * radius[i]
         for t in range(turns.shape[0]):
             for s in range(grown.shape[0]):
                 total = 0.0
@@ -134,13 +134,13 @@ def _displacement_density(region: Array, radius: Array, place: Array, turns: Arr
 
 
 @njit(cache=True)
-def _apart(place: Array) -> Array:
+def _apart(position: Array) -> Array:
     """Displacements (2, D) of all landmarks (L, 2) from each of the nearest; from the farther ones the map may end."""
-    apart, d = np.empty((2, min(len(place), _CONSIDERED) * (len(place) - 1))), 0
-    for k in range(min(len(place), _CONSIDERED)):
-        for m in range(len(place)):
+    apart, d = np.empty((2, min(len(position), _CONSIDERED) * (len(position) - 1))), 0
+    for k in range(min(len(position), _CONSIDERED)):
+        for m in range(len(position)):
             if k != m:
-                apart[0, d], apart[1, d] = place[m, 0] - place[k, 0], place[m, 1] - place[k, 1]
+                apart[0, d], apart[1, d] = position[m, 0] - position[k, 0], position[m, 1] - position[k, 1]
                 d += 1
     return apart
 

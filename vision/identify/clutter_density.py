@@ -19,7 +19,7 @@ _TURN, _SCALE = 5, 6  # of x
 
 
 @dataclass(frozen=True, slots=True)
-class Crowd:
+class ClutterDensity:
     """log_density (M, T, S) of M regions, at turns (T,) rad and log scales (S,), both evenly apart."""
 
     log_density: Array

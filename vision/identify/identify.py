@@ -1,7 +1,7 @@
 """Which landmark is each region? Candidates by the thesis' similarity, the decision by the posterior of all regions together.
 
 A region is identified when the probability of its identity, summed over all joint assignments, reaches `accept_posterior`;
-else it stays open. Look-alikes agree with the description of a landmark as well as the landmark does, so no threshold on the
+else it stays open. Similar objects agree with the description of a landmark as well as the landmark does, so no threshold on the
 similarity can tell them apart; how the regions stand to each other can.
 """
 
@@ -66,7 +66,7 @@ class Identification:
     landmark, posterior: the most probable identity of each and its probability;  accepted: identified
     best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate);  own_similarity: of `landmark`
     candidates: how many landmarks it may be
-    joint_posterior: that all accepted identities are right;  place_posterior: that one of them is and none is another landmark
+    joint_posterior: that all accepted identities are right;  position_posterior: that one of them is and none is another landmark
     instead, so that the position is right (0 where nothing is identified)
     x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
     """
@@ -79,7 +79,7 @@ class Identification:
     own_similarity: Array
     candidates: NDArray[np.int64]
     joint_posterior: float
-    place_posterior: float
+    position_posterior: float
     x: Array
     covariance: Array
 
@@ -108,7 +108,7 @@ def identify(
     found = search(choice, _expected(several, landmarks, prior, rig, config.assumptions), covariance, config.breadth)
     landmark, posterior = _marginals(choice.landmark[found.option], found.probability, len(landmarks.ids))
     accepted, joint, agree = _accept(choice.landmark[found.option], found, landmark, posterior, config.accept_posterior)
-    place = _place_posterior(choice.landmark[found.option][:, accepted], found.probability, landmark[accepted])
+    position = _position_posterior(choice.landmark[found.option][:, accepted], found.probability, landmark[accepted])
     x, cov = _moments(found, agree)
     possible = np.zeros_like(candidate)
     region = np.repeat(np.arange(len(several)), np.diff(choice.start))
@@ -118,14 +118,14 @@ def identify(
     own = np.where(landmark == NONE, 0.0, ranked[np.arange(len(several)), np.maximum(landmark, 0)])
     return Identification(
         landmark, posterior, accepted, np.where(ranked.max(axis=1) > 0.0, ranked.argmax(axis=1), NONE), ranked.max(axis=1),
-        own, possible.sum(axis=1), joint, place, x, cov,
+        own, possible.sum(axis=1), joint, position, x, cov,
     )  # fmt: skip
 
 
 def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -> Array:
     """By which an arm must grow to end on each landmark's roof, from the prior's height (M, J)."""
     down = np.array([max(s.arm_n[2], 1e-3) for s in sightings]).reshape(-1, 1)
-    return np.asarray(np.maximum((landmarks.place_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
+    return np.asarray(np.maximum((landmarks.position_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
 
 
 def _from_height(prior: Prior, down: float) -> Array:
@@ -155,12 +155,12 @@ def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma
 def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig: StereoRig, b: Assumptions) -> Expected:
     """x_c = R_cb (R_bn exp(-dtheta) (l - p - dp) - p_bc)."""
     R_cn = (prior.R_nb @ rig.R_bc).T
-    v = landmarks.place_n - prior.p_n
+    v = landmarks.position_n - prior.p_n
     A = np.zeros((len(v), 3, STATES))
     A[:, :, :3] = -R_cn
     A[:, :, 3:6] = R_cn @ np.array([so3.skew(row) for row in v]).reshape(-1, 3, 3)
     p_c = rig.R_bc.T @ rig.p_bc
-    place = np.array([R_cn @ s.arm_n - p_c if s.now else np.full(3, np.nan) for s in sightings]).reshape(-1, 3)
+    position = np.array([R_cn @ s.arm_n - p_c if s.now else np.full(3, np.nan) for s in sightings]).reshape(-1, 3)
     there = b.found_fraction * (1.0 - b.gone_fraction)
     return Expected(
         x_c=v @ R_cn.T - p_c,
@@ -169,7 +169,7 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
         log_missed=np.full(len(v), np.log1p(-there)),
         log_gone=float(np.log(b.gone_fraction)),
         view=view_of(rig),
-        place_c=place,
+        position_c=position,
     )
 
 
@@ -211,7 +211,7 @@ def _accept(
         accepted[np.flatnonzero(accepted)[posterior[accepted].argmin()]] = False
 
 
-def _place_posterior(landmark: NDArray[np.int64], probability: Array, accepted: NDArray[np.int64]) -> float:
+def _position_posterior(landmark: NDArray[np.int64], probability: Array, accepted: NDArray[np.int64]) -> float:
     """Probability of the hypotheses (H, A) that have one of the accepted identities (A,) and contradict none."""
     same, contrary = landmark == accepted, (landmark != accepted) & (landmark != NONE)
     return float(probability[same.any(axis=1) & ~contrary.any(axis=1)].sum())

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 from vision.identify import clutter
-from vision.identify.assignment import COLUMNS, GROWTH, PLACE, ROWS, SCALE, STATES, Options
+from vision.identify.assignment import COLUMNS, GROWTH, POSITION, ROWS, SCALE, STATES, Options
 from vision.identify.catalogue import OBLONG, Assumptions, Catalogue, Sighting, chroma
 from vision.identify.similarity import similarity
 
@@ -71,9 +71,9 @@ def options(
     for i, r in enumerate(sightings):
         if r.partial is not None:
             attributes[i] = clutter.sides(r.partial, noise[i] + by_depth[i], len(landmarks.ids), turns, log_scales, b)
-            own[i] += np.cov(landmarks.place_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
-    crowd = clutter.crowd(moved + arm, own, attributes, landmarks, turns, log_scales, b)
-    clutter_log += ground_colour + crowd.highest
+            own[i] += np.cov(landmarks.position_n[r.partial.landmark] - r.partial.target_n, rowvar=False, bias=True)
+    clutter_density = clutter.clutter_density(moved + arm, own, attributes, landmarks, turns, log_scales, b)
+    clutter_log += ground_colour + clutter_density.highest
     order = np.argsort(np.concatenate([np.arange(count), region]), kind="stable")
     all_regions = np.concatenate([np.arange(count), region])[order]
     return Options(
@@ -82,7 +82,7 @@ def options(
         y=np.concatenate([clutter_y, y])[order],
         A=np.concatenate([clutter_a, A])[order],
         log_weight=np.concatenate([clutter_log, weight])[order],
-        crowd=crowd,
+        clutter_density=clutter_density,
     )
 
 
@@ -100,7 +100,16 @@ def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.b
         seen, known = np.array(_features(r)), np.ones(4, np.bool_)
         for j in np.flatnonzero(candidate).tolist():
             features = seen + longer * math.log(scale[j])
-            yield i, j, r.arm_n * scale[j], landmarks.place_n[j], landmarks.variance_n[j], features, landmarks.features[j], known
+            yield (
+                i,
+                j,
+                r.arm_n * scale[j],
+                landmarks.position_n[j],
+                landmarks.variance_n[j],
+                features,
+                landmarks.features[j],
+                known,
+            )
         return
     part = r.partial
     for j, target, described in zip(part.landmark.tolist(), part.target_n, part.described, strict=True):
@@ -166,14 +175,14 @@ def _whitened(
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
     # what the linear equations leave out: 1/2 dtheta^2 r and s dtheta r
     left_out = turn_variance * (0.75 * turn_variance + prior[SCALE, SCALE]) * (arm * arm).sum(axis=1)
-    N[:, PLACE:, PLACE:] = own[region] + (variance + left_out[:, None])[:, :, None] * unit
-    N[:, :PLACE, :PLACE] = noise[region]
+    N[:, POSITION:, POSITION:] = own[region] + (variance + left_out[:, None])[:, :, None] * unit
+    N[:, :POSITION, :POSITION] = noise[region]
     grown = 2.0 * outline_sigma[landmark, None] * np.exp(-described[:, :2])
     N[:, :2, :2] += _outer(grown)
     N += depth[region, None, None] ** 2 * _outer(A[:, :, SCALE] + A[:, :, GROWTH])
     bad_noise = wide[region]
-    spread = N[:, PLACE:, PLACE:] + bad_noise[:, PLACE:, None] * unit
-    possible = ~_excluded(y[:, PLACE:], A[:, PLACE:], spread, prior, arm)
+    spread = N[:, POSITION:, POSITION:] + bad_noise[:, POSITION:, None] * unit
+    possible = ~_excluded(y[:, POSITION:], A[:, POSITION:], spread, prior, arm)
     for pair, row in np.argwhere(~known & possible[:, None]):
         _say_nothing(row, y[pair], A[pair], N[pair], bad_noise[pair])
     pair, diagonal = np.repeat(np.flatnonzero(possible), 2), np.arange(ROWS)
@@ -216,18 +225,18 @@ def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDAr
     return np.asarray(chi2 > _GATE)
 
 
-def _rows(p_n: Array, r: Array, features: Array, place: Array, described: Array) -> tuple[Array, Array]:
+def _rows(p_n: Array, r: Array, features: Array, position: Array, described: Array) -> tuple[Array, Array]:
     """y (N, 7) and A (N, 7, 8)."""
     y, A = np.empty((len(r), ROWS)), np.zeros((len(r), ROWS, COLUMNS))
-    y[:, :PLACE] = described - features
-    y[:, PLACE:] = place - p_n - r
+    y[:, :POSITION] = described - features
+    y[:, POSITION:] = position - p_n - r
     half_turn = np.where(described[:, 1] - described[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
     y[:, 3] = (y[:, 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
     A[:, 0, SCALE] = A[:, 1, SCALE] = 1.0
     A[:, 3, 5] = 1.0
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        A[:, PLACE + i, i] = 1.0
-        A[:, PLACE + j, 3 + k], A[:, PLACE + k, 3 + j] = r[:, i], -r[:, i]  # -[r]x
-    A[:, PLACE:, GROWTH] = r
+        A[:, POSITION + i, i] = 1.0
+        A[:, POSITION + j, 3 + k], A[:, POSITION + k, 3 + j] = r[:, i], -r[:, i]  # -[r]x
+    A[:, POSITION:, GROWTH] = r
     return y, A

@@ -66,11 +66,11 @@ def cut_off(
         return None
     pixel_m, slanted = _resolution(sighting.arm_n - body, prior, rig)
     part = partial_of(
-        arms, landmarks.vertices, landmarks.offsets, landmarks.place_n[:, 2], R_nc.T, R_nc.T @ body, view_of(rig), pixel_m
+        arms, landmarks.vertices, landmarks.offsets, landmarks.position_n[:, 2], R_nc.T, R_nc.T @ body, view_of(rig), pixel_m
     )  # fmt: skip
     if part is None:
         return None
-    to_centre = np.mean(landmarks.place_n[part.landmark] - part.target_n, axis=0)
+    to_centre = np.mean(landmarks.position_n[part.landmark] - part.target_n, axis=0)
     edges = math.sqrt(2.0) * _EDGE_PX * pixel_m / part.sides_m
     return replace(
         sighting,

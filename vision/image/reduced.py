@@ -3,7 +3,7 @@
     u_s = (u + 1/2) / s - 1/2                         (pixel of the image reduced s times, pixel centres at integers)
 
 A field (H, W, 8) holds dI/du of three channels, dI/dv of three channels, and the length of all six together; the last one is
-empty, so that a pixel is half a line of the cache. It is made tile by tile, where outlines are looked for: elsewhere it is noise.
+empty, so that a pixel is half a line of the cache. It is made tile by tile, where outlines are searched: elsewhere it is noise.
 """
 
 import math
@@ -171,5 +171,5 @@ def _straight(camera: CameraModel, size: int) -> tuple[CameraModel, tuple[Plane,
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     px = camera.project(small.ray(np.column_stack((u.ravel(), v.ravel()))))
     unseen = ~camera.contains(px, 2.0 * size).reshape(height, width)
-    place = ((px + 0.5) / size - 0.5).astype(np.float32).reshape(height, width, 2)
-    return small, (np.ascontiguousarray(place[:, :, 0]), np.ascontiguousarray(place[:, :, 1])), unseen
+    position = ((px + 0.5) / size - 0.5).astype(np.float32).reshape(height, width, 2)
+    return small, (np.ascontiguousarray(position[:, :, 0]), np.ascontiguousarray(position[:, :, 1])), unseen

@@ -1,8 +1,8 @@
-"""Landmarks learned from a flight: one roof, seen from many places, becomes one place with its covariance.
+"""Landmarks learned from a flight: one roof, seen from many positions, becomes one landmark with its covariance.
 
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
 
-F_i: pose (a slow error of GNSS is the same along the whole flight), mounting, lens, depth as the rig's calibration gives it.
+F_i: pose (a systematic error of GNSS is the same along the flight), mounting, lens, depth as the rig's calibration gives it.
 A pair of images says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
 flight does, for the rays of one roof meet in one point:
 
@@ -35,7 +35,7 @@ _NOT = 1e6  # cost of what is excluded
 
 
 class MappingConfig(msgspec.Struct, frozen=True):
-    """How looks become landmarks. roof_m: of a roof above ground, before anything is measured; centre_px, side_px: of a region;
+    """From observations to landmarks. roof_m: of a roof above ground, before any measurement; centre_px, side_px: of a region;
 
     fresh_share: of the pose's variance that is new in each image, the rest is the same in all; drift_m: by which it changes
     along a flight; uneven: part of the rig's error of disparity that differs over the image; gate: probability inside it.
@@ -53,11 +53,11 @@ class MappingConfig(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Observation:
     """A region in one image. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
 
     p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
-    log_sigma (2,) of them; pixel_m: a pixel there; sight (3, 3): information of the ray alone, without its length, 1 / m^2.
+    log_sigma (2,) of them; pixel_m: a pixel there; ray (3, 3): information of the ray alone, without its length, 1 / m^2.
     """
 
     frame: int
@@ -71,7 +71,7 @@ class Look:
     log_sigma: Array
     pixel_m: float
     colour_bgr: tuple[float, float, float]
-    sight: Array
+    ray: Array
 
     def outline_at(self, down: float) -> Array:
         """(K, 2) north, east of the outline on the level plane there, anticlockwise seen from above."""
@@ -79,9 +79,9 @@ class Look:
         return points if polygon.area(points) > 0.0 else np.ascontiguousarray(points[::-1])
 
 
-def look(
+def observe(
     frame: int, region: Region, measured: Measured | None, prior: Prior, rig: StereoRig, ground_d: float, config: MappingConfig
-) -> Look | None:
+) -> Observation | None:
     """A region, and its distance where that was measured, from the pose of its image; None where it is seen too flat.
 
     rig: the rectified one.
@@ -99,7 +99,7 @@ def look(
     fresh = (config.centre_px * distance / rig.left.fx) ** 2 * np.eye(3) + config.fresh_share * F_pose @ F_pose.T
     lasting = np.sqrt(1.0 - config.fresh_share) * F_pose
     sides, pixel_m = _sides(rays * down), down / rig.left.fx
-    return Look(
+    return Observation(
         frame=frame,
         z=p_nc + along,
         R=fresh + own**2 * np.outer(along, along),
@@ -111,7 +111,7 @@ def look(
         log_sigma=np.hypot(config.log_size_floor, np.sqrt(2.0) * config.side_px * pixel_m / sides),
         pixel_m=pixel_m,
         colour_bgr=region.colour_bgr,
-        sight=np.asarray(np.linalg.inv(fresh + (_BLIND_M / distance) ** 2 * np.outer(along, along))),
+        ray=np.asarray(np.linalg.inv(fresh + (_BLIND_M / distance) ** 2 * np.outer(along, along))),
     )
 
 
@@ -165,29 +165,29 @@ class Track:
     information: Array
     vector: Array
     log_sides: Array
-    looks: list[Look] = field(default_factory=list)
+    observations: list[Observation] = field(default_factory=list)
 
-    def add(self, one: Look) -> None:
-        """One more look at it."""
-        self.information = self.information + one.sight
-        self.vector = self.vector + one.sight @ one.z
-        self.looks.append(one)
-        self.log_sides = np.median([k.log_sides for k in self.looks], axis=0)
+    def add(self, one: Observation) -> None:
+        """One more observation of it."""
+        self.information = self.information + one.ray
+        self.vector = self.vector + one.ray @ one.z
+        self.observations.append(one)
+        self.log_sides = np.median([k.log_sides for k in self.observations], axis=0)
 
     @property
-    def place(self) -> Array:
+    def position(self) -> Array:
         """l (3,)."""
         return np.asarray(np.linalg.solve(self.information, self.vector))
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Position:
     """Where one thing is: l (3,), own (3, 3) the part of the covariance that is only its own, F (3, k) what others share;
 
-    chi2: sum of the squared distances of its looks, over their degrees of freedom.
+    chi2: sum of the squared distances of its observations, over their degrees of freedom.
     """
 
-    place_n: Array
+    position_n: Array
     own: Array
     F: Array
     chi2: float
@@ -199,7 +199,7 @@ class Place:
 
 
 class Mapper:
-    """Puts the looks of image after image together. ground_d: down of the ground."""
+    """Associates the observations of successive images. ground_d: down of the ground."""
 
     def __init__(self, ground_d: float, config: MappingConfig | None = None) -> None:
         self.config = config or MappingConfig()
@@ -207,71 +207,73 @@ class Mapper:
         self._roof_d = ground_d - self.config.roof_m
         self._prior = np.diag([0.0, 0.0, self.config.roof_sigma_m**-2])
 
-    def add(self, looks: Sequence[Look]) -> None:
-        """The looks of one image: each belongs to a thing seen before, or is the first of a new one."""
-        chosen = self._associated(looks)
-        for one, k in zip(looks, chosen, strict=True):
+    def add(self, observations: Sequence[Observation]) -> None:
+        """The observations of one image: each belongs to a thing seen before, or is the first of a new one."""
+        chosen = self._associated(observations)
+        for one, k in zip(observations, chosen, strict=True):
             if k < 0:
                 self.tracks.append(Track(self._prior.copy(), self._prior @ [0.0, 0.0, self._roof_d], one.log_sides))
             self.tracks[k].add(one)
 
-    def place(self, track: Track) -> Place:
+    def position(self, track: Track) -> Position:
         """Where a thing is, and how surely."""
-        inverses = [np.linalg.inv(one.R + len(track.looks) * np.outer(one.depth, one.depth)) for one in track.looks]
+        inverses = [np.linalg.inv(one.R + len(track.observations) * np.outer(one.depth, one.depth)) for one in track.observations]
         C = np.linalg.inv(self._prior + np.sum(inverses, axis=0))
         weights = [C @ S_inverse for S_inverse in inverses]
-        l_n = C @ self._prior @ [0.0, 0.0, self._roof_d] + sum(W @ one.z for W, one in zip(weights, track.looks, strict=True))
-        own = C @ self._prior @ C + sum(W @ one.R @ W.T for W, one in zip(weights, track.looks, strict=True))
-        residuals = [one.z - l_n for one in track.looks]
+        l_n = C @ self._prior @ [0.0, 0.0, self._roof_d] + sum(
+            W @ one.z for W, one in zip(weights, track.observations, strict=True)
+        )
+        own = C @ self._prior @ C + sum(W @ one.R @ W.T for W, one in zip(weights, track.observations, strict=True))
+        residuals = [one.z - l_n for one in track.observations]
         square = sum(float(r @ S_inverse @ r) for r, S_inverse in zip(residuals, inverses, strict=True))
-        numbers = sum(3 if one.depth.any() else 2 for one in track.looks)
+        numbers = sum(3 if one.depth.any() else 2 for one in track.observations)
         chi2 = square / max(numbers - 3, 1)
-        F = np.sum([W @ one.F for W, one in zip(weights, track.looks, strict=True)], axis=0)
-        return Place(l_n, max(chi2, 1.0) * own, F, chi2)
+        F = np.sum([W @ one.F for W, one in zip(weights, track.observations, strict=True)], axis=0)
+        return Position(l_n, max(chi2, 1.0) * own, F, chi2)
 
     def same(self, a: Track, b: Track) -> bool:
         """Whether two tracks may be one thing; what repeats moves both alike."""
-        off, sides = a.place - b.place, a.log_sides - b.log_sides
+        off, sides = a.position - b.position, a.log_sides - b.log_sides
         if float(np.hypot(off[0], off[1])) > np.exp(max(a.log_sides[0], b.log_sides[0])):  # no part in common
             return False
-        S = self.place(a).own + self.place(b).own + self.config.drift_m**2 * np.eye(3)
-        sigma = np.minimum(a.looks[0].log_sigma, b.looks[0].log_sigma)
+        S = self.position(a).own + self.position(b).own + self.config.drift_m**2 * np.eye(3)
+        sigma = np.minimum(a.observations[0].log_sigma, b.observations[0].log_sigma)
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
 
-    def _associated(self, looks: Sequence[Look]) -> list[int]:
-        """For each look the row of its track, -1 for none: best pairs inside the gate that agree with each other as well."""
-        if not looks or not self.tracks:
-            return [-1] * len(looks)
+    def _associated(self, observations: Sequence[Observation]) -> list[int]:
+        """For each observation the row of its track, -1 for none: the best pairs in the gate that also agree with each other."""
+        if not observations or not self.tracks:
+            return [-1] * len(observations)
         gate = _quantile(self.config.gate, 4)
-        cost = np.full((len(looks), len(self.tracks) + len(looks)), _NOT)
+        cost = np.full((len(observations), len(self.tracks) + len(observations)), _NOT)
         cost[:, len(self.tracks) :] = gate
-        places = np.array([track.place for track in self.tracks])
-        for i, one in enumerate(looks):
-            sight = (one.z - one.p_nc) / (one.z[2] - one.p_nc[2])
-            at = one.p_nc + sight * (places[:, 2:] - one.p_nc[2])
-            for j in np.flatnonzero(np.hypot(*(places - at)[:, :2].T) < np.exp(one.log_sides[1])).tolist():
-                cost[i, j] = self._distance(one, self.tracks[j], places[j])
+        positions = np.array([track.position for track in self.tracks])
+        for i, one in enumerate(observations):
+            ray = (one.z - one.p_nc) / (one.z[2] - one.p_nc[2])
+            at = one.p_nc + ray * (positions[:, 2:] - one.p_nc[2])
+            for j in np.flatnonzero(np.hypot(*(positions - at)[:, :2].T) < np.exp(one.log_sides[1])).tolist():
+                cost[i, j] = self._distance(one, self.tracks[j], positions[j])
         rows, columns = linear_sum_assignment(cost)
         chosen = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if j < len(self.tracks) and cost[i, j] < gate}
-        self._keep_joint(looks, chosen)
-        return [chosen.get(i, -1) for i in range(len(looks))]
+        self._keep_joint(observations, chosen)
+        return [chosen.get(i, -1) for i in range(len(observations))]
 
-    def _distance(self, one: Look, track: Track, place: Array) -> float:
-        """Squared Mahalanobis distance in place and sides (two of the place's three, for rays say nothing of their lengths)."""
-        S = np.linalg.inv(track.information) + np.linalg.inv(one.sight) + one.F @ one.F.T
-        off, sides = one.z - place, one.log_sides - track.log_sides
+    def _distance(self, one: Observation, track: Track, position: Array) -> float:
+        """Squared Mahalanobis distance in position and sides (two of the position's three axes: rays give no length)."""
+        S = np.linalg.inv(track.information) + np.linalg.inv(one.ray) + one.F @ one.F.T
+        off, sides = one.z - position, one.log_sides - track.log_sides
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
-    def _keep_joint(self, looks: Sequence[Look], chosen: dict[int, int]) -> None:
+    def _keep_joint(self, observations: Sequence[Observation], chosen: dict[int, int]) -> None:
         """Drop pairs until the rest agrees jointly: the pose's error is one for all regions of an image."""
         while len(chosen) > 1:
             pairs = list(chosen.items())
-            off = np.concatenate([looks[i].z - self.tracks[j].place for i, j in pairs])
-            F = np.concatenate([looks[i].F for i, _ in pairs])
+            off = np.concatenate([observations[i].z - self.tracks[j].position for i, j in pairs])
+            F = np.concatenate([observations[i].F for i, _ in pairs])
             V = F @ F.T
             for k, (i, j) in enumerate(pairs):
                 rows = slice(3 * k, 3 * k + 3)
-                V[rows, rows] += np.linalg.inv(looks[i].sight) + np.linalg.inv(self.tracks[j].information)
+                V[rows, rows] += np.linalg.inv(observations[i].ray) + np.linalg.inv(self.tracks[j].information)
             weighted = np.linalg.solve(V, off)
             if float(off @ weighted) < _quantile(self.config.gate, 2 * len(pairs)):
                 return

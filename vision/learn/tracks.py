@@ -9,7 +9,7 @@ import numpy as np
 from models.maps import outline as polygon
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.learn.mapping import Mapper, Place, Track
+from vision.learn.mapping import Mapper, Position, Track
 from vision.learn.median_outline import merged_outline
 
 _CELLS = 2.0  # a pixel, of the grid on which outlines vote
@@ -19,7 +19,7 @@ _EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
 class KeepConfig(msgspec.Struct, frozen=True):
     """Which tracks are landmarks. least_frames: seen in so many; sigma_m, height_sigma_m: no worse; least_m2: no smaller;
 
-    most_chi2: of its looks, per degree of freedom; least_agreement: of its outlines (0.9: roofs have more, walls less);
+    most_chi2: of its observations, per degree of freedom; least_agreement: of its outlines (0.9: roofs have more, walls less);
     painted_sigma: a roof within so many of its sigmas above ground is on it.
     """
 
@@ -46,58 +46,58 @@ class Learned:
 
 
 def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -> Learned:
-    """The landmarks of all looks so far; ground_d: down of the ground, which is flat."""
+    """The landmarks of all observations so far; ground_d: down of the ground, which is flat."""
     config = config or KeepConfig()
-    tracks = sorted(_united(mapper), key=lambda track: -len(track.looks))
-    places = [mapper.place(track) for track in tracks]
-    flaws = [_flaw(track, place, config) for track, place in zip(tracks, places, strict=True)]
-    sound = [place.F for place, flaw in zip(places, flaws, strict=True) if not flaw]
+    tracks = sorted(_united(mapper), key=lambda track: -len(track.observations))
+    positions = [mapper.position(track) for track in tracks]
+    flaws = [_flaw(track, position, config) for track, position in zip(tracks, positions, strict=True)]
+    sound = [position.F for position, flaw in zip(positions, flaws, strict=True) if not flaw]
     shared = np.mean(sound, axis=0) if sound else np.zeros((3, 1))
     marks, seen, left_out = list[Landmark](), list[int](), Counter[str]()
-    for track, place, flaw in zip(tracks, places, flaws, strict=True):
-        apart = place.own + (place.F - shared) @ (place.F - shared).T + mapper.config.drift_m**2 * np.eye(3)
-        mark = flaw or _landmark(f"L{len(marks) + 1}", track, place, apart, ground_d, config)
+    for track, position, flaw in zip(tracks, positions, flaws, strict=True):
+        apart = position.own + (position.F - shared) @ (position.F - shared).T + mapper.config.drift_m**2 * np.eye(3)
+        mark = flaw or _landmark(f"L{len(marks) + 1}", track, position, apart, ground_d, config)
         if isinstance(mark, Landmark) and any(_overlap(mark, other) for other in marks):
             mark = "on another one that was seen more often"
         if isinstance(mark, str):
             left_out[mark] += 1
         else:
             marks.append(mark)
-            seen.append(len(track.looks))
+            seen.append(len(track.observations))
     return Learned(marks, seen, dict(left_out), shared @ shared.T)
 
 
 def _united(mapper: Mapper) -> list[Track]:
-    """Tracks of which one continues another become one: at the same place, as large, and never in the same image."""
+    """Tracks of which one continues another become one: at the same position, as large, and never in the same image."""
     united = list[Track]()
-    for track in sorted(mapper.tracks, key=lambda t: -len(t.looks)):
-        frames = {one.frame for one in track.looks}
-        same = (t for t in united if frames.isdisjoint(one.frame for one in t.looks) and mapper.same(t, track))
+    for track in sorted(mapper.tracks, key=lambda t: -len(t.observations)):
+        frames = {one.frame for one in track.observations}
+        same = (t for t in united if frames.isdisjoint(one.frame for one in t.observations) and mapper.same(t, track))
         if (first := next(same, None)) is None:
             united.append(track)
         else:
-            for one in track.looks:
+            for one in track.observations:
                 first.add(one)
     return united
 
 
-def _flaw(track: Track, place: Place, config: KeepConfig) -> str:
+def _flaw(track: Track, position: Position, config: KeepConfig) -> str:
     """Why a track is no landmark, "" where it is one."""
-    sigma = np.sqrt(np.diag(place.covariance))
-    if len(track.looks) < config.least_frames:
+    sigma = np.sqrt(np.diag(position.covariance))
+    if len(track.observations) < config.least_frames:
         return f"seen in fewer than {config.least_frames} images"
-    if place.chi2 > config.most_chi2:
-        return "not at one place: it moves, or is several"
+    if position.chi2 > config.most_chi2:
+        return "not at one position: it moves, or is several things"
     if max(sigma[:2]) > config.most_sigma_m or sigma[2] > config.most_height_sigma_m:
-        return "its place is not known well enough"
+        return "its position is not known well enough"
     return ""
 
 
-def _landmark(name: str, track: Track, place: Place, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
+def _landmark(name: str, track: Track, position: Position, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
     """The landmark of a track, or why there is none. apart (3, 3): covariance of what is not common to the whole map."""
-    roof_d = float(place.place_n[2])
-    outlines = [one.outline_at(roof_d) for one in track.looks]
-    pixel_m = float(np.median([one.pixel_m for one in track.looks]))
+    roof_d = float(position.position_n[2])
+    outlines = [one.outline_at(roof_d) for one in track.observations]
+    pixel_m = float(np.median([one.pixel_m for one in track.observations]))
     merged = merged_outline(outlines, pixel_m / _CELLS)
     if merged is None or merged.agreement < config.least_agreement:
         return "its outlines differ from side to side, as those of walls do"
@@ -105,17 +105,17 @@ def _landmark(name: str, track: Track, place: Place, apart: Array, ground_d: flo
     if polygon.area(outline) < config.least_m2:
         return f"smaller than {config.least_m2:g} m2"
     height = ground_d - roof_d
-    on_ground = height < config.painted_sigma * float(np.sqrt(place.covariance[2, 2]))
-    blue, green, red = np.median([one.colour_bgr for one in track.looks], axis=0).round().astype(int).tolist()
+    on_ground = height < config.painted_sigma * float(np.sqrt(position.covariance[2, 2]))
+    blue, green, red = np.median([one.colour_bgr for one in track.observations], axis=0).round().astype(int).tolist()
     return Landmark.of(
         name,
-        outline + place.place_n[:2],
+        outline + position.position_n[:2],
         roof_d if on_ground else ground_d,
         0.0 if on_ground else height,
         (blue, green, red),
         float(np.sqrt(0.5 * np.trace(apart[:2, :2]))),
         float(np.sqrt(apart[2, 2])),
-        _outline_sigma(track, outline, outlines, float(np.sqrt(place.own[2, 2])), pixel_m),
+        _outline_sigma(track, outline, outlines, float(np.sqrt(position.own[2, 2])), pixel_m),
     )
 
 
@@ -123,7 +123,7 @@ def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_s
     """By how much the whole outline may be larger: edges seen wrong, scatter of the sizes, a roof nearer to all the cameras."""
     size, perimeter = polygon.area(outline), float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
     scatter = float(np.std([polygon.area(o) for o in outlines])) / perimeter / np.sqrt(len(outlines))
-    distance = float(np.median([track.place[2] - one.p_nc[2] for one in track.looks]))
+    distance = float(np.median([track.position[2] - one.p_nc[2] for one in track.observations]))
     nearer = 2.0 * size / perimeter * height_sigma_m / max(distance, 1.0)
     return float(np.sqrt((_EDGE_PX * pixel_m) ** 2 + scatter**2 + nearer**2))
 

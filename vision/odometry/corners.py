@@ -36,7 +36,7 @@ def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
 
 
 def _strongest_of_cells(px: Array, strength: Array, shape: tuple[int, ...], wanted: int) -> NDArray[np.intp]:
-    """Indices of the strongest corners of each cell; places that empty cells leave go to the second, third ... of the others."""
+    """Indices of the strongest corners of each cell; slots that empty cells leave go to the second, third ... of the others."""
     height, width = shape
     column = (px[:, 0] * (_COLUMNS / width)).astype(np.intp)
     row = (px[:, 1] * (_ROWS / height)).astype(np.intp)

@@ -21,7 +21,7 @@ _ROW_PX: Final = 1.5  # of rectified images; calibration leaves some tenths
 _MARGIN_PX: Final = 8.0  # half a window
 _HALF: Final = 5  # of a window of the coarse search, px of the half image
 _ALIKE: Final = 0.7  # least correlation there
-_PEAK, _DISTINCT = 3, 0.04  # no place further off than this many px correlates nearly as well: fences, windows
+_PEAK, _DISTINCT = 3, 0.04  # no position further off than this many px correlates nearly as well: fences, windows
 
 
 def stereo(left: Image, right: Image, px: Array, column: Array) -> Array:

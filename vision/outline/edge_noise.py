@@ -23,7 +23,7 @@ from vision.outline.edge_lines import EdgeLines
 from vision.outline.visibility import Kind
 
 Indices = NDArray[np.int64]
-_BASE, _UPRIGHT, _SPOT = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SPOT)
+_BASE, _UPRIGHT, _SMALL = int(Kind.BASE), int(Kind.UPRIGHT), int(Kind.SMALL)
 _BASE_TILT = 0.3  # of the further offset of base edges, as a tilt
 _TRUSTED = 0.3  # weight from which a point counts for correlations
 
@@ -86,18 +86,18 @@ def _common(
     scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float],
     further: tuple[float, float, float],
 ) -> Array:  # fmt: skip
-    """Variances (E, 2) of the offset and the tilt that all points of an edge share; further: of feet, corners of walls, spots."""
+    """Variances (E, 2) of the offset and tilt that all points of an edge share; further: feet, wall corners, small landmarks."""
     base_px, upright_px, spot_px = further
     common = np.empty((len(scatter), 2))
     for e in range(len(scatter)):
         for k in range(2):
-            number = 0 if kind[e] == _SPOT else k  # both of a spot's are offsets
+            number = 0 if kind[e] == _SMALL else k  # both of a small landmark's are offsets
             common[e, k] = floors[number] ** 2 + (shares[number] * scatter[e]) ** 2
             if kind[e] == _BASE:
                 common[e, k] += ((1.0, _BASE_TILT)[k] * base_px) ** 2
             elif kind[e] == _UPRIGHT:
                 common[e, k] += upright_px**2
-            elif kind[e] == _SPOT:
+            elif kind[e] == _SMALL:
                 common[e, k] += spot_px**2
         common[e, 0] += opened[e]
     return common

@@ -13,7 +13,7 @@ _AGREE = 3.0  # samples that a point's edge may lie from the edge's common offse
 _SECOND = 0.75  # a rival that has this share of the best vote makes an edge ambiguous
 _STANDS_OUT = 3.0  # standard deviations of the mean of its points that a step has: by chance the largest of a dozen has no more
 _OTHER = 0.4  # of the contrast: farther off is not the roof
-_LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
+_LEAST_CONTRAST = 3.0  # grey values; below it an edge is not examined
 _SLACK_PX = 1.0  # more than rounding
 
 

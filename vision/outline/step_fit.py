@@ -20,12 +20,12 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _STANDS_OUT = 4.0  # standard deviations of the mean profile that a contrast has, at least: what texture makes has less
-_LEAST_CONTRAST = 3.0  # grey values; below it an edge is not looked at
+_LEAST_CONTRAST = 3.0  # grey values; below it an edge is not examined
 _FINENESS, _TAIL = 128, 6.0  # entries per sigma of the table of Phi, and how far it reaches
 _PHI = np.array([0.5 * (1.0 + math.erf((i / _FINENESS - _TAIL) / math.sqrt(2.0))) for i in range(int(2 * _TAIL * _FINENESS) + 2)])
 _STRIP_MISFIT = 6.0  # grey values^2; a mean profile that one step fits worse than this has a second one
 _WIDTHS = 0.5 * np.arange(4, 15)  # px, of strips that are tried,
-_STRIP_PLACES, _STRIP_BLUR = 7, 0.7  # at so many positions of the first step, and how blurred [px]
+_STRIP_POSITIONS, _STRIP_BLUR = 7, 0.7  # at so many positions of the first step, and how blurred [px]
 _START_BLUR = 0.8  # px, with which a step is sought first
 _FIRST = 0.35  # share of the larger contrast that the first of two steps has at least: else it might be taken for the second
 
@@ -55,10 +55,10 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             for j in range(size):
                 square[e] += (grey[i, j] - own) ** 2
             count[e] += 1.0
-    place = np.empty(size)
+    position = np.empty(size)
     for j in range(size):
-        place[j] = (j - half) * step
-    starts, strips = _steps(place, _starts(farthest), _START_BLUR), np.empty((0, 0, 0))
+        position[j] = (j - half) * step
+    starts, strips = _steps(position, _starts(farthest), _START_BLUR), np.empty((0, 0, 0))
     rows = np.zeros((edges, 2, size))
     for e in range(edges):
         if count[e] < 2:
@@ -70,13 +70,13 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
         for j in range(size):
             g[j] -= level / size
             power += g[j] * g[j]
-        x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
+        x, variance, misfit = _fit_mean(position, g, second, farthest, starts)
         if second == 0.0 and misfit > _STRIP_MISFIT:
             if not len(strips):
-                strips = _strip_columns(place, farthest)
+                strips = _strip_columns(position, farthest)
             second = _strip(strips, g, misfit)
             if second > 0.0:
-                x, variance, misfit = _fit_mean(place, g, second, farthest, starts)
+                x, variance, misfit = _fit_mean(position, g, second, farthest, starts)
         contrast = max(abs(x[1]), abs(x[2]))
         scatter = max(square[e] / count[e] - power, 0.0) / (size - 1.0)  # of single profiles about their mean
         if (
@@ -85,7 +85,7 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
             or abs(x[1]) < _FIRST * contrast
         ):
             continue
-        if _point_rows(place, x, second, rows[e]):
+        if _point_rows(position, x, second, rows[e]):
             centre[e], blur[e], opened[e] = x[3], x[4], variance
     for i in range(n):
         e = edge[i]
@@ -117,10 +117,10 @@ def _normal(z: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def _basis(place: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
-    """Columns 1, Phi, Phi of the second step, and the two densities, at each place: (S, 5)."""
-    for j in range(place.shape[0]):
-        z = (place[j] - s0) / sigma
+def _basis(position: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
+    """Columns 1, Phi, Phi of the second step, and the two densities, at each position: (S, 5)."""
+    for j in range(position.shape[0]):
+        z = (position[j] - s0) / sigma
         basis[j, 0] = 1.0
         basis[j, 1], density = _normal(z)
         basis[j, 3] = density / sigma
@@ -143,10 +143,10 @@ def _levels(gg: float, g1: float, g2: float, a11: float, a12: float, a22: float,
 
 
 @njit(cache=True)
-def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
+def _split(position: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
     """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. g: without its mean."""
-    _basis(place, s0, sigma, gap, basis)
-    size = place.shape[0]
+    _basis(position, s0, sigma, gap, basis)
+    size = position.shape[0]
     m1 = m2 = gg = g1 = g2 = a11 = a12 = a22 = 0.0
     for j in range(size):
         f1, f2 = basis[j, 1], basis[j, 2]
@@ -171,34 +171,34 @@ def _split(place: Array, g: Array, gap: float, weight: float, s0: float, sigma: 
 
 
 @njit(cache=True)
-def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
+def _fit_mean(position: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
     """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
     the mean squared misfit. Levenberg-Marquardt from the best of several positions; the levels are always the best ones.
     g: a mean profile without its own mean; starts: _steps() of a single step at these positions.
     """
-    size = place.shape[0]
-    reach = place[size - 1]
+    size = position.shape[0]
+    reach = position[size - 1]
     across = (g[size - 1] + g[size - 2] + g[size - 3] - g[0] - g[1] - g[2]) / 3.0
     weight = _unevenness(max(abs(across), 0.5 * _range(g)))
     basis, x, trial = np.empty((size, 5)), np.zeros(5), np.zeros(5)
     normal, right, room, step = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    cost, places = np.inf, _starts(farthest)
+    cost, positions = np.inf, _starts(farthest)
     if gap == 0.0:
-        cost = _split(place, g, gap, weight, places[_best_start(starts, g)], _START_BLUR, x, basis)
+        cost = _split(position, g, gap, weight, positions[_best_start(starts, g)], _START_BLUR, x, basis)
     else:
-        for k in range(len(places)):
-            value = _split(place, g, gap, weight, places[k], _START_BLUR, trial, basis)
+        for k in range(len(positions)):
+            value = _split(position, g, gap, weight, positions[k], _START_BLUR, trial, basis)
             if value < cost and abs(trial[1]) > _FIRST * abs(trial[2]):
                 cost = value
                 _put(trial, x)
     if cost == np.inf or x[1] == 0.0:
         return x, 0.0, 0.0
     if gap > 0.0:
-        _basis(place, x[3], x[4], gap, basis)
+        _basis(position, x[3], x[4], gap, basis)
     damping, fresh = 1e-3, True
     for _ in range(10):
         if fresh:
-            _normal_equations(place, g, gap, weight, x, basis, normal, right)
+            _normal_equations(position, g, gap, weight, x, basis, normal, right)
         for k in range(5):
             for m in range(5):
                 room[k, m] = normal[k, m]
@@ -208,7 +208,7 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
         _put(right, step)
         cholesky.substitute(room, step)
         s0, sigma = min(max(x[3] + step[3], -reach), reach), min(max(x[4] + step[4], 0.35), 0.6 * reach)
-        value = _split(place, g, gap, weight, s0, sigma, trial, basis)
+        value = _split(position, g, gap, weight, s0, sigma, trial, basis)
         fresh = value < cost
         if fresh:
             done = cost - value < 1e-3 * cost
@@ -221,8 +221,8 @@ def _fit_mean(place: Array, g: Array, gap: float, farthest: float, starts: Array
             damping *= 8.0
     if gap == 0.0:
         return x, 0.0, cost / size
-    _basis(place, x[3], x[4], gap, basis)
-    _normal_equations(place, g, gap, weight, x, basis, normal, right)
+    _basis(position, x[3], x[4], gap, basis)
+    _normal_equations(position, g, gap, weight, x, basis, normal, right)
     for k in range(5):
         normal[k, k] += 1e-9
     if not cholesky.factor(normal, normal):
@@ -257,24 +257,24 @@ def _unevenness(contrast: float) -> float:
 
 @njit(cache=True)
 def _starts(farthest: float) -> Array:
-    """Places (9,) from which a step is sought."""
-    places = np.empty(9)
+    """Positions (9,) from which a step is sought."""
+    positions = np.empty(9)
     for k in range(9):
-        places[k] = 0.25 * farthest * (k - 4.0)
-    return places
+        positions[k] = 0.25 * farthest * (k - 4.0)
+    return positions
 
 
 @njit(cache=True)
-def _steps(place: Array, s0: Array, sigma: float) -> Array:
+def _steps(position: Array, s0: Array, sigma: float) -> Array:
     """Steps Phi((s - s0) / sigma) (P, S) at positions s0 (P,), without their means."""
-    steps = np.empty((len(s0), len(place)))
+    steps = np.empty((len(s0), len(position)))
     for p in range(len(s0)):
         total = 0.0
-        for j in range(len(place)):
-            steps[p, j], _ = _normal((place[j] - s0[p]) / sigma)
+        for j in range(len(position)):
+            steps[p, j], _ = _normal((position[j] - s0[p]) / sigma)
             total += steps[p, j]
-        for j in range(len(place)):
-            steps[p, j] -= total / len(place)
+        for j in range(len(position)):
+            steps[p, j] -= total / len(position)
     return steps
 
 
@@ -293,15 +293,15 @@ def _best_start(starts: Array, g: Array) -> int:
 
 
 @njit(cache=True)
-def _strip_columns(place: Array, farthest: float) -> Array:
+def _strip_columns(position: Array, farthest: float) -> Array:
     """_steps (1 + W, P, S): the first one at P positions, then the second one for each of W widths."""
-    columns = np.empty((1 + len(_WIDTHS), _STRIP_PLACES, place.shape[0]))
-    s0 = np.empty(_STRIP_PLACES)
+    columns = np.empty((1 + len(_WIDTHS), _STRIP_POSITIONS, position.shape[0]))
+    s0 = np.empty(_STRIP_POSITIONS)
     for w in range(columns.shape[0]):
-        for p in range(_STRIP_PLACES):
-            s0[p] = farthest * (2.0 * p / (_STRIP_PLACES - 1) - 1.0) + (_WIDTHS[w - 1] if w > 0 else 0.0)
-        steps = _steps(place, s0, _STRIP_BLUR)
-        for p in range(_STRIP_PLACES):
+        for p in range(_STRIP_POSITIONS):
+            s0[p] = farthest * (2.0 * p / (_STRIP_POSITIONS - 1) - 1.0) + (_WIDTHS[w - 1] if w > 0 else 0.0)
+        steps = _steps(position, s0, _STRIP_BLUR)
+        for p in range(_STRIP_POSITIONS):
             _put(steps[p], columns[w, p])
     return columns
 
@@ -334,14 +334,14 @@ def _strip(columns: Array, g: Array, misfit: float) -> float:
 
 @njit(cache=True)
 def _normal_equations(
-    place: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
+    position: Array, g: Array, gap: float, weight: float, x: Array, basis: Array, normal: Array, right: Array
 ) -> None:
     """Lower half of J^T J, and J^T r at x = (a, c1, c2, s0, sigma), with _basis() there."""
     normal[:] = 0.0
     right[:] = 0.0
     row = np.empty(5)
-    for j in range(place.shape[0]):
-        z = (place[j] - x[3]) / x[4]
+    for j in range(position.shape[0]):
+        z = (position[j] - x[3]) / x[4]
         row[0], row[1], row[2] = 1.0, basis[j, 1], basis[j, 2]
         row[3] = -x[1] * basis[j, 3] - x[2] * basis[j, 4]
         row[4] = -x[1] * basis[j, 3] * z - x[2] * basis[j, 4] * (z - gap / x[4])
@@ -361,11 +361,11 @@ def _normal_equations(
 
 
 @njit(cache=True)
-def _point_rows(place: Array, x: Array, gap: float, rows: Array) -> bool:
+def _point_rows(position: Array, x: Array, gap: float, rows: Array) -> bool:
     """Rows that take gain and gain * shift out of one profile: least squares on 1, the edge's own steps and their derivative."""
-    size = place.shape[0]
+    size = position.shape[0]
     basis, jacobian = np.empty((size, 5)), np.empty((size, 3))
-    _basis(place, x[3], x[4], gap, basis)
+    _basis(position, x[3], x[4], gap, basis)
     scale = np.zeros(3)
     for j in range(size):
         jacobian[j, 0], jacobian[j, 1] = 1.0, x[1] * basis[j, 1] + x[2] * basis[j, 2]

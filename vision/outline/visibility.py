@@ -3,7 +3,7 @@
     X(t) = start + t (end - start),  0 <= t <= 1                                                           (NED, m)
 
 A side is seen from its outer half-space: (p_c - X) . n_out > 0. A point X below a roof is hidden by that landmark if the
-horizontal track of its line of sight, from where the sight crosses the roof's plane to X, meets the outline: exact for upright
+horizontal track of its line of sight, from where that line crosses the roof's plane to X, meets the outline: exact for upright
 prisms seen from above. Every point carries its derivatives by the landmark's own unknowns (MapError), so that errors of the map
 can be weighed.
 """
@@ -22,7 +22,7 @@ from models.messages import Array
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 _FLAT = 0.34  # sin(20 deg): two visible sides that meet at less than this angle make no edge to be found
-_BACK_M = 0.02  # a point is looked at from this far before its wall, so that its own wall does not hide it
+_BACK_M = 0.02  # a point is examined from this far before its wall, so that its own wall does not hide it
 
 
 class Kind(IntEnum):
@@ -31,7 +31,7 @@ class Kind(IntEnum):
     ROOF = 0
     BASE = 1
     UPRIGHT = 2
-    SPOT = 3  # the whole roof of a landmark too small to have edges (small_landmarks.py)
+    SMALL = 3  # the whole roof of a landmark too small to have edges (small_landmarks.py)
 
 
 class MapError(IntEnum):
@@ -231,7 +231,7 @@ def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark])
 def hide(
     points: Array, p_c: Array, vertices: Array, offsets: Indices, base_d: Array, height: Array, result: NDArray[np.bool_]
 ) -> None:
-    """Set result (N,) where points (N, 3) are hidden by one of the prisms; those set already are not looked at."""
+    """Set result (N,) where points (N, 3) are hidden by one of the prisms; those set already are not examined."""
     for m in range(len(base_d)):
         if height[m] > 0.0:
             _hidden_by(points, p_c, vertices[offsets[m] : offsets[m + 1]], base_d[m] - height[m], result)
@@ -250,7 +250,7 @@ def _hidden_by(points: Array, p_c: Array, outline: Array, roof_d: float, result:
             continue
         share = depth / (points[i, 2] - p_c[2])
         n0, e0 = points[i, 0], points[i, 1]
-        dn, de = share * (p_c[0] - n0), share * (p_c[1] - e0)  # from the point to where its sight leaves the roof's height
+        dn, de = share * (p_c[0] - n0), share * (p_c[1] - e0)  # from the point to where its ray leaves the roof's height
         if max(n0, n0 + dn) < south or min(n0, n0 + dn) > north or max(e0, e0 + de) < west or min(e0, e0 + de) > east:
             continue
         length = np.sqrt(dn * dn + de * de)

@@ -39,7 +39,7 @@ _ROOF, _BASE = int(Kind.ROOF), int(Kind.BASE)  # compiled code reads plain integ
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
 _SEARCH_BESIDE_PX = 2.5  # in a search
 _SEEN_GAP_PX = 0.2  # walls narrower than this are not fitted as such
-_DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is looked up, and half how far
+_DEEPER_PX, _INTERIOR_HALF_PX = 5.0, 2  # how much farther in the shade of a roof's slope is sampled, and half how far
 _GAP_FACTOR = 4.0  # real walls are not two clean steps: measured over predicted variance of their offsets
 _WIDEST_OPEN_PX = 0.7  # an edge whose position is left this open by its gap says nothing
 _NOTHING = np.zeros((0, 0))
@@ -47,8 +47,8 @@ _COARSE = 1.5  # how much farther apart points are in a search
 _CLIPPED_PX = 0.25  # how far saturation may shift an edge
 
 
-class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How outlines are looked for."""
+class ObservationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How outlines are searched for."""
 
     search_px: tuple[int, ...] = (16, 8)  # half widths of the searches, one after the other
     farthest_px: tuple[float, ...] = (2.5, 1.5)  # how far edges may be off in the sub-pixel fits, one after the other
@@ -59,8 +59,8 @@ class LookConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What one look gave, of E edges in K images; a spot's sides are one edge, the first of them.
+class Observation:
+    """What one observation gave, of E edges in K images; a small landmark's sides are one edge, the first of them.
 
     block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
     how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
@@ -86,14 +86,14 @@ class Look:
     @property
     def numbers(self) -> int:
         """Directions that are measured, over all images: a small landmark has two, an edge the one across it."""
-        return int(self.found.sum() + self.found[self.kind == Kind.SPOT].sum())
+        return int(self.found.sum() + self.found[self.kind == Kind.SMALL].sum())
 
     def off(self, line: Array) -> Array:
         """How far (E, K) px lines (E, K, 2) are off."""
-        aside = line[..., 1] * (self.kind == Kind.SPOT)[:, None]
+        aside = line[..., 1] * (self.kind == Kind.SMALL)[:, None]
         return np.asarray(np.hypot(line[..., 0], aside))
 
-    def within(self, off_px: Array, farthest_px: float) -> "Look":
+    def within(self, off_px: Array, farthest_px: float) -> "Observation":
         """Without the edges whose offset (E, K) px is more than farthest_px."""
         found = self.found & (np.abs(off_px) <= farthest_px)
         lines = [line.only(near, self.block) for line, near in zip(self.lines, found.T, strict=True)]
@@ -106,7 +106,7 @@ class Look:
 
 
 class Scene:
-    """What does not change from look to look: images, cameras, landmarks, and how wrong map and rig may be."""
+    """What does not change between observations: images, cameras, landmarks, and how wrong map and rig may be."""
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
@@ -128,16 +128,16 @@ class Scene:
         R_bc, R_rc = (so3.matrix(so3.quat_exp(error[3:])) @ R for error, R in ((on_body, rig.R_bc), (between, rig.R_rc)))
         return Mount(rig.left, rig.right, R_rc, rig.t_rc + between[:3], R_bc, rig.p_bc + on_body[:3])
 
-    def look(
+    def observe(
         self,
         p_n: Array,
         R_nb: Array,
         shift_m: Array,
         rig: Mount,
-        config: LookConfig,
+        config: ObservationConfig,
         search_px: int = 0,
         farthest_px: float = 0.0,
-    ) -> Look:
+    ) -> Observation:
         """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
 
         shift_m (L, M), rig: present estimates of errors of map and rig.
@@ -145,9 +145,9 @@ class Scene:
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
         wanted = edges.kind == _ROOF if search_px else np.ones(len(edges.kind), np.bool_)
-        block, spot = small_landmarks.blocks(edges, shown[0][0], (p_n, R_nb))
+        block, is_small = small_landmarks.blocks(edges, shown[0][0], (p_n, R_nb))
         spacing = config.spacing_px * (_COARSE if search_px else 1.0)
-        samples = small_landmarks.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, spot)
+        samples = small_landmarks.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, is_small)
         count, with_rig = len(edges.kind), not search_px
         lines, points = list[EdgeLines](), 0
         line_all, found, opened = (
@@ -159,20 +159,20 @@ class Scene:
         drawn = (
             edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised, edges.map_start, edges.map_end,
         )  # fmt: skip
-        on_edges = samples.points_n, samples.t, samples.edge, samples.tau, block[samples.edge], spot[samples.edge]
+        on_edges = samples.points_n, samples.t, samples.edge, samples.tau, block[samples.edge], is_small[samples.edge]
         bodies, on_map = (prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m), (self.map_sigma, self.map_column)
         for k, (eye, image) in enumerate(shown):
             own = 4 + len(eye.camera.distortion) if with_rig else 0
             roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
-            line, usable = _looked(
+            line, usable = _observed(
                 image, drawn, on_edges, bodies, eye.stand(p_n, R_nb), eye.camera.parameters, search_px, config.fit_half_px,
                 farthest_px, config.least_points, own, (rig.p_bc, rig.t_rc), eye.right, on_map, roots, k, A, opened,
             )  # fmt: skip
             lines.append(EdgeLines(*line))
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
             points += usable
-        kind = np.where(spot, int(Kind.SPOT), edges.kind)
-        return Look(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
+        kind = np.where(is_small, int(Kind.SMALL), edges.kind)
+        return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
 
     def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
@@ -180,24 +180,24 @@ class Scene:
         return bc, rc, own_right if right else left, left.shape[1] if right else 0
 
 
-def _looked(
+def _observed(
     image: Image, drawn: Drawn, on_edges: OnEdges, bodies: Bodies, stand: Stand, camera: Array, search: int, fit_half: int,
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
     k: int, A: Array, opened: Array,
 ) -> tuple[Line, int]:  # fmt: skip
     """The fields of EdgeLines of image k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
 
-    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of spots; bodies: Prisms as they stand; stand: as Eye.stand;
+    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of small landmarks; bodies: Prisms; stand: as Eye.stand;
     search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
     roots: as _dependence.
     """
     start, end, landmark, kind, partner, raised, map_start, map_end = drawn
-    points, t, edge, tau, block, of_spot = on_edges
+    points, t, edge, tau, block, of_small = on_edges
     px, normal, row_c, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     if search:
         distance, usable, hidden = distance_from_roof(
-            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, search
+            image, px, normal, seen & ~of_small, edge, kind, raised, landmark, partner, ends, search
         )
         usable &= ~hidden
         offsets = edge_search.search(distance, edge, len(kind), 1.0, usable)
@@ -205,10 +205,10 @@ def _looked(
     else:
         gap = partners_off(start, end, partner, edge, t, *stand, camera, px, normal)
         offsets, usable, opened[k] = _fit_steps(
-            image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
+            image, px, normal, seen & ~of_small, edge, kind, raised, landmark, partner, ends, gap, fit_half, farthest
         )
-    small_landmarks.measure(image, px, normal, of_spot, block, search if search else math.ceil(farthest), seen, offsets, usable)
-    line = lines_of(offsets, _regressors(tau, normal, of_spot), block, len(kind), least)
+    small_landmarks.measure(image, px, normal, of_small, block, search if search else math.ceil(farthest), seen, offsets, usable)
+    line = lines_of(offsets, _regressors(tau, normal, of_small), block, len(kind), least)
     map_sigma, map_column = on_map
     bc, rc, own_root, own_skipped = roots
     rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
@@ -217,12 +217,12 @@ def _looked(
 
 
 @njit(cache=True)
-def _regressors(tau: Array, normal: Array, of_spot: Mask) -> Array:
-    """(N, 2): 1 and tau of points of edges, the normals of those of spots."""
+def _regressors(tau: Array, normal: Array, of_small: Mask) -> Array:
+    """(N, 2): 1 and tau of points of edges, the normals of those of small landmarks."""
     x = np.empty(normal.shape)
     for i in range(len(tau)):
-        x[i, 0] = normal[i, 0] if of_spot[i] else 1.0
-        x[i, 1] = normal[i, 1] if of_spot[i] else tau[i]
+        x[i, 0] = normal[i, 0] if of_small[i] else 1.0
+        x[i, 1] = normal[i, 1] if of_small[i] else tau[i]
     return x
 
 

@@ -31,15 +31,15 @@ from vision.identify.identify import Prior
 from vision.outline.edge_noise import NoiseConfig, line_covariance
 from vision.pose.information import Measured
 from vision.pose.least_squares import POSE, Solution, System, distances, solve, solve_robustly
-from vision.pose.observation import Image, Look, LookConfig, Scene
+from vision.pose.observation import Image, Observation, ObservationConfig, Scene
 
 Mask = NDArray[np.bool_]
 Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _MOST = 0.8  # if so many offsets are within the first fit's reach, no further search is needed
-_SETTLED_PX = 0.8  # a step that moves the edges by less, RMS, is followed by no further look
+_SETTLED_PX = 0.8  # a step that moves the edges by less, RMS, is followed by no further observation
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
 _LARGEST_TURN_RAD = 0.2  # in the last step
-_STRAIGHT_PX, _MORE_LOOKS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
+_STRAIGHT_PX, _MORE_OBSERVATIONS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
 
 
 class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -59,7 +59,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     surprise: Annotated[
         float, Meta(gt=0, description="chi-square (6) against the prior from which on the images are doubted")
     ] = 22.5
-    look: LookConfig = LookConfig()
+    observation: ObservationConfig = ObservationConfig()
     noise: NoiseConfig = NoiseConfig()
 
 
@@ -121,8 +121,8 @@ class _Fit:
         """x (-) x0: how far the pose is from the prior's, (6,)."""
         return np.asarray(_difference(self.p_n, self.R_nb, self.p0, self.q0))
 
-    def turned(self, seen: Look) -> Array:
-        """(E, K, 2, T) as Look.A: round landmarks turned about their middles by any angle, which nobody sees.
+    def turned(self, seen: Observation) -> Array:
+        """(E, K, 2, T) as Observation.A: round landmarks turned about their middles by any angle, which nobody sees.
 
         To turn one is to turn the vehicle about it, the other way: dtheta = e_d, dp = e_d x (p - c).
         """
@@ -142,10 +142,10 @@ class _Fit:
         present: Array = np.concatenate((mapped, self.bc, self.rc, rest))
         return present
 
-    def look(self, config: LookConfig, search_px: int = 0, farthest_px: float = 0.0) -> Look:
-        """Look from here."""
+    def observe(self, config: ObservationConfig, search_px: int = 0, farthest_px: float = 0.0) -> Observation:
+        """One observation from this pose."""
         rig = self.scene.moved_rig(self.bc, self.rc)
-        return self.scene.look(self.p_n, self.R_nb, self.shift_m, rig, config, search_px, farthest_px)
+        return self.scene.observe(self.p_n, self.R_nb, self.shift_m, rig, config, search_px, farthest_px)
 
     def solve(self, system: System, *, robust: bool = False) -> Solution:
         """The step from here."""
@@ -227,15 +227,15 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
     """Searches, robust fits and the final one, from a start."""
     fit = _Fit(scene, start, prior, shift_m)
     near = False
-    for half in config.look.search_px:
+    for half in config.observation.search_px:
         if not near:
-            seen = fit.look(config.look, search_px=half)
+            seen = fit.observe(config.observation, search_px=half)
             if refusal := _not_enough(seen, config):
                 return refusal
-            near = float(np.mean(seen.off(seen.line)[seen.found] < config.look.farthest_px[0])) > _MOST
+            near = float(np.mean(seen.off(seen.line)[seen.found] < config.observation.farthest_px[0])) > _MOST
             fit.move(_robust_step(fit, seen, 1.0))
-    farthest, *nearer = config.look.farthest_px
-    seen = fit.look(config.look, farthest_px=farthest)
+    farthest, *nearer = config.observation.farthest_px
+    seen = fit.observe(config.observation, farthest_px=farthest)
     if refusal := _not_enough(seen, config):
         return refusal
     for farthest in nearer:
@@ -245,17 +245,17 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
             seen = seen.within(seen.off(left), farthest)
         else:
             fit.move(step)
-            seen = fit.look(config.look, farthest_px=farthest)
+            seen = fit.observe(config.observation, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
     if seen.share < config.least_fitted:
         return NoPose("not_found", f"{seen.share:.0%} of the outline in view at the end")
     system, step = _final_step(fit, seen, config)
-    for _ in range(_MORE_LOOKS):
+    for _ in range(_MORE_OBSERVATIONS):
         if _bend_px(seen, step.dx) < _STRAIGHT_PX:
             break
         fit.move(step)
-        seen = fit.look(config.look, farthest_px=farthest)
+        seen = fit.observe(config.observation, farthest_px=farthest)
         if refusal := _not_enough(seen, config):
             return refusal
         system, step = _final_step(fit, seen, config)
@@ -267,27 +267,27 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _bend_px(seen: Look, dx: Array) -> float:
+def _bend_px(seen: Observation, dx: Array) -> float:
     """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
     square = np.sum(seen.A[:, :, 0, :3] ** 2, axis=2)[seen.found].max(initial=0.0)
     return float(0.5 * np.sqrt(square * np.sum(np.cross(dx[3:], dx[:3]) ** 2)))
 
 
-def _not_enough(seen: Look, config: PoseConfig) -> NoPose | None:
+def _not_enough(seen: Observation, config: PoseConfig) -> NoPose | None:
     if seen.numbers < config.least_edges:
         return NoPose("too_few_edges", f"{seen.numbers} edges found")
     return None if seen.share >= config.least_found else NoPose("not_found", f"{seen.share:.0%} of the outline in view")
 
 
-def _system(seen: Look, R: Array, *more: Array) -> System:
-    """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the look."""
+def _system(seen: Observation, R: Array, *more: Array) -> System:
+    """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the observation."""
     edges, images = seen.found.shape
     rows = 2 * images
     A = (np.concatenate((seen.A, *more), axis=3) if more else seen.A).reshape(edges, rows, -1)
     return System.of(seen.line.reshape(edges, rows), A, R.reshape(edges, rows, rows), np.repeat(seen.found, 2, axis=1))
 
 
-def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
+def _robust_step(fit: _Fit, seen: Observation, common_px: float) -> Solution:
     """With a rough covariance, edges reweighted."""
     edges, images = seen.found.shape
     R = np.zeros((edges, images, 2, images, 2))
@@ -299,7 +299,7 @@ def _robust_step(fit: _Fit, seen: Look, common_px: float) -> Solution:
     return fit.solve(_system(seen, R), robust=True)
 
 
-def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solution]:
+def _final_step(fit: _Fit, seen: Observation, config: PoseConfig) -> tuple[System, Solution]:
     """With the lines' own covariance; edges that do not fit are left out one after the other."""
     R = line_covariance(seen.lines, seen.block, seen.kind, seen.opened, config.noise)
     system = _system(seen, R, fit.turned(seen))
@@ -315,7 +315,7 @@ def _final_step(fit: _Fit, seen: Look, config: PoseConfig) -> tuple[System, Solu
     return system, step
 
 
-def _report(fit: _Fit, seen: Look, system: System, step: Solution, config: PoseConfig) -> PoseEstimate | NoPose:
+def _report(fit: _Fit, seen: Observation, system: System, step: Solution, config: PoseConfig) -> PoseEstimate | NoPose:
     used = system.W[:, ::2, ::2].diagonal(axis1=1, axis2=2) > 0.0  # (E, K)
     if not np.isfinite(step.dx).all() or np.abs(step.dx[3:]).max() > _LARGEST_TURN_RAD:
         return NoPose("diverged")

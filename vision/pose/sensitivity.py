@@ -63,7 +63,7 @@ class Eye:
     right: bool
 
     def pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
-        """Place p_nk (3,) and axes R_nk (3, 3) at a pose of the body."""
+        """Position p_nk (3,) and axes R_nk (3, 3) at a pose of the body."""
         placed: tuple[Array, Array] = _placed(*self.stand(p_n, R_nb))
         return placed
 
@@ -199,7 +199,7 @@ def _spread(
 ) -> tuple[Array, Array, Indices, Array]:
     """The fields of Samples, on the parts (E, 2) of edges whose ends lie at ends_px (2 E, 2)."""
     count = len(start)
-    points, place, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
+    points, position, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
     tau = np.empty(count * most)
     n = 0
     for e in range(count):
@@ -213,11 +213,11 @@ def _spread(
         for i in range(number):
             within = aside + (1.0 - 2.0 * aside) * (i + 0.5) / number
             t = part[e, 0] + (part[e, 1] - part[e, 0]) * within
-            place[n], edge[n], tau[n] = t, e, 2.0 * within - 1.0
+            position[n], edge[n], tau[n] = t, e, 2.0 * within - 1.0
             for k in range(3):
                 points[n, k] = start[e, k] + t * (end[e, k] - start[e, k])
             n += 1
-    return points[:n].copy(), place[:n].copy(), edge[:n].copy(), tau[:n].copy()
+    return points[:n].copy(), position[:n].copy(), edge[:n].copy(), tau[:n].copy()
 
 
 def view(

@@ -1,4 +1,4 @@
-"""Small landmarks: where no side is long enough to be an edge, the whole outline is one spot, and its shift is measured.
+"""Small landmarks: where no side is long enough to be an edge, the whole outline is measured as one, by its shift.
 
     d = argmax_d |sum_i n_i . g(x_i + d)|^2 / sum_i (|g(x_i + d)| + g_0)                             (whole pixels)
     r_i = n_i . delta + e_i
@@ -6,7 +6,7 @@
 g: gradients of all channels; x_i, n_i: points of the outline and its normals; r_i: where along the normal, near d, the contrast
 is steepest; delta (2,) [px]: the shift, which takes the place of an edge's offset and tilt. What stands out of its ground does so
 all around, and its whole rim leads to the same side. A shadow does so as well, and lies beside: where the colour inside is that
-of the ground outside, only darker, no spot is sought.
+of the ground outside, only darker, no small landmark is sought.
 """
 
 import math
@@ -34,21 +34,21 @@ _LEAST_IN_VIEW = 0.7  # of its points, in the image
 _SPAN = 0.1  # of n_i n_i^T, the mean: what the border leaves of a rim must still tell both directions
 _FLOOR = 2.0  # g_0, grey values per pixel
 _LEAST = 0.5  # of all gradients along the rim lead to the same side, at least
-_ASIDE_PX = 2.0  # from the rim, where the colours inside and outside are looked at
-_RIVAL = 0.85  # of the best shift's score: another one that has so much makes a spot ambiguous,
+_ASIDE_PX = 2.0  # from the rim, where the colours inside and outside are examined
+_RIVAL = 0.85  # of the best shift's score: another one that has so much makes a small landmark ambiguous,
 _APART_PX = 3  # if it is farther off than this
 _HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest position is found
 
 
 def blocks(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> tuple[Indices, Mask]:
-    """Which edges (E,) are measured together, by the first of them, and which (E,) are of spots: of these the rims alone."""
+    """Which edges (E,) are measured together, by the first of them; which (E,) are of small landmarks (only their rims)."""
     return _blocks(edges.landmark, edges.kind, ends_px(edges, eye, pose))
 
 
 @njit(cache=True)
 def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mask]:
     count = len(kind)
-    block, spot, e = np.arange(count), np.zeros(count, np.bool_), 0
+    block, is_small, e = np.arange(count), np.zeros(count, np.bool_), 0
     while e < count:
         stop, longest = e, 0.0
         while stop < count and kind[stop] == _ROOF and landmark[stop] == landmark[e]:
@@ -60,27 +60,27 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
             stop += 1
         if small:
             for i in range(e, stop):
-                block[i], spot[i] = e, True
+                block[i], is_small[i] = e, True
         e = stop
-    return block, spot
+    return block, is_small
 
 
 def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) -> Mask:
-    """Which landmarks (L,) are spots in the image of a pose."""
+    """Which landmarks (L,) are small landmarks in the image of a pose."""
     edges = visible_edges(Prisms.of(landmarks), eye.pose(*pose)[0])
-    spots = np.zeros(len(landmarks), np.bool_)
-    spots[edges.landmark[blocks(edges, eye, pose)[1]]] = True
-    return spots
+    are_small = np.zeros(len(landmarks), np.bool_)
+    are_small[edges.landmark[blocks(edges, eye, pose)[1]]] = True
+    return are_small
 
 
 def sampled(
-    edges: ModelEdges, eye: Eye, pose: tuple[Array, Array], spacing_px: float, most: int, wanted: Mask, spot: Mask
+    edges: ModelEdges, eye: Eye, pose: tuple[Array, Array], spacing_px: float, most: int, wanted: Mask, is_small: Mask
 ) -> Samples:
-    """Points on the wanted edges (E,) as of sample_edges; those of spots are closer, and on their rims only."""
-    samples = sample_edges(edges, eye, *pose, spacing_px, most, wanted & ~spot)
-    if not spot.any():
+    """Points on the wanted edges (E,) as of sample_edges; those of small landmarks are closer, and on their rims only."""
+    samples = sample_edges(edges, eye, *pose, spacing_px, most, wanted & ~is_small)
+    if not is_small.any():
         return samples
-    more = sample_edges(edges, eye, *pose, _SPACING_PX, most, spot & (edges.kind == Kind.ROOF))
+    more = sample_edges(edges, eye, *pose, _SPACING_PX, most, is_small & (edges.kind == Kind.ROOF))
     return Samples(
         np.concatenate((samples.points_n, more.points_n)), np.concatenate((samples.t, more.t)),
         np.concatenate((samples.edge, more.edge)), np.concatenate((samples.tau, more.tau)),
@@ -88,21 +88,21 @@ def sampled(
 
 
 def measure(
-    image: Image, px: Array, normal: Array, of_spot: Mask, block: Indices, half: int, seen: Mask, offsets: Array, usable: Mask
+    image: Image, px: Array, normal: Array, of_small: Mask, block: Indices, half: int, seen: Mask, offsets: Array, usable: Mask
 ) -> None:
-    """Set offsets (N,) px, NaN where there is none, and usable (N,) of the points of spots, which may be shifted by half px.
+    """Set offsets (N,) px, NaN where there is none, and usable (N,) of points of small landmarks, which may shift by half px.
 
-    px, normal (N, 2) of all points, of_spot (N,), block (N,): those of one spot in a row.
+    px, normal (N, 2) of all points, of_spot (N,), block (N,): those of one small landmark in a row.
     """
-    points = np.flatnonzero(of_spot)
+    points = np.flatnonzero(of_small)
     if not len(points):
         return
     (rows, columns), (u, v) = image.shape[:2], px.T
     inside = seen & (u >= 1.0) & (v >= 1.0) & (u < columns - 2) & (v < rows - 2)
-    for spot in np.split(points, np.flatnonzero(np.diff(block[points])) + 1):
-        offsets[spot], usable[spot] = np.nan, False
-        some = spot[inside[spot]]
-        if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * len(spot)) and _span(normal[some]) >= _SPAN:
+    for is_small in np.split(points, np.flatnonzero(np.diff(block[points])) + 1):
+        offsets[is_small], usable[is_small] = np.nan, False
+        some = is_small[inside[is_small]]
+        if len(some) >= max(_LEAST_POINTS, _LEAST_IN_VIEW * len(is_small)) and _span(normal[some]) >= _SPAN:
             usable[some] = True
             offsets[some] = _shifted(image, px[some], normal[some], half)
 
@@ -120,7 +120,7 @@ def _span(normal: Array) -> float:
 
 
 def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
-    """Offsets (N,) of one spot's points."""
+    """Offsets (N,) of one small landmark's points."""
     du, dv, contrast = _whole_shift(image, px, normal, half)
     offsets = np.full(len(px), np.nan)
     if not np.any(contrast):

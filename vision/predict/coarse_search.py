@@ -35,19 +35,19 @@ from vision.outline.visibility import MapError
 from vision.pose.pose import Pose
 from vision.pose.sensitivity import Eye
 from vision.predict.global_search import Grid, summits
-from vision.predict.landmark_shifts import own_places, settled
+from vision.predict.landmark_shifts import own_positions, shifted
 from vision.predict.motion import Motion, roofs_in_view, straight
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _LEAST_WIDTH = 80  # px of the reduced image
 _SLACK = 1  # pixels of the level that a landmark may be off beside its map error
-_PLACE_PX = 1.0  # of the level: how well a landmark's position is found
-_STILL_PX = 1.5  # of the level: a position that a look moves by less is not refined
+_POSITION_PX = 1.0  # of the level: how well a landmark's position is found
+_STILL_PX = 1.5  # of the level: a position that an observation moves by less is not refined
 _APART_PX = 1.5  # of the reduced image, across the edges: nearer positions are one
 _WIDE_POINTS, _POINTS = 16, 25  # of each landmark on the average, at least: in the whole search, near a position
-_FEW_VOTES = 300_000  # are quicker than to reduce the image once more, and to look again in it
+_FEW_VOTES = 300_000  # are quicker than to reduce the image once more, and to search again in it
 _CLOSE = 6  # summits ranked for each that is to be apart from the others
 _LOW = 0.4  # of the best summit's score: what is lower is not refined
 
@@ -64,8 +64,8 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 128_000_000
     points: Annotated[int, Meta(ge=20, description="that vote at once")] = 160
     expected: Annotated[float, Meta(gt=0, lt=1, description="tau: support per length that speaks neither for nor against")] = 0.2
-    summits: Annotated[int, Meta(ge=1, description="places of the whole search refined in an image twice as large")] = 60
-    peaks: Annotated[int, Meta(ge=1, description="the best of these, looked at in one twice as large again")] = 8
+    summits: Annotated[int, Meta(ge=1, description="positions of the whole search refined in an image twice as large")] = 60
+    peaks: Annotated[int, Meta(ge=1, description="the best of these, examined in one twice as large again")] = 8
 
 
 def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
@@ -75,7 +75,7 @@ def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A place: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
+    """A hypothesis: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
 
     p_n: Array
     R_nb: Array
@@ -111,12 +111,12 @@ class Search:
         self.information = motion.prior.information
 
     def candidates(self, image: Image) -> list[Candidate]:
-        """Places where the outlines may lie, best first, each apart from the better ones across its edges."""
+        """Positions where the outlines may lie, best first, each apart from the better ones across its edges."""
         sizes = self._sizes()
         size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
         stages = [
-            Stage(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
+            SearchLevel(level, self.eye, self.landmarks, self.motion, self.config.expected, reach, self._points(each))
             for level, each in zip(
                 levels(image, self.eye.camera, tuple(sizes)), [_POINTS] * (len(sizes) - 1) + [_WIDE_POINTS], strict=True
             )
@@ -128,10 +128,10 @@ class Search:
         found = [self._climb(middle, c, steps) for c in found]
         return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
-    def _best(self, stage: Stage, places: list[Candidate], apart_px: float) -> list[Candidate]:
+    def _best(self, search_level: SearchLevel, positions: list[Candidate], apart_px: float) -> list[Candidate]:
         """The best positions, apart from each other, so that those near the best one do not crowd out its rivals."""
-        ranked = sorted(places, key=_score, reverse=True)
-        return _apart(ranked, [self.motion.J @ c.error for c in ranked], stage, apart_px, self.config.peaks)
+        ranked = sorted(positions, key=_score, reverse=True)
+        return _apart(ranked, [self.motion.J @ c.error for c in ranked], search_level, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
         """By how much the image is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
@@ -150,7 +150,7 @@ class Search:
 
     def _votes(self, size: int) -> int:
         """Of points, in the whole search of an image reduced `size` times."""
-        return self._grid(size).places * self._points(_WIDE_POINTS)
+        return self._grid(size).positions * self._points(_WIDE_POINTS)
 
     def _points(self, each: int) -> int:
         """How many are to vote, so many of each landmark on the average, at least."""
@@ -160,50 +160,57 @@ class Search:
         c = self.config
         return Grid.of(self.motion, c.sigmas, math.radians(c.turn_deg), size, limit_px(self.eye.camera, c))
 
-    def _wide(self, stage: Stage) -> list[Array]:
+    def _wide(self, search_level: SearchLevel) -> list[Array]:
         """The best summits q of the whole grid, apart in shift, turn or scale."""
-        if stage.voters is None:
+        if search_level.edge_points is None:
             return []
-        score, q = (most[: _CLOSE * self.config.summits] for most in summits(stage, self.motion, self._grid(stage.level.size)))
+        score, q = (
+            most[: _CLOSE * self.config.summits]
+            for most in summits(search_level, self.motion, self._grid(search_level.level.size))
+        )
         peaks = list(q[score >= np.minimum(_LOW * score[:1], score[:1])])
-        return _apart(peaks, peaks, stage, _APART_PX * stage.level.size, self.config.summits)
+        return _apart(peaks, peaks, search_level, _APART_PX * search_level.level.size, self.config.summits)
 
-    def _climb(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The better of a position and the position near it: turn and scale follow only from the look before."""
-        return max(place, self._again(stage, place, steps), key=_score)
+    def _climb(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
+        """The better of a hypothesis and one near it: turn and scale follow only from the observation before."""
+        return max(hypothesis, self._again(search_level, hypothesis, steps), key=_score)
 
-    def _nearest(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
+    def _nearest(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
         """The position near a position; where that is another one, the better of it and the position near it."""
-        near = self._again(stage, place, steps)
-        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - place.error)
+        near = self._again(search_level, hypothesis, steps)
+        shift_u, shift_v, turn, scale = self.motion.J @ (near.error - hypothesis.error)
         moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
-        return near if moved_px < _STILL_PX * stage.level.size else self._climb(stage, near, steps)
+        return near if moved_px < _STILL_PX * search_level.level.size else self._climb(search_level, near, steps)
 
-    def _first(self, stage: Stage, error: Array, steps: int) -> Candidate:
+    def _first(self, search_level: SearchLevel, error: Array, steps: int) -> Candidate:
         """The position near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
-        return self._near(stage, error, as_mapped, stage.growth_m[:1], stage.free + _SLACK, steps)
+        return self._near(search_level, error, as_mapped, search_level.growth_m[:1], search_level.free + _SLACK, steps)
 
-    def _again(self, stage: Stage, place: Candidate, steps: int) -> Candidate:
-        """The position near a place: landmarks near where they were found, as large as the map leaves open."""
-        return self._near(stage, place.error, place.shift_m, stage.growth_m, stage.sides + _SLACK, steps)
+    def _again(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
+        """A hypothesis near another: landmarks near where they were found, as large as the map leaves open."""
+        return self._near(
+            search_level, hypothesis.error, hypothesis.shift_m, search_level.growth_m, search_level.sides + _SLACK, steps
+        )
 
-    def _near(self, stage: Stage, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int) -> Candidate:
+    def _near(
+        self, search_level: SearchLevel, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int
+    ) -> Candidate:
         """Every landmark's own position and size near an error of the prior, and the pose and map errors that follow.
 
         Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
         """
-        size, half = stage.level.size, steps + int(free.max())
+        size, half = search_level.level.size, steps + int(free.max())
         s, pose = np.arange(-half, half + 1.0) * size, self.motion.pose(error)
         sought = np.repeat(shift_m[None], len(growth_m), axis=0)
         sought[:, :, MapError.GROWTH] = growth_m
-        voted = [stage.vote(stage.aimed(pose, each), s, s) for each in sought]
-        places, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
+        voted = [search_level.vote(search_level.aimed(pose, each), s, s) for each in sought]
+        positions, grown, votes, length = _own(np.array([v for v, _ in voted]), np.array([n for _, n in voted]), free, steps)
         support = votes + self.config.expected * length
         trusted = support > self.config.expected * np.maximum(length, 1.0)
-        D, P = stage.motions(pose, shift_m), self.motion.prior.covariance
-        found_px = (places - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
-        total, off_m = settled(D, found_px, trusted, self.map_sigma, _PLACE_PX * size, error, P)
+        D, P = search_level.motions(pose, shift_m), self.motion.prior.covariance
+        found_px = (positions - half) * size - np.einsum("lij,lj->li", D[:, :, :2], shift_m[:, :2])
+        total, off_m = shifted(D, found_px, trusted, self.map_sigma, _POSITION_PX * size, error, P)
         found = np.zeros_like(shift_m)
         found[:, :2], found[:, MapError.GROWTH] = off_m, growth_m[grown, np.arange(len(grown))]
         score = float(votes.sum()) * size - 0.5 * float(total @ self.information @ total)
@@ -235,11 +242,11 @@ def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, I
         for i in range(votes.shape[2]):
             for j in range(votes.shape[3]):
                 best[m, i, j] = votes[size[m], m, i, j]
-    places = own_places(best, common, free)
+    positions = own_positions(best, common, free)
     for m in range(marks):
-        i, j = int(np.rint(places[m, 0])), int(np.rint(places[m, 1]))
+        i, j = int(np.rint(positions[m, 0])), int(np.rint(positions[m, 1]))
         at[m], shown[m] = best[m, i, j], length[size[m], m, i, j]
-    return places, size, at, shown
+    return positions, size, at, shown
 
 
 @njit(cache=True)
@@ -267,18 +274,18 @@ def _common(votes: Array, free: Array, steps: int) -> Indices:
     return common
 
 
-def _score(place: Candidate) -> float:
-    return place.score
+def _score(hypothesis: Candidate) -> float:
+    return hypothesis.score
 
 
 T = TypeVar("T")
 
 
-def _apart(ranked: Sequence[T], q: Sequence[Array], stage: Stage, least_px: float, most: int) -> list[T]:
+def _apart(ranked: Sequence[T], q: Sequence[Array], search_level: SearchLevel, least_px: float, most: int) -> list[T]:
     """The first ones, `most` of them, of ranked, which lie at q, that are apart from every better one."""
     chosen, at, left = list[T](), np.array(q), np.arange(len(ranked))
     while len(left) and len(chosen) < most:
         chosen.append(ranked[left[0]])
         off = at[left] - at[left[0]]
-        left = left[np.einsum("ki,ij,kj->k", off, stage.across(at[left[0]]), off) > least_px**2]
+        left = left[np.einsum("ki,ij,kj->k", off, search_level.across(at[left[0]]), off) > least_px**2]
     return chosen

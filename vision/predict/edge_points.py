@@ -32,7 +32,7 @@ _LEAST_CHROMA = 30.0  # grey values; a paler map colour has no side
 
 
 @dataclass(frozen=True, slots=True)
-class Voters:
+class EdgePoints:
     """N points of E edges of L landmarks, edge by edge.
 
     points_n, direction_n (N, 3): point, and direction of its edge; mark_of_point (N,); first (E + 1,): points of edge e are
@@ -68,7 +68,7 @@ class Voters:
         return aim(points_n, self.direction_n, pose[0], gain, *eye.pose(*pose), eye.camera.fx, eye.camera.fy)
 
 
-def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> Voters | None:
+def edge_points(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> EdgePoints | None:
     """About `most` points of what is seen from a pose and comes into the image within reach_px; None where there is nothing.
 
     eye: with the camera of the reduced image, without distortion; chroma (L, 3): chromas() of the landmarks.
@@ -88,7 +88,7 @@ def voters(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, m
         return None
     edge, mark = samples.edge[rows], edges.landmark[ids]
     sided = chroma[mark] * (edges.kind[ids] == _ROOF)[:, None]
-    return Voters(
+    return EdgePoints(
         samples.points_n[rows], (edges.end_n - edges.start_n)[edge], edges.landmark[edge], first, mark, length, sided,
         body.base_d - body.height_m - p_nk[2],
     )  # fmt: skip

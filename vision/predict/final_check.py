@@ -23,10 +23,10 @@ from vision.image.rectify import Image
 from vision.outline import edge_search
 from vision.outline.visibility import Kind, Prisms, visible_edges
 from vision.pose import small_landmarks
-from vision.pose.observation import LookConfig, channels, distance_from_roof
+from vision.pose.observation import ObservationConfig, channels, distance_from_roof
 from vision.pose.pose import PoseEstimate
 from vision.pose.sensitivity import ends_of, eyes, partners_off, sample_edges, viewed
-from vision.predict.presence import across, log_likelihood_ratio, spots_missed
+from vision.predict.presence import across, log_likelihood_ratio, small_missed
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -50,17 +50,17 @@ _REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is 
 
 
 @dataclass(frozen=True, slots=True)
-class Recheck:
-    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be looked at.
+class FinalCheck:
+    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be examined.
 
     images: the same of each image that is there.
-    stands (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
+    present (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
     covered: share of all roofs in view that something covers, or where there is no roof, in every image.
     apart: (du, dv) of right against left image, px, and its standard deviation; None where too little is in both.
     """
 
     share: Array
-    stands: Array
+    present: Array
     images: tuple[float, ...]
     covered: float
     apart: tuple[float, float, float] | None
@@ -79,21 +79,29 @@ class _Checked(NamedTuple):
     sums: Array
 
 
-def recheck(
-    rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], fit: PoseEstimate, look: LookConfig
-) -> Recheck:
-    """Look at the roofs from the pose that prior and images gave together."""
+def final_check(
+    rig: StereoRig,
+    views: Sequence[Image | None],
+    landmarks: Sequence[Landmark],
+    fit: PoseEstimate,
+    observation: ObservationConfig,
+) -> FinalCheck:
+    """Examine the roofs from the pose that prior and images gave together."""
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
-    block, spot = small_landmarks.blocks(edges, shown[0][0], pose)
-    roofs = small_landmarks.sampled(edges, shown[0][0], pose, 1.5 * look.spacing_px, look.most_points, edges.kind == _ROOF, spot)
-    walls = sample_edges(edges, shown[0][0], *pose, 1.5 * look.spacing_px, look.most_points, (edges.kind != _ROOF) & ~spot)
+    block, is_small = small_landmarks.blocks(edges, shown[0][0], pose)
+    roofs = small_landmarks.sampled(
+        edges, shown[0][0], pose, 1.5 * observation.spacing_px, observation.most_points, edges.kind == _ROOF, is_small
+    )
+    walls = sample_edges(
+        edges, shown[0][0], *pose, 1.5 * observation.spacing_px, observation.most_points, (edges.kind != _ROOF) & ~is_small
+    )
     outline_sigma = np.array([one.outline_sigma_m for one in landmarks])
     found, given = np.zeros((2, len(shown), len(landmarks)))
     drawn = edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised
     bodies = prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m
-    on_roofs = roofs.points_n, roofs.edge, block[roofs.edge], spot[roofs.edge]
+    on_roofs = roofs.points_n, roofs.edge, block[roofs.edge], is_small[roofs.edge]
     on_walls = walls.points_n, walls.t, walls.edge
     seen = [_checked(image, drawn, on_roofs, on_walls, bodies, eye.stand(*pose), eye.camera.parameters) for eye, image in shown]
     offsets, normals, sums = [one.offset for one in seen], [one.normal for one in seen], [one.sums for one in seen]
@@ -104,27 +112,27 @@ def recheck(
         _count(one.offset, one.usable & ~hidden, one.x_c, roofs.edge, edges.landmark, slack, found[k], given[k])
     images = tuple((found.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0)).tolist())
     apart = _shift(offsets[1] - offsets[0], normals[0]) if len(shown) == 2 else None
-    stands = log_likelihood_ratio(sums, edges.landmark, len(landmarks), np.where(spot, int(Kind.SPOT), edges.kind))
+    present = log_likelihood_ratio(sums, edges.landmark, len(landmarks), np.where(is_small, int(Kind.SMALL), edges.kind))
     found, given = found.sum(axis=0), given.sum(axis=0)
-    share, small = np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), np.unique(edges.landmark[spot])
-    stands[small] = spots_missed(stands[small], share[small])
-    return Recheck(share, stands, images, float(hidden.sum() / max(asked.sum(), 1)), apart)
+    share, small = np.where(given > 0.0, found / np.maximum(given, 1.0), np.nan), np.unique(edges.landmark[is_small])
+    present[small] = small_missed(present[small], share[small])
+    return FinalCheck(share, present, images, float(hidden.sum() / max(asked.sum(), 1)), apart)
 
 
 def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:
-    """drawn: ModelEdges; roofs: Samples, their blocks, which are of spots; walls: Samples; bodies: Prisms; stand: as Eye.stand.
+    """drawn: ModelEdges; roofs: Samples, their blocks, which of small ones; walls: Samples; bodies: Prisms; stand: Eye.stand.
 
     Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
     """
     start, end, landmark, kind, partner, raised = drawn
-    points, edge, block, of_spot = roofs
+    points, edge, block, of_small = roofs
     px, normal, _, x_c, seen = viewed(points, edge, start, end, *stand, camera, *bodies)
     ends = ends_of(start, end, *stand, camera)
     distance, usable, hidden = distance_from_roof(
-        image, px, normal, seen & ~of_spot, edge, kind, raised, landmark, partner, ends, _HALF_PX
+        image, px, normal, seen & ~of_small, edge, kind, raised, landmark, partner, ends, _HALF_PX
     )
     offset = edge_search.search(distance, edge, len(kind), 1.0, usable)
-    small_landmarks.measure(image, px, normal, of_spot, block, _HALF_PX, seen, offset, usable)
+    small_landmarks.measure(image, px, normal, of_small, block, _HALF_PX, seen, offset, usable)
     sums = across(image, px, normal, block, len(kind), seen)
     points, t, edge = walls
     px, along, _, _, seen = viewed(points, edge, start, end, *stand, camera, *bodies)

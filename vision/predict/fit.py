@@ -4,8 +4,8 @@
     again each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> final check -> all
     together
 
-A first fit begins at a position that is good to a few pixels, so it may not look far; then a roof larger than mapped is lost.
-Once the others tell the pose, what is left open of that roof is its own error on the map, and one may look as far as that
+A first fit begins at a position that is good to a few pixels, so it may not search far; then a roof larger than mapped is lost.
+Once the others tell the pose, what is left open of that roof is its own error on the map, and the search may reach as far as that
 reaches.
 """
 
@@ -25,9 +25,9 @@ from vision.image.rectify import Image
 from vision.pose.pose import NoPose, Pose, PoseConfig, PoseEstimate, difference, estimate_pose
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict.coarse_search import Candidate
-from vision.predict.final_check import Recheck, recheck
+from vision.predict.final_check import FinalCheck, final_check
 from vision.predict.motion import straight
-from vision.predict.verify import Fitted, VerifyConfig, place_odds
+from vision.predict.verify import Fitted, VerifyConfig, position_odds
 from vision.records.images import Images
 from vision.records.reports import pose_flaw
 
@@ -68,45 +68,50 @@ class Fitter:
         self._rig, self._config, self._most = rig, config, most
         self._wide = msgspec.structs.replace(pose, least_edges=3, least_found=0.3, least_fitted=config.weak_found)
         self._pose, self._again, self._alone = (
-            msgspec.structs.replace(self._wide, look=msgspec.structs.replace(pose.look, search_px=window))
+            msgspec.structs.replace(self._wide, observation=msgspec.structs.replace(pose.observation, search_px=window))
             for window in (_WINDOW_PX, _AGAIN_PX, _ALONE_PX)
         )
         self._gone = gone
-        self._stands, self._stands_hidden, self._stands_anyhow = (  # ratios
+        self._odds_whole, self._odds_hidden, self._odds_anyhow = (  # ratios
             odds - math.log((1.0 - gone) / gone) for odds in (_SURE, _SURE_HIDDEN, _SURE_ANYHOW)
         )
         self._pair_sigma_px = _pair_sigma_px(rig)
 
     def fit(
-        self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior, among: Mask | None = None
+        self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior, among: Mask | None = None
     ) -> Fitted | str:
         """The fit from a position, or why there is none; among: landmarks (L,) that may take part, all by default."""
-        first = [k for k in sorted(self._most_seen(place)) if among is None or among[k]]
-        return self._settled(marks, place, _start(images, place, first, first), prior)
+        first = [k for k in sorted(self._most_seen(hypothesis)) if among is None or among[k]]
+        return self._settled(marks, hypothesis, _start(images, hypothesis, first, first), prior)
 
-    def fit_one(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | None:
+    def fit_one(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | None:
         """The likeliest fit from one landmark of those with most votes, where all of them together give none."""
-        asked = self._most_seen(place)
-        tried = [self._settled(marks, place, _start(images, place, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]]
+        asked = self._most_seen(hypothesis)
+        tried = [
+            self._settled(marks, hypothesis, _start(images, hypothesis, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]
+        ]
         fits = [one for one in tried if isinstance(one, Fitted)]
         return max(fits, key=lambda one: one.odds, default=None)
 
-    def joined(self, images: Images, marks: list[Landmark], place: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
+    def joined(self, images: Images, marks: list[Landmark], hypothesis: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
         """The fit from that position with all landmarks seen that stand where it says; itself where it has them already.
 
         More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
         """
         views: Views = (images.left, None if fitted.remark else images.right)
-        fit, shift_m = fitted.pose, place.shift_m.copy()
+        fit, shift_m = fitted.pose, hypothesis.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m
         more, known = [], fit
-        for k in sorted(set(np.flatnonzero(self._seen(place)).tolist()).difference(fitted.used)):
+        for k in sorted(set(np.flatnonzero(self._seen(hypothesis)).tolist()).difference(fitted.used)):
             if (found := self._found(views, marks[k], known)) is not None:
                 known, shift_m[k] = found, found.shift_m[0]
                 more.append(k)
         if not more:
             return fitted
-        here, chosen = replace(place, p_n=known.joint_p_n, R_nb=known.joint_R_nb, shift_m=shift_m), sorted(fitted.used + more)
+        here, chosen = (
+            replace(hypothesis, p_n=known.joint_p_n, R_nb=known.joint_R_nb, shift_m=shift_m),
+            sorted(fitted.used + more),
+        )
         start = _Start(here.pose, shift_m, chosen, sorted({*fitted.asked, *more}), views, fitted.remark)
         again = self._settled(marks, here, start, prior)
         if isinstance(again, str) or len(again.used) <= len(fitted.used):
@@ -120,10 +125,10 @@ class Fitter:
         alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
         if isinstance(alone, NoPose):
             return None
-        stands = self._stand([mark], alone, recheck(self._rig, views, [mark], alone, self._alone.look))
-        return alone if stands[0] else None
+        present = self._present([mark], alone, final_check(self._rig, views, [mark], alone, self._alone.observation))
+        return alone if present[0] else None
 
-    def _settled(self, marks: list[Landmark], place: Candidate, start: _Start, prior: Prior) -> Fitted | str:
+    def _settled(self, marks: list[Landmark], hypothesis: Candidate, start: _Start, prior: Prior) -> Fitted | str:
         """The fit of what is left when landmarks and an image that contradict it are gone, or why there is none."""
         eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
         views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
@@ -133,24 +138,28 @@ class Fitter:
             fit = self._estimated(views, some, (start.pose, start.shift_m[chosen]), before, prior)
             if isinstance(fit, NoPose):
                 return f"{remark}{fit.reason} {fit.detail}".strip()
-            seen = recheck(self._rig, views, some, fit, self._pose.look)
-            good = [k for k, stands in zip(chosen, self._stand(some, fit, seen), strict=True) if stands]
+            seen = final_check(self._rig, views, some, fit, self._pose.observation)
+            good = [k for k, present in zip(chosen, self._present(some, fit, seen), strict=True) if present]
             if problem := self._pair_flaw(seen):
                 if self._swapped(views, some, start, chosen, prior):
                     return "left and right image are swapped"
                 views, remark, before = (views[0], None), f"right camera not used: {problem}; ", None
             elif len(good) < len(chosen):
-                if sum(place.length[good]) < v.remain * sum(place.length[start.asked]):
+                if sum(hypothesis.length[good]) < v.remain * sum(hypothesis.length[start.asked]):
                     return f"{len(start.asked) - len(good)} of {len(start.asked)} landmarks contradict the others"
                 unseen = {k for k, share in zip(chosen, seen.share, strict=True) if np.isnan(share)}
                 before = (fit.joint_p_n, fit.joint_R_nb), fit.shift_m[np.isin(chosen, good)]
                 chosen, asked = good, [k for k in asked if k not in unseen]
-            elif (far := _moved_px(eye, some, place, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(fit):
-                return f"the fit left the place that was found by {far:.0f} px"
+            elif (far := _moved_px(eye, some, hypothesis, chosen, fit)) > v.moved_px * self._rig.left.width / 640.0 and _whole(
+                fit
+            ):
+                return f"the fit left the position that was found by {far:.0f} px"
             else:
-                kept = float(place.length[chosen].sum() / place.length[self._answering(place, chosen, asked)].sum())
-                middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(place.shift_m))
-                odds = self._odds(views, marks, place, chosen, fit, seen, prior)
+                kept = float(
+                    hypothesis.length[chosen].sum() / hypothesis.length[self._answering(hypothesis, chosen, asked)].sum()
+                )
+                middles = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), np.zeros_like(hypothesis.shift_m))
+                odds = self._odds(views, marks, hypothesis, chosen, fit, seen, prior)
                 return pose_flaw(fit, prior) or Fitted(fit, chosen, asked, remark, kept, min(seen.images), middles, odds)
         return f"{remark}the landmarks do not agree"
 
@@ -166,47 +175,47 @@ class Fitter:
         pose, shift_m = start
         return estimate_pose(self._rig, views, marks, pose, prior, self._pose, shift_m)
 
-    def _most_seen(self, place: Candidate) -> list[int]:
+    def _most_seen(self, hypothesis: Candidate) -> list[int]:
         """Landmarks that have votes, those with most first, as many as are fitted."""
-        order = np.argsort(-np.where(self._seen(place), place.support, -1.0), kind="stable")
-        return [int(k) for k in order[: min(self._most, int(self._seen(place).sum()))]]
+        order = np.argsort(-np.where(self._seen(hypothesis), hypothesis.support, -1.0), kind="stable")
+        return [int(k) for k in order[: min(self._most, int(self._seen(hypothesis).sum()))]]
 
-    def _seen(self, place: Candidate) -> Mask:
+    def _seen(self, hypothesis: Candidate) -> Mask:
         """Landmarks (L,) that have votes."""
-        return np.asarray(place.support > self._config.landmark_share * np.maximum(place.length, 1.0))
+        return np.asarray(hypothesis.support > self._config.landmark_share * np.maximum(hypothesis.length, 1.0))
 
-    def _answering(self, place: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
+    def _answering(self, hypothesis: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
         """The landmarks of whose outline so much must agree: of one alone, which chance lays on edges somewhere, all in view."""
-        return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(place)).tolist()})
+        return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(hypothesis)).tolist()})
 
-    def _stand(self, marks: list[Landmark], fit: PoseEstimate, seen: Recheck) -> Mask:
+    def _present(self, marks: list[Landmark], fit: PoseEstimate, seen: FinalCheck) -> Mask:
         """Landmarks (L,) that the final check finds where the fit says, and not far off the map."""
         v = self._config
-        whole = (seen.share >= v.landmark_found) & (seen.stands > self._stands)
-        hidden = (seen.share >= v.hidden_found) & (seen.stands > self._stands_hidden)
-        return np.asarray((whole | hidden | (seen.stands > self._stands_anyhow)) & (_off_map(marks, fit) < v.off_map))
+        whole = (seen.share >= v.landmark_found) & (seen.present > self._odds_whole)
+        hidden = (seen.share >= v.hidden_found) & (seen.present > self._odds_hidden)
+        return np.asarray((whole | hidden | (seen.present > self._odds_anyhow)) & (_off_map(marks, fit) < v.off_map))
 
     def _odds(
         self,
         views: Views,
         marks: list[Landmark],
-        place: Candidate,
+        hypothesis: Candidate,
         chosen: list[int],
         fit: PoseEstimate,
-        seen: Recheck,
+        seen: FinalCheck,
         prior: Prior,
     ) -> float:
-        """verify.place_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
-        others = [k for k in np.flatnonzero(place.length > 0.0).tolist() if k not in chosen]
+        """verify.position_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
+        others = [k for k in np.flatnonzero(hypothesis.length > 0.0).tolist() if k not in chosen]
         some = [marks[k] for k in others]
         as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
-        rest = recheck(self._rig, views, some, as_mapped, self._pose.look).stands if some else np.zeros(0)
+        rest = final_check(self._rig, views, some, as_mapped, self._pose.observation).present if some else np.zeros(0)
         off = difference(fit.joint_p_n, fit.joint_R_nb, np.asarray(prior.p_n, float), np.asarray(prior.q_nb_wxyz, float))
         squared = float(off @ prior.information @ off) + float(_off_map([marks[k] for k in chosen], fit).sum())
         covered = seen.covered if len(chosen) == 1 else 0.0  # beside others a cover is not the bare ground
-        return place_odds(np.concatenate((seen.stands, rest)), self._gone, squared, fit.found, covered)
+        return position_odds(np.concatenate((seen.present, rest)), self._gone, squared, fit.found, covered)
 
-    def _pair_flaw(self, seen: Recheck) -> str:
+    def _pair_flaw(self, seen: FinalCheck) -> str:
         """Why the right image does not belong to the left one; empty where it does."""
         if seen.apart is not None:
             du, dv, sigma = seen.apart
@@ -223,11 +232,13 @@ class Fitter:
         """Whether the outlines lie in both images once they are taken the other way round."""
         shift_m = start.shift_m[chosen]
         fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
-        return isinstance(fit, PoseEstimate) and not self._pair_flaw(recheck(self._rig, views[::-1], marks, fit, self._pose.look))
+        return isinstance(fit, PoseEstimate) and not self._pair_flaw(
+            final_check(self._rig, views[::-1], marks, fit, self._pose.observation)
+        )
 
 
-def _start(images: Images, place: Candidate, chosen: list[int], asked: list[int]) -> _Start:
-    return _Start(place.pose, place.shift_m, chosen, asked, (images.left, images.right))
+def _start(images: Images, hypothesis: Candidate, chosen: list[int], asked: list[int]) -> _Start:
+    return _Start(hypothesis.pose, hypothesis.shift_m, chosen, asked, (images.left, images.right))
 
 
 def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
@@ -249,9 +260,9 @@ def _pair_sigma_px(rig: StereoRig) -> float:
     return math.sqrt(turn + lenses)
 
 
-def _moved_px(eye: Eye, marks: list[Landmark], place: Candidate, chosen: list[int], fit: PoseEstimate) -> float:
+def _moved_px(eye: Eye, marks: list[Landmark], hypothesis: Candidate, chosen: list[int], fit: PoseEstimate) -> float:
     """How far the middles of the roofs moved from where the search found them: the median, px."""
-    before = _middles(eye, marks, place.pose, place.shift_m[chosen])
+    before = _middles(eye, marks, hypothesis.pose, hypothesis.shift_m[chosen])
     after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
     moved = np.linalg.norm(after - before, axis=1)
     return float(np.median(moved[~np.isnan(moved)]))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from models.messages import Array
 from vision.predict.motion import Motion
 from vision.predict.rigid_votes import Window
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 
 Indices = NDArray[np.int64]
 _NEVER = -1e6
@@ -51,23 +51,33 @@ class Grid:
         return cls(step * np.arange(-u, u + 1.0), step * np.arange(-v, v + 1.0), others, sigmas**2 + _OTHERS)
 
     @property
-    def places(self) -> int:
+    def positions(self) -> int:
         """How many there are."""
         return len(self.su) * len(self.sv) * len(self.others)
 
 
-def summits(stage: Stage, motion: Motion, grid: Grid) -> tuple[Array, Array]:
+def summits(search_level: SearchLevel, motion: Motion, grid: Grid) -> tuple[Array, Array]:
     """Scores (N,) and q (N, 4) of the local summits in each turn and scale, best first."""
     information = np.linalg.inv(motion.covariance).astype(np.float64)
     scores, found = list[Array](), list[Array]()
-    for shape, others in _by_shape(grid.others, _width(stage.own_radius(), stage.level.size)).items():
-        start = _middles(stage, motion, shape)
-        middles = np.array([_middles(stage, motion, other) for other in others])
-        px = np.where(start[:, 2:3] > 0.0, start[:, :2] / start[:, 2:3] * stage.camera[:2], np.nan)
-        window = _window(middles, px, stage.camera, grid.su, grid.sv)
-        votes = stage.rigid_votes(stage.aimed(motion.pose(motion.gain @ np.array([0.0, 0.0, *shape]))), window)
+    for shape, others in _by_shape(grid.others, _width(search_level.own_radius(), search_level.level.size)).items():
+        start = _middles(search_level, motion, shape)
+        middles = np.array([_middles(search_level, motion, other) for other in others])
+        px = np.where(start[:, 2:3] > 0.0, start[:, :2] / start[:, 2:3] * search_level.camera[:2], np.nan)
+        window = _window(middles, px, search_level.camera, grid.su, grid.sv)
+        votes = search_level.rigid_votes(search_level.aimed(motion.pose(motion.gain @ np.array([0.0, 0.0, *shape]))), window)
         score, q = _summits(
-            votes, middles, np.array(others), px, window, stage.camera, grid.su, grid.sv, stage.level.size, information, grid.chi2
+            votes,
+            middles,
+            np.array(others),
+            px,
+            window,
+            search_level.camera,
+            grid.su,
+            grid.sv,
+            search_level.level.size,
+            information,
+            grid.chi2,
         )
         scores.append(score)
         found.append(q)
@@ -89,9 +99,9 @@ def _by_shape(others: list[Other], width: float) -> dict[Other, list[Other]]:
     return shapes
 
 
-def _middles(stage: Stage, motion: Motion, other: Other) -> Array:
+def _middles(search_level: SearchLevel, motion: Motion, other: Other) -> Array:
     """The landmarks' middles (L, 11), as aimed, in a turn and scale."""
-    return stage.middles(motion.pose(motion.gain @ np.array([0.0, 0.0, *other])))
+    return search_level.middles(motion.pose(motion.gain @ np.array([0.0, 0.0, *other])))
 
 
 @njit(cache=True)
@@ -148,8 +158,8 @@ def _together(votes: Array, middle: Array, start_px: Array, window: Window, came
                 z = z0 + su[a] * row[5]
                 u, v = camera[0] * (x + su[a] * row[3]) / z - left, camera[1] * (y + su[a] * row[4]) / z - top
                 met = (z > 0.0) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
-                place = np.int32(v) * np.int32(columns) + np.int32(u)
-                at[a] = place if met else np.int32(-1)
+                position = np.int32(v) * np.int32(columns) + np.int32(u)
+                at[a] = position if met else np.int32(-1)
             for a in range(len(su)):
                 if at[a] >= 0:
                     total[b, a] += one[np.uint64(at[a])]

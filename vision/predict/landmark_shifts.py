@@ -19,21 +19,21 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-class Settled(NamedTuple):
+class Shifted(NamedTuple):
     """Error of the prior (6,) and map errors north, east (L, 2) m."""
 
     error: Array
     shift_m: Array
 
 
-def settled(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array, P: Array) -> Settled:
+def shifted(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array, P: Array) -> Shifted:
     """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
 
-    trusted (L,): those that count; map_sigma (L,) m; place_px: how well a position is found.
+    trusted (L,): those that count; map_sigma (L,) m; position_px: how well a position is found.
     """
-    y, W, information, weighted = _information(D, found_px, trusted, map_sigma, place_px, error)
+    y, W, information, weighted = _information(D, found_px, trusted, map_sigma, position_px, error)
     total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
-    return Settled(total, _shifts(D, trusted, map_sigma, y, W, total))
+    return Shifted(total, _shifts(D, trusted, map_sigma, y, W, total))
 
 
 @njit(cache=True)
@@ -69,7 +69,7 @@ def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, 
 
 @njit(cache=True)
 def _information(
-    D: Array, found_px: Array, trusted: Mask, map_sigma: Array, place_px: float, error: Array
+    D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array
 ) -> tuple[Array, Array, Array, Array]:
     """y_l (L, 2), N_l^-1 (L, 2, 2), and the sums over landmarks of D_l^T N_l^-1 D_l (6, 6) and D_l^T N_l^-1 y_l (6,)."""
     information, weighted = np.zeros((6, 6)), np.zeros(6)
@@ -77,7 +77,7 @@ def _information(
     for m in range(len(D)):
         if not trusted[m]:
             continue
-        n00, n01, n11 = place_px**2, 0.0, place_px**2
+        n00, n01, n11 = position_px**2, 0.0, position_px**2
         for k in range(2):
             d0, d1 = map_sigma[m] * D[m, 0, k], map_sigma[m] * D[m, 1, k]
             n00, n01, n11 = n00 + d0 * d0, n01 + d0 * d1, n11 + d1 * d1
@@ -117,11 +117,11 @@ def _dot(a: Array, b: Array) -> float:
 
 
 @njit(cache=True)
-def own_places(votes: Array, common: Indices, free: Array) -> Array:
+def own_positions(votes: Array, common: Indices, free: Array) -> Array:
     """Row and column (L, 2), to a fraction, of each landmark's best position in votes (L, U, V), at most free (L,) from
     common.
     """
-    places = np.empty((len(votes), 2))
+    positions = np.empty((len(votes), 2))
     for k in range(len(votes)):
         one, radius = votes[k], int(free[k])
         a, b = common[0], common[1]
@@ -130,12 +130,12 @@ def own_places(votes: Array, common: Indices, free: Array) -> Array:
             for j in range(max(common[1] - radius, 0), min(common[1] + radius + 1, one.shape[1])):
                 if one[i, j] > best:
                     best, a, b = one[i, j], i, j
-        places[k, 0], places[k, 1] = a, b
+        positions[k, 0], positions[k, 1] = a, b
         if 0 < a < one.shape[0] - 1:
-            places[k, 0] += _top(one[a - 1, b], one[a, b], one[a + 1, b])
+            positions[k, 0] += _top(one[a - 1, b], one[a, b], one[a + 1, b])
         if 0 < b < one.shape[1] - 1:
-            places[k, 1] += _top(one[a, b - 1], one[a, b], one[a, b + 1])
-    return places
+            positions[k, 1] += _top(one[a, b - 1], one[a, b], one[a, b + 1])
+    return positions
 
 
 @njit(cache=True)

@@ -25,7 +25,7 @@ from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import difference
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict.coarse_search import CoarseConfig, limit_px
-from vision.predict.edge_points import chromas, voters
+from vision.predict.edge_points import chromas, edge_points
 from vision.predict.joint_score import Summit, joint_score, summit
 from vision.predict.motion import Motion
 from vision.records.images import Images
@@ -36,7 +36,7 @@ _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
 _APART_PX = 8.0  # nearer positions are one, as for the window of a fit
 _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that the prior excludes still sample chance
-_PLACE_PX = 1.0  # how well the summit's position is known
+_POSITION_PX = 1.0  # how well the summit's position is known
 _POINTS = 400
 _FLOOR = 0.5  # of the image's median gradient: below it there is no direction
 SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
@@ -76,7 +76,7 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
     level = levels(image, eye.camera, (1,))[0]
     reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
     straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
-    seen = voters(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
+    seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
     if seen is None:
         return None
     su, sv = (np.arange(-n, n + 1.0) for n in np.ceil(reach).astype(int))
@@ -91,7 +91,7 @@ def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Mot
     """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
     middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))
-    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * _PLACE_PX**2)
+    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * _POSITION_PX**2)
     variance = np.mean([(mark.sigma_m**2, mark.height_sigma_m**2) for mark in marks], axis=0)
     sigma = math.sqrt(variance[0]), math.sqrt(variance[1]), 0.0
     found = fit_points(rig, point, move.pose(np.zeros(6)), move.prior, sigma, _ALONE)
@@ -100,7 +100,7 @@ def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Mot
     pose, t_ns = found.estimate, result.report.t_ns
     if flaw := pose_flaw(pose, move.prior):
         return refused(result, "no_pose", flaw)
-    detail = f"{result.report.detail}; all {len(marks)} outlines together have one place, {best.ratio:.2f} times the second"
+    detail = f"{result.report.detail}; all {len(marks)} outlines together have one position, {best.ratio:.2f} times the second"
     report = msgspec.structs.replace(result.report, outcome="fixed", detail=detail, residual_px=pose.residual_px)
     return Result(fix_of(pose, t_ns, (NAME,), min(best.score, 1.0)), report, result.regions, pose)
 

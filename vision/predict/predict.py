@@ -3,8 +3,8 @@
     prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
     verify.py
 
-No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, take part with what is
-left of them.
+No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, are used with
+their visible parts.
 """
 
 import math
@@ -61,7 +61,7 @@ class _Refused(NamedTuple):
 class _Decided(NamedTuple):
     """A position and its fit, its grade, and why it is no better; rival: score of the next position over the best one's."""
 
-    place: Candidate
+    hypothesis: Candidate
     fitted: Fitted
     grade: Grade
     reason: str
@@ -69,7 +69,7 @@ class _Decided(NamedTuple):
 
 
 class PredictPath:
-    """Images of one rig, looked at where the prior says."""
+    """Images of one rig, searched where the prior says."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
         """gone: share of the map assumed to stand no longer; alone: whether one landmark alone may be a fix."""
@@ -95,18 +95,18 @@ class PredictPath:
         """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
         eye, candidates = self._eye(images), self._candidates(images, marks, move)
         found = self._decide(images, marks, candidates, prior)
-        place = found.place if isinstance(found, _Decided) else candidates[0] if candidates else None
+        hypothesis = found.hypothesis if isinstance(found, _Decided) else candidates[0] if candidates else None
         found = self._confirmed(found, marks, t_ns, prior) if isinstance(found, _Decided) else found
         if isinstance(found, _Refused):
-            said = [] if place is None else _reports(eye, marks, place, self._trusted(place))
+            said = [] if hypothesis is None else _reports(eye, marks, hypothesis, self._trusted(hypothesis))
             if found.outcome != "waiting":
                 self._waiting.nothing(t_ns)
             report = report_of(t_ns, found.outcome, f"{images.remark}predicted: {found.detail}", said)
             return Result(None, report, tuple(said))
         self._waiting.fixed(found.fitted, t_ns, prior)
         fit, names = found.fitted.pose, tuple(marks[k].id for k in found.fitted.used)
-        said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.place))]
-        used = f"{len(names)} of {len(said)} landmarks used, next place {found.rival:.0%} as good"
+        said = [_settled(one, names) for one in _reports(eye, marks, _as_fitted(found), self._trusted(found.hypothesis))]
+        used = f"{len(names)} of {len(said)} landmarks used, next position {found.rival:.0%} as good"
         detail = f"{images.remark}{found.fitted.remark}predicted: {used}"
         fix = fix_of(fit, t_ns, names, fit.found)
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
@@ -124,36 +124,36 @@ class PredictPath:
         beside = [here.joint_p_n + step for step in (np.zeros(3), *steps)]
         shown = [_in_view(eye, near, Prior(p_n, q_nb, prior.covariance), 0.0, self._config.most_voting) for p_n in beside]
         marks = list({mark.id: mark for some in shown for mark in some}.values())
-        places = [Candidate.as_mapped(eye, marks, (p_n, R_nb), difference(p_n, R_nb, p_0, q_0)) for p_n in beside]
-        fits = [self._fit_at(images, marks, place, prior) for place in places]
+        hypotheses = [Candidate.as_mapped(eye, marks, (p_n, R_nb), difference(p_n, R_nb, p_0, q_0)) for p_n in beside]
+        fits = [self._fit_at(images, marks, hypothesis, prior) for hypothesis in hypotheses]
         first, likeliest = fits[0], verify.decided(fits, v)
         if isinstance(first, str) or isinstance(likeliest, str):
             return False
-        return first.odds >= v.odds and verify.same_place(likeliest, first, v)
+        return first.odds >= v.odds and verify.same_position(likeliest, first, v)
 
-    def _fit_at(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+    def _fit_at(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a position, of one landmark where all of them together give none."""
-        fitted = self._fitter.fit(images, marks, place, prior)
-        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(images, marks, place, prior) or fitted
+        fitted = self._fitter.fit(images, marks, hypothesis, prior)
+        return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(images, marks, hypothesis, prior) or fitted
 
     def _candidates(self, images: Images, marks: list[Landmark], move: Motion) -> list[Candidate]:
-        """Places where the outlines may lie, best first."""
+        """Positions where the outlines may lie, best first."""
         image = images.right if images.only_right else images.left
         assert image is not None
         return Search(self._eye(images), marks, move, self._config.coarse).candidates(image)
 
-    def _fit(self, images: Images, marks: list[Landmark], place: Candidate, prior: Prior) -> Fitted | str:
+    def _fit(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | str:
         """The fit from a position; small landmarks are searched once more where the large ones put them.
 
         A prior that is off in tilt puts what is at the image's border many pixels off, farther than a small landmark is large:
         something else would be found in its place.
         """
-        eye, voted = self._eye(images), self._trusted(place)
-        large = voted & ~small_landmarks.small(marks, eye, place.pose)
+        eye, voted = self._eye(images), self._trusted(hypothesis)
+        large = voted & ~small_landmarks.small(marks, eye, hypothesis.pose)
         mixed = 0 < large.sum() < voted.sum()
-        known = self._fitter.fit(images, marks, place, prior, large) if mixed else ""
+        known = self._fitter.fit(images, marks, hypothesis, prior, large) if mixed else ""
         if isinstance(known, str):
-            return self._fitter.fit(images, marks, place, prior)
+            return self._fitter.fit(images, marks, hypothesis, prior)
         p_n, R_nb = known.pose.joint_p_n, known.pose.joint_R_nb
         move = motion(eye, marks, Prior(p_n, so3.from_matrix(R_nb), known.pose.joint_covariance))
         for again in self._candidates(images, marks, move)[:1] if move else ():
@@ -170,26 +170,29 @@ class PredictPath:
         evidence = Evidence.of(candidates, self._trusted(best), self._eye(images).camera.width)
         if flaw := verify.flaw(evidence, v):
             return _Refused("not_found", flaw)
-        likely = 1 + sum(place.score > v.rival * best.score for place in candidates[1:])
-        places = candidates[:likely]
-        tried = [self._fit(images, marks, place, prior) for place in places]
+        likely = 1 + sum(hypothesis.score > v.rival * best.score for hypothesis in candidates[1:])
+        hypotheses = candidates[:likely]
+        tried = [self._fit(images, marks, hypothesis, prior) for hypothesis in hypotheses]
         outcome = verify.decided(tried, v)
         if isinstance(outcome, str) or verify.grade(evidence, outcome, v)[0] != "sure":  # the votes do not know best
-            places = [*places, *nearer_and_farther(marks, best, self._trusted(best), prior)]
-            tried += [self._fit(images, marks, place, prior) for place in places[likely:]]
+            hypotheses = [*hypotheses, *nearer_and_farther(marks, best, self._trusted(best), prior)]
+            tried += [self._fit(images, marks, hypothesis, prior) for hypothesis in hypotheses[likely:]]
             outcome = verify.decided(tried, v)
         if not any(isinstance(one, Fitted) for one in tried):
-            tried = [self._fitter.fit_one(images, marks, place, prior) or why for place, why in zip(places, tried, strict=True)]
+            tried = [
+                self._fitter.fit_one(images, marks, hypothesis, prior) or why
+                for hypothesis, why in zip(hypotheses, tried, strict=True)
+            ]
             outcome = verify.decided(tried, v)
         if isinstance(outcome, str):
             return _Refused("ambiguous" if sum(isinstance(one, Fitted) for one in tried) > 1 else "no_pose", outcome)
         at = next(k for k, one in enumerate(tried) if isinstance(one, Fitted) and one.pose is outcome.pose)
-        outcome = self._fitter.joined(images, marks, places[at], outcome, prior)
+        outcome = self._fitter.joined(images, marks, hypotheses[at], outcome, prior)
         grade, reason = verify.grade(evidence, outcome, v)
-        voted = any(isinstance(one, Fitted) and verify.same_place(one, outcome, v) for one in tried[:likely])
+        voted = any(isinstance(one, Fitted) and verify.same_position(one, outcome, v) for one in tried[:likely])
         if grade == "sure" and at >= likely and not voted:
             grade, reason = "weak", "another position has more votes"
-        return _Decided(places[at], outcome, grade, reason, evidence.rival)
+        return _Decided(hypotheses[at], outcome, grade, reason, evidence.rival)
 
     def _confirmed(self, found: _Decided, marks: list[Landmark], t_ns: int, prior: Prior) -> _Decided | _Refused:
         """What is weak waits for an image from elsewhere that agrees; what the image before contradicts for the next one."""
@@ -205,9 +208,9 @@ class PredictPath:
         reason = found.reason or "the image before showed another position"
         return _Refused("waiting", f"{reason}: {doubt}") if doubt else found
 
-    def _trusted(self, place: Candidate) -> Mask:
+    def _trusted(self, hypothesis: Candidate) -> Mask:
         """Landmarks (L,) that count as seen."""
-        return np.asarray(place.support > self._config.verify.landmark_share * np.maximum(place.length, 1.0))
+        return np.asarray(hypothesis.support > self._config.verify.landmark_share * np.maximum(hypothesis.length, 1.0))
 
     def _eye(self, images: Images) -> Eye:
         return eyes(self._rig)[int(images.only_right)]
@@ -216,7 +219,7 @@ class PredictPath:
         return limit_px(eye.camera, self._config.coarse)
 
 
-def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
+def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
     """A position where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is
     in the image: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
 
@@ -226,9 +229,9 @@ def nearer_and_farther(marks: list[Landmark], place: Candidate, seen: Mask, prio
         return []
     mark = marks[int(np.flatnonzero(seen)[0])]
     middle = np.array([*mark.centre_n, mark.roof_d])
-    away = place.p_n - middle
+    away = hypothesis.p_n - middle
     s = math.sqrt(float(away @ prior.covariance[:3, :3] @ away)) / float(away @ away)
-    return [replace(place, p_n=middle + math.exp(k * s) * away) for k in _DISTANCES]
+    return [replace(hypothesis, p_n=middle + math.exp(k * s) * away) for k in _DISTANCES]
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
@@ -258,23 +261,23 @@ def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
 
 def _as_fitted(found: _Decided) -> Candidate:
     """The position with pose and map errors that the fit has found: a search is good to a few pixels only."""
-    place, fit = found.place, found.fitted.pose
-    shift_m = place.shift_m.copy()
+    hypothesis, fit = found.hypothesis, found.fitted.pose
+    shift_m = hypothesis.shift_m.copy()
     shift_m[found.fitted.used] = fit.shift_m
-    return replace(place, p_n=fit.joint_p_n, R_nb=fit.joint_R_nb, shift_m=shift_m)
+    return replace(hypothesis, p_n=fit.joint_p_n, R_nb=fit.joint_R_nb, shift_m=shift_m)
 
 
-def _reports(eye: Eye, marks: list[Landmark], place: Candidate, trusted: Mask) -> list[RegionReport]:
+def _reports(eye: Eye, marks: list[Landmark], hypothesis: Candidate, trusted: Mask) -> list[RegionReport]:
     """One line for each landmark that would be in view."""
-    p_nk, R_nk = eye.pose(*place.pose)
+    p_nk, R_nk = eye.pose(*hypothesis.pose)
     bodies, said = Prisms.of(marks), []
     roofs = bodies.roofs
-    roofs[:, :2] += np.repeat(place.shift_m[:, :2], np.diff(bodies.offsets), axis=0)
+    roofs[:, :2] += np.repeat(hypothesis.shift_m[:, :2], np.diff(bodies.offsets), axis=0)
     boxes = _boxes(eye, eye.camera.project((roofs - p_nk) @ R_nk), bodies.offsets)
     for k, mark in enumerate(marks):
-        if place.length[k] <= 0.0:
+        if hypothesis.length[k] <= 0.0:
             continue
-        share = float(place.support[k] / place.length[k])
+        share = float(hypothesis.support[k] / hypothesis.length[k])
         said.append(RegionReport(
             "open" if trusted[k] else "not_found", boxes[k], mark.id, min(share, 1.0), 0.0, int(trusted[k]),
             f"{share:.0%} of its outline lies on edges", PATH,

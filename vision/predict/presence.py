@@ -13,7 +13,7 @@ The feet and corners of the walls in view tell as well, each of them less, as bu
 contrast: h = q = 0.2. An outline that lies on edges of something else seldom has more of these where its walls would end.
 
 A landmark too small to have edges (small_landmarks.py) has one side, its whole rim: a stain has all of a rim as well. One is
-missed with h = 0.15. At a position of no spot one of that size is found in 58 % within 8 px all around (2700 positions each in
+missed with h = 0.15. Without a small landmark there, one of that size is found in 58 % within 8 px (2700 positions each in
 photos of grass and woods and in rendered images); lying anywhere there, it is as near as 2.5 px to the very position in 9 %: q =
 0.05. One that is found elsewhere, or nowhere within these 8 px, is missed whatever its position shows: a rim beside a stone
 crosses the stone's edges.
@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 _HIDDEN, _ELSEWHERE = 0.1, 0.1  # h, q
 _WALL_HIDDEN, _WALL_ELSEWHERE = 0.2, 0.2  # the same of feet and corners of walls
 _SPOT_HIDDEN, _SPOT_ELSEWHERE = 0.15, 0.05  # and of small landmarks
-_ROOF, _SPOT = int(Kind.ROOF), int(Kind.SPOT)  # compiled code reads plain integers
+_ROOF, _SMALL = int(Kind.ROOF), int(Kind.SMALL)  # compiled code reads plain integers
 _LEAST_POINTS = 2.0  # that have a direction in common
 
 
@@ -79,7 +79,7 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
     """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all images."""
     log_ratio, channels = np.zeros(landmarks), sums.shape[2] - 1
     for e in range(len(landmark)):
-        if kind[e] == _SPOT:
+        if kind[e] == _SMALL:
             h, q = _SPOT_HIDDEN, _SPOT_ELSEWHERE
         else:
             h, q = (_HIDDEN, _ELSEWHERE) if kind[e] == _ROOF else (_WALL_HIDDEN, _WALL_ELSEWHERE)
@@ -101,6 +101,6 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
     return log_ratio
 
 
-def spots_missed(log_ratio: Array, share: Array) -> Array:
+def small_missed(log_ratio: Array, share: Array) -> Array:
     """log LR (N,) of small landmarks, so far (N,) from their rims; share (N,): of each that is found where the fit says."""
     return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), log_ratio)

@@ -15,7 +15,7 @@ from vision.image.reduced import Level
 from vision.outline.visibility import Prisms
 from vision.pose.pose import Pose
 from vision.pose.sensitivity import Eye
-from vision.predict.edge_points import chromas, voters
+from vision.predict.edge_points import chromas, edge_points
 from vision.predict.landmark_shifts import motions
 from vision.predict.motion import Motion
 from vision.predict.rigid_votes import Window, rigid_votes
@@ -27,7 +27,7 @@ _FLOOR = 0.5  # of the median gradient of the image
 _NOWHERE = -(1 << 20)  # a pixel that nothing brings into the image
 
 
-class Stage:
+class SearchLevel:
     """A level of the image that `eye` took, in which about `points` points vote, of what is within reach_px of the image.
 
     free, sides (L,): px of the level that the map leaves open of a landmark's position, and of its sides; growth_m (K, L): the
@@ -41,7 +41,7 @@ class Stage:
         self.level, self._motion, self._expected = level, motion, expected
         self._eye = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right)
         pose, body = motion.pose(np.zeros(6)), Prisms.of(landmarks)
-        self.voters = voters(self._eye, body, chromas(landmarks), pose, reach_px / level.size, points)
+        self.edge_points = edge_points(self._eye, body, chromas(landmarks), pose, reach_px / level.size, points)
         depth = body.base_d - body.height_m - self._eye.pose(*pose)[0][2]
         metre_px = level.camera.fx / np.maximum(depth, 1.0)
         map_sigma, outline_sigma = (np.array(s) for s in zip(*((m.sigma_m, m.outline_sigma_m) for m in landmarks), strict=True))
@@ -57,8 +57,8 @@ class Stage:
 
     def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
         """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
-        assert self.voters is not None
-        return self.voters.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
+        assert self.edge_points is not None
+        return self.edge_points.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
 
     def middles(self, pose: Pose) -> Array:
         """The middles (L, 11) of each landmark's points, as aimed."""
@@ -68,21 +68,21 @@ class Stage:
     @cached_property
     def _middle_n(self) -> Array:
         """The same on the map (L, 3)."""
-        assert self.voters is not None
-        return self.voters.middles(len(self.free))
+        assert self.edge_points is not None
+        return self.edge_points.middles(len(self.free))
 
     def own_radius(self) -> float:
         """px of the image: of the largest landmark, as Motion.radius of all."""
-        assert self.voters is not None
-        mark, pose = self.voters.mark_of_point, self._motion.pose(np.zeros(6))
+        assert self.edge_points is not None
+        mark, pose = self.edge_points.mark_of_point, self._motion.pose(np.zeros(6))
         r = _seen(self.aimed(pose)) - _seen(self.middles(pose))[mark]
         square = np.bincount(mark, np.sum((r * self.camera[:2]) ** 2, axis=1)) / np.maximum(np.bincount(mark), 1)
         return max(1.3 * math.sqrt(float(np.nanmax(square))), 1.0) * self.level.size
 
     def vote(self, aimed: Array, su: Array, sv: Array) -> tuple[Array, Array]:
         """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
-        assert self.voters is not None
-        v, marks = self.voters, len(self.free)
+        assert self.edge_points is not None
+        v, marks = self.edge_points, len(self.free)
         field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
         support, length = vote(field, self.camera, aimed, v.first, v.mark, v.length, v.chroma, marks, self._floor, su, sv)
         return support - self._expected * length, length
@@ -91,8 +91,8 @@ class Stage:
         """The best votes (L, rows, columns) within what the map leaves open of each landmark's position, of landmarks as aimed
         that are moved by all the whole pixels of a window.
         """
-        assert self.voters is not None
-        v, c, most = self.voters, self.camera, int(self.free.max())
+        assert self.edge_points is not None
+        v, c, most = self.edge_points, self.camera, int(self.free.max())
         px = np.where(aimed[:, 2:3] > 0.0, np.rint(_seen(aimed) * c[:2] + c[2:]), _NOWHERE).astype(np.int64)
         wide = (window[0] - most, window[1] + most, window[2] - most, window[3] + most)
         field = self.level.around(np.repeat(px, 2, axis=1) + wide)
@@ -107,14 +107,14 @@ class Stage:
 
     def motions(self, pose: Pose, shift_m: Array) -> Array:
         """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the image."""
-        assert self.voters is not None
-        v, c, marks = self.voters, self.level.camera, len(self.free)
+        assert self.edge_points is not None
+        v, c, marks = self.edge_points, self.level.camera, len(self.free)
         p_nk, R_nk = self._eye.pose(*pose)
         return np.asarray(motions(v.moved(shift_m), pose[0], p_nk, R_nk, v.mark_of_point, marks, c.fx, c.fy) * self.level.size)
 
     def across(self, q: Array) -> Array:
         """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
-        assert self.voters is not None
+        assert self.edge_points is not None
         aimed, c = self.aimed(self._motion.pose(self._motion.gain @ q)), self.level.camera
         return np.asarray(_across(aimed, self.camera, c.width, c.height, self.level.size, self._motion.middle + q[:2]))
 

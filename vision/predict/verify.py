@@ -45,7 +45,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(gt=0, lt=1, description="the same of one landmark in the final check, or it is left out")
     ] = 0.5
     hidden_found: Annotated[float, Meta(gt=0, lt=1, description="the same where the edges there leave no doubt of it")] = 0.3
-    looked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next image must agree")] = 0.72
+    checked: Annotated[float, Meta(gt=0, lt=1, description="the same of all, or the next image must agree")] = 0.72
     off_map: Annotated[float, Meta(gt=0, description="chi-square (4) of a landmark's error on the map, or it is left out")] = 12.0
     remain: Annotated[float, Meta(gt=0, lt=1, description="share of the outline that agrees on one fit, at least")] = 0.4
     kept: Annotated[float, Meta(gt=0, lt=1, description="the same, or the next image must agree")] = 0.65
@@ -96,7 +96,7 @@ class Evidence:
 class Fitted:
     """A fit; used: indices of its landmarks; asked: of all that the final check could see; remark: on an image left out.
 
-    kept: share that agreed of the outline of those that must answer; looked: share of it that the final check found, in the worse
+    kept: share that agreed of the outline of those that must answer; checked: share of it found by the final check, in the worse
     image; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this position against one of chance.
     """
 
@@ -105,7 +105,7 @@ class Fitted:
     asked: list[int]
     remark: str
     kept: float
-    looked: float
+    checked: float
     middles: Array
     odds: float
 
@@ -119,18 +119,18 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
     return ""
 
 
-def place_odds(stands: Array, gone: float, squared: float, found: float, covered: float) -> float:
+def position_odds(present: Array, gone: float, squared: float, found: float, covered: float) -> float:
     """ln of the odds of a position against one of chance, where outlines lie on edges of something else.
 
     (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
-    stands (L,): ln LR of each landmark in view (presence.py); gone: g, share of the map that is; squared: d^2, of the pose from
+    present (L,): ln LR of each landmark in view (presence.py); gone: g, share of the map that is; squared: d^2, of the pose from
     the prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right positions and c at those
     of chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by
     themselves. covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
-    there = float(np.logaddexp(math.log(1.0 - gone) + stands, math.log(gone)).sum())
+    there = float(np.logaddexp(math.log(1.0 - gone) + present, math.log(gone)).sum())
     shown = found * math.log(r / c) + (1.0 - found) * math.log((1.0 - r) / (1.0 - c))
     return (there - 0.5 * squared) / _ALIKE + _PIECES * shown - _COVERED * covered
 
@@ -145,14 +145,18 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
     if not fits:
         return str(tried[0])
     likeliest = max(fits, key=lambda one: one.odds)
-    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_place(one, likeliest, config)]
+    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_position(one, likeliest, config)]
     best = min(as_likely, key=lambda one: (float(np.trace(one.pose.joint_covariance[:3, :3])), -one.odds))
     kept = best.kept
     for other in (one for one in fits if one is not best):
         apart = float(np.nanmedian(np.linalg.norm(other.middles - best.middles, axis=1)))
         if apart < _ONE_FIT_PX:
             kept = min(kept, other.kept)
-        if apart > config.moved_px and not same_place(best, other, config) and other.odds > best.odds - _decisive(other, config):
+        if (
+            apart > config.moved_px
+            and not same_position(best, other, config)
+            and other.odds > best.odds - _decisive(other, config)
+        ):
             return f"another position, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best if kept == best.kept else replace(best, kept=kept)
 
@@ -162,7 +166,7 @@ def _decisive(other: Fitted, config: VerifyConfig) -> float:
     return config.decides if other.odds < config.odds else config.decides_alike
 
 
-def same_place(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
+def same_position(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
     """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one position have.
 
     Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
@@ -178,15 +182,15 @@ def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Gra
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"
     if fitted.odds < config.weak_odds:
-        return "refused", f"the place is hardly likelier than one of chance (ln odds {fitted.odds:.1f})"
+        return "refused", f"the position is hardly likelier than one of chance (ln odds {fitted.odds:.1f})"
     if fit.factor > config.weak_factor:
         return "weak", f"residuals are {fit.factor:.1f} times what they should be"
-    if fitted.odds < config.sure_odds and (fit.found < config.found or fitted.looked < config.looked):
-        return "weak", f"{min(fit.found, fitted.looked):.0%} of the outlines found"
+    if fitted.odds < config.sure_odds and (fit.found < config.found or fitted.checked < config.checked):
+        return "weak", f"{min(fit.found, fitted.checked):.0%} of the outlines found"
     if fitted.kept < config.kept:
         return "weak", f"landmarks with {1.0 - fitted.kept:.0%} of the outline are not where the others say"
     if fitted.odds < config.odds:
-        return "weak", f"the place is not much likelier than one of chance (ln odds {fitted.odds:.1f})"
+        return "weak", f"the position is not much likelier than one of chance (ln odds {fitted.odds:.1f})"
     if evidence.score_px < config.score_px:
         return "weak", "little of the outlines in view"
     return "sure", ""
@@ -217,7 +221,7 @@ class _Held:
 class Waiting:
     """The position of the image before: a function of the requests alone, so that a replay waits as the flight did.
 
-    One image may be looked at twice, by prediction and where segmentation puts it, and both looks see the image before.
+    One image may be examined twice, by prediction and where segmentation puts it, and both observations use the image before.
     """
 
     def __init__(self, config: VerifyConfig) -> None:

@@ -28,7 +28,7 @@ _DARK: Bgr = (25, 25, 25)
 _WHITE: Bgr = (255, 255, 255)
 _SHIFT = 4  # binary digits of a pixel that OpenCV's lines know
 _PIECES = 32  # of an edge, so that it bends with the lens
-_REACH_PX, _STEP_PX = 6.0, 0.5  # how far edges are looked for, and how finely
+_REACH_PX, _STEP_PX = 6.0, 0.5  # how far edges are searched for, and how finely
 _NEARER = 2.0 / 3.0  # of the reach, 1 sigma: of two edges the nearer one counts more
 _LEAST_SLOPE = 6.0  # grey values a pixel, that make an edge
 _SPACING_PX = 4.0  # of the points on an edge, at least
@@ -65,7 +65,7 @@ def outline_residuals(
 ) -> list[Residuals]:
     """Residuals of the roof outlines of those landmarks that are in view, in an image (H, W) or (H, W, 3).
 
-    Edges are looked for as far as reach_px from the outline: further than the pose may be wrong, and no further.
+    Edges are searched for as far as reach_px from the outline: further than the pose may be wrong, and no further.
     """
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
     edges = _edges(camera, p_nc, R_nc, landmarks)
@@ -91,10 +91,12 @@ def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> A
     """
     s = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
     beside = normal[:, ::-1] * np.array([1.0, -1.0])
-    places = px[:, None, None] + np.arange(-1.0, 2.0)[:, None, None] * beside[:, None, None] + s[:, None] * normal[:, None, None]
+    positions = (
+        px[:, None, None] + np.arange(-1.0, 2.0)[:, None, None] * beside[:, None, None] + s[:, None] * normal[:, None, None]
+    )
     if len(px) == 0:
         return np.empty(0)
-    u, v = np.moveaxis(places.reshape(len(px), -1, 2), 2, 0).astype(np.float32)
+    u, v = np.moveaxis(positions.reshape(len(px), -1, 2), 2, 0).astype(np.float32)
     values = cv2.remap(image.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     profile = values.reshape(len(px), 3, len(s), -1).mean(axis=1)
     slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2.0 * _STEP_PX)
@@ -111,7 +113,7 @@ def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> A
 
 
 def expected_px(camera: CameraModel, p_n: Array, p_nc: Array, R_nc: Array, covariance: Array, landmark: Landmark) -> float:
-    """sigma of a residual along any normal, from what is not known of pose and landmark; NaN where its roof is out of sight.
+    """sigma of a residual along any normal, from what is not known of pose and landmark; NaN where its roof is hidden.
 
         du = J R_nc^T (-dp + [X - p_n]x dtheta + dX),   sigma^2 = tr(cov(du)) / 2
 
@@ -217,7 +219,7 @@ def _edges(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
-    """Per landmark its visible edges in the image: kind and points (P, 2), cut where they are hidden or out of sight."""
+    """Per landmark its visible edges in the image: kind and points (P, 2), cut where they are hidden or hidden."""
     lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
     for landmark, kind, px, shown in zip(*_edges(camera, p_nc, R_nc, landmarks), strict=True):
         breaks = np.flatnonzero(~shown)
@@ -297,10 +299,10 @@ def _draw_name(
     size = round((14 if colour == IDENTIFIED else 12) * scale)
     width, height = _text_size(text, size)
     left_of, top_of = 0.5 * (low + high) - np.array([width / 2, height / 2])
-    places = [(left_of, top_of), (left_of, low[1] - height - 4 * scale), (left_of, high[1] + 4 * scale)]
+    positions = [(left_of, top_of), (left_of, low[1] - height - 4 * scale), (left_of, high[1] + 4 * scale)]
     if high[0] - low[0] < width and high[1] - low[1] < 2 * height:
-        places[:1] = [(high[0] + 8 * scale, top_of), (low[0] - width - 8 * scale, top_of)]
-    for u, v in places:
+        positions[:1] = [(high[0] + 8 * scale, top_of), (low[0] - width - 8 * scale, top_of)]
+    for u, v in positions:
         left, top = round(min(max(u, 4.0), columns - width - 4.0)), round(min(max(v, 2.0), rows - height - 4.0))
         box = (left, top, left + width, top + height)
         if all(box[2] < other[0] or other[2] < box[0] or box[3] < other[1] or other[3] < box[1] for other in taken):

@@ -2,7 +2,7 @@
 
     (s w, t w, w) = H @ (x/z, y/z, 1),      range along the ray = k |(x/z, y/z, 1)| / w
 
-H takes a ray of the camera to a place on the face [m]: with a face through q of axes a, b and normal m, seen from p along r,
+H takes a ray of the camera to a position on the face [m]: with a face through q of axes a, b and normal m, seen from p along r,
 s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to a little more than the image, and cut again
 into short pieces, so that a lens may bend them.
 """
@@ -95,7 +95,7 @@ def _collect(
     axes = np.empty((4, 3))
     face_offsets, solid_offsets = np.zeros(most + 1, dtype=np.int64), np.zeros(len(solids) + 1, dtype=np.int64)
     points, face = np.empty((4096, 3)), 0
-    for place, i in enumerate(solids):
+    for position, i in enumerate(solids):
         outline, roof_d = vertices[offsets[i] : offsets[i + 1]], base_d[i] - height_m[i]
         for wall in _order_of_walls(outline, p_nc, height_m[i] > 0.0):
             if wall < 0:
@@ -123,7 +123,7 @@ def _collect(
             parameters[face, FLAT] = 1.0 if height_m[i] == 0.0 else 0.0
             face += 1
             face_offsets[face] = end
-        solid_offsets[place + 1] = face
+        solid_offsets[position + 1] = face
     return (
         points[: face_offsets[face]], face_offsets[: face + 1], solids, solid_offsets, H[:face], colour[:face], texture[:face],
         parameters[:face],
@@ -318,12 +318,12 @@ def nearest_first(
                     hides[b, a] = True
                     waits[a] += 1
     done = np.zeros(n, dtype=np.bool_)
-    for place in range(standing):
+    for position in range(standing):
         best = -1
         for a in range(standing):  # the nearest that nothing hides; three in a circle: the nearest
             if not done[a] and (best < 0 or (waits[a] == 0 and waits[best] > 0)):
                 best = a
-        order[place], done[best] = ranked[best], True
+        order[position], done[best] = ranked[best], True
         for b in range(standing):
             waits[b] -= hides[best, b]
     for k in range(standing, n):

@@ -104,7 +104,7 @@ def _detail() -> Grid:
 
 
 def _stones(texture: Grid, count: int, rng: np.random.Generator) -> Grid:
-    """Pale and dark spots of 3 to 30 cm, few of them large."""
+    """Pale and dark small landmarks of 3 to 30 cm, few of them large."""
     n = len(texture)
     spots = np.zeros((n, n), dtype=np.float32)
     for s, t, radius, shade in zip(
@@ -144,13 +144,13 @@ def _cover() -> Grid:
 def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Grid]:
     """A periodic Voronoi division with ragged borders: the field each texel belongs to, and its distance to the border."""
     n = COVER_SIZE
-    places = rng.uniform(0, n, (count, 2))
+    positions = rng.uniform(0, n, (count, 2))
     wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])
     at = (np.mgrid[:n, :n] + wander).astype(np.float32)
     nearest, second = np.full((2, n, n), np.inf, dtype=np.float32)
     owner = np.zeros((n, n), dtype=np.int64)
-    for k, place in enumerate(places.astype(np.float32)):
-        d = np.abs(at - place[:, None, None]) % n
+    for k, position in enumerate(positions.astype(np.float32)):
+        d = np.abs(at - position[:, None, None]) % n
         distance = np.hypot(*np.minimum(d, n - d))
         closer = distance < nearest
         second = np.where(closer, nearest, np.minimum(second, distance))

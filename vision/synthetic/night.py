@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vision.synthetic.camera_effects import Image
 from vision.synthetic.faces import SKY
-from vision.synthetic.world import Look, Solid, Sun, World
+from vision.synthetic.world import Appearance, Solid, Sun, World
 
 _GROUND: Final = 110.0  # level of the ground in the middle
 _COLD, _HEATED, _WALL, _THING = (0.5, 0.8), (1.25, 1.8), (1.05, 1.25), (0.6, 1.5)  # levels relative to the ground's
@@ -25,10 +25,10 @@ _COUNTS: Final = 4  # a level and channel
 
 def night(world: World, rng: np.random.Generator) -> World:
     """The world's warmth, drawn roof by roof, in three equal channels."""
-    looks = tuple(_roof(look, rng) for look in world.looks)
-    clutter = tuple(Solid(s.outline_n, s.base_d, s.height_m, _thing(s.look, rng)) for s in world.clutter)
+    appearances = tuple(_roof(appearance, rng) for appearance in world.appearances)
+    clutter = tuple(Solid(s.outline_n, s.base_d, s.height_m, _thing(s.appearance, rng)) for s in world.clutter)
     ground = replace(world.ground, detail_contrast=_SMOOTH * world.ground.detail_contrast)
-    return World(world.landmarks, looks, clutter, ground, _NO_SUN)
+    return World(world.landmarks, appearances, clutter, ground, _NO_SUN)
 
 
 def counts(image: Image) -> NDArray[np.uint16]:
@@ -36,14 +36,16 @@ def counts(image: Image) -> NDArray[np.uint16]:
     return np.asarray(_ZERO + _COUNTS * image.sum(axis=2, dtype=np.uint16), dtype=np.uint16)
 
 
-def _roof(look: Look, rng: np.random.Generator) -> Look:
+def _roof(appearance: Appearance, rng: np.random.Generator) -> Appearance:
     level = rng.uniform(*(_HEATED if rng.random() < _HEATED_SHARE else _COLD))
-    return replace(look, roof_bgr=_warmth(level), wall_bgr=_wall(rng.uniform(*_WALL)), contrast=0.5 * look.contrast, ridge=0.0)
+    return replace(
+        appearance, roof_bgr=_warmth(level), wall_bgr=_wall(rng.uniform(*_WALL)), contrast=0.5 * appearance.contrast, ridge=0.0
+    )
 
 
-def _thing(look: Look, rng: np.random.Generator) -> Look:
+def _thing(appearance: Appearance, rng: np.random.Generator) -> Appearance:
     level = rng.uniform(*_THING)
-    return replace(look, roof_bgr=_warmth(level), wall_bgr=_wall(level), contrast=0.5 * look.contrast)
+    return replace(appearance, roof_bgr=_warmth(level), wall_bgr=_wall(level), contrast=0.5 * appearance.contrast)
 
 
 def _wall(level: float) -> tuple[float, float, float]:

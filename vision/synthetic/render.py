@@ -118,5 +118,5 @@ def _knots(size: int) -> Array:
 
 def _hats(knots: Array, size: int) -> Array:
     """Weights (size, knots) of linear interpolation at the pixels' centres."""
-    place = (np.arange(size) - knots[0]) / (knots[1] - knots[0])
-    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(knots))[None, :])))
+    position = (np.arange(size) - knots[0]) / (knots[1] - knots[0])
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(len(knots))[None, :])))

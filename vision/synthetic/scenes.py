@@ -18,7 +18,7 @@ from models.messages import Array
 from vision.synthetic.ground import Ground
 from vision.synthetic.rigs import draw_rig, make_rig
 from vision.synthetic.shapes import car, grow, house, lookalike, patch, road, tree
-from vision.synthetic.world import Look, Solid, Sun, World
+from vision.synthetic.world import Appearance, Solid, Sun, World
 
 Layout = Literal["village", "grid", "lookalikes"]
 
@@ -71,12 +71,12 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
     for_ground, for_layout, for_errors, for_clutter, for_rig = np.random.default_rng(seed).spawn(5)
     taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
     streets = _streets(spec) if spec.layout == "grid" else []
-    built = [_landmark(str(k + 1), place, spec, for_layout) for k, place in enumerate(_places(spec, for_layout))]
+    built = [_landmark(str(k + 1), position, spec, for_layout) for k, position in enumerate(_positions(spec, for_layout))]
     if spec.clear_m > 0.0:
         taken.append((0.0, 0.0, spec.clear_m))
         built = [b for b in built if math.hypot(*b[0].centre_n) > spec.clear_m + _radius(b[0].outline_n, np.array(b[0].centre_n))]
-    on_map, marks, looks, clutter = [], [], [], [Solid(o, 0.0, 0.0, look) for o, look in streets]
-    for mark, look in built:
+    on_map, marks, appearances, clutter = [], [], [], [Solid(o, 0.0, 0.0, appearance) for o, appearance in streets]
+    for mark, appearance in built:
         taken.append((*mark.centre_n, _radius(mark.outline_n, np.array(mark.centre_n))))
         mapped, stands = for_errors.random() >= spec.unmapped, for_errors.random() >= spec.gone
         true = _err(mark, for_errors)
@@ -84,36 +84,36 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
             on_map.append(mark)
             if stands:
                 marks.append(true)
-                looks.append(look)
+                appearances.append(appearance)
         else:
-            clutter.append(Solid(mark.outline_n, mark.base_d, mark.height_m, look))
+            clutter.append(Solid(mark.outline_n, mark.base_d, mark.height_m, appearance))
     clutter += _clutter(spec, taken, for_clutter)
     sun = Sun(for_clutter.uniform(-math.pi, math.pi), math.radians(for_clutter.uniform(30.0, 65.0)))
-    world = World(tuple(marks), tuple(looks), tuple(clutter), ground or Ground.procedural(for_ground), sun)
+    world = World(tuple(marks), tuple(appearances), tuple(clutter), ground or Ground.procedural(for_ground), sun)
     return Scene(world, LandmarkMap.from_landmarks(spec.origin, on_map), draw_rig(spec.rig, for_rig), spec.rig)
 
 
-def _places(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+def _positions(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
     """North, east and direction of buildings: on a grid of the spacing, shaken (village, ambiguous landmarks) or along
     streets.
     """
     n = max(1, int(spec.area_m / spec.spacing_m))
     steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
-    places = []
+    positions = []
     for north in steps:
         for east in steps:
             if spec.layout == "village":
                 shake = rng.uniform(-0.22, 0.22, 2) * spec.spacing_m
-                places.append((north + shake[0], east + shake[1], rng.uniform(0.0, math.pi)))
+                positions.append((north + shake[0], east + shake[1], rng.uniform(0.0, math.pi)))
             elif spec.layout == "lookalikes":
                 shake = rng.uniform(-0.06, 0.06, 2) * spec.spacing_m
-                places.append((north + shake[0], east + shake[1], rng.normal(0.0, 0.05)))
+                positions.append((north + shake[0], east + shake[1], rng.normal(0.0, 0.05)))
             else:
-                places.append((north + rng.normal(0.0, 0.4), east + rng.normal(0.0, 0.8), rng.integers(2) * 0.5 * math.pi))
-    return places
+                positions.append((north + rng.normal(0.0, 0.4), east + rng.normal(0.0, 0.8), rng.integers(2) * 0.5 * math.pi))
+    return positions
 
 
-def _streets(spec: WorldSpec) -> list[tuple[Array, Look]]:
+def _streets(spec: WorldSpec) -> list[tuple[Array, Appearance]]:
     """Roads both ways after every second row of houses."""
     half, every = 0.5 * spec.area_m, 2.0 * spec.spacing_m
     lines = np.arange(-half, half + 1.0, every)
@@ -123,8 +123,10 @@ def _streets(spec: WorldSpec) -> list[tuple[Array, Look]]:
     return roads
 
 
-def _landmark(name: str, place: tuple[float, float, float], spec: WorldSpec, rng: np.random.Generator) -> tuple[Landmark, Look]:
-    """A building (or a painted place) as the map will have it, and how it looks."""
+def _landmark(
+    name: str, position: tuple[float, float, float], spec: WorldSpec, rng: np.random.Generator
+) -> tuple[Landmark, Appearance]:
+    """A building (or a painted surface) as the map will have it, and how it looks."""
     if spec.layout == "lookalikes":
         outline, height, paint = lookalike(rng), 4.0, _PAINTS[0]
         painted, flat = spec.painted > 0.0, False
@@ -132,8 +134,8 @@ def _landmark(name: str, place: tuple[float, float, float], spec: WorldSpec, rng
         outline, height = house(rng, 0.62 * spec.spacing_m)
         paint = _PAINTS[rng.integers(len(_PAINTS))]
         painted, flat = rng.random() < spec.painted, rng.random() < spec.flat
-    c, s = math.cos(place[2]), math.sin(place[2])
-    outline = outline @ np.array([[c, s], [-s, c]]) + place[:2]
+    c, s = math.cos(position[2]), math.sin(position[2])
+    outline = outline @ np.array([[c, s], [-s, c]]) + position[:2]
     mark = Landmark.of(
         name,
         outline,
@@ -147,18 +149,18 @@ def _landmark(name: str, place: tuple[float, float, float], spec: WorldSpec, rng
     return mark, _painted(paint, rng) if painted or flat else _pale(rng)
 
 
-def _painted(paint: tuple[int, int, int], rng: np.random.Generator) -> Look:
+def _painted(paint: tuple[int, int, int], rng: np.random.Generator) -> Appearance:
     b, g, r = (np.array(paint) * rng.uniform(0.92, 1.05) * rng.uniform(0.96, 1.04, 3)).tolist()
-    return Look((b, g, r), _wall(rng), "paint", rng.uniform(0.03, 0.08), rng.uniform(0.0, 0.05))
+    return Appearance((b, g, r), _wall(rng), "paint", rng.uniform(0.03, 0.08), rng.uniform(0.0, 0.05))
 
 
-def _pale(rng: np.random.Generator) -> Look:
+def _pale(rng: np.random.Generator) -> Appearance:
     """Grey or brown, textured, hardly lighter than the ground; mostly gabled."""
     grey, brown = np.array([122.0, 126.0, 128.0]), np.array([84.0, 102.0, 132.0])
     b, g, r = ((grey + rng.random() * (brown - grey)) * rng.uniform(0.75, 1.2)).tolist()
     texture = str(rng.choice(["shingles", "shingles", "gravel", "metal"]))
     ridge = 0.0 if texture == "gravel" else rng.uniform(0.0, 0.12)
-    return Look((b, g, r), _wall(rng), texture, rng.uniform(0.08, 0.16), ridge)
+    return Appearance((b, g, r), _wall(rng), texture, rng.uniform(0.08, 0.16), ridge)
 
 
 def _wall(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -187,10 +189,10 @@ def _clutter(spec: WorldSpec, taken: list[tuple[float, float, float]], rng: np.r
             solid = make(rng)
             radius = _radius(solid.outline_n, np.zeros(2))
             for _ in range(20):
-                place = rng.uniform(-0.5 * spec.area_m, 0.5 * spec.area_m, 2)
-                if all(math.hypot(place[0] - n, place[1] - e) > radius + r + _GAP_M for n, e, r in taken):
-                    taken.append((float(place[0]), float(place[1]), radius))
-                    solids.append(Solid(solid.outline_n + place, solid.base_d, solid.height_m, solid.look))
+                position = rng.uniform(-0.5 * spec.area_m, 0.5 * spec.area_m, 2)
+                if all(math.hypot(position[0] - n, position[1] - e) > radius + r + _GAP_M for n, e, r in taken):
+                    taken.append((float(position[0]), float(position[1]), radius))
+                    solids.append(Solid(solid.outline_n + position, solid.base_d, solid.height_m, solid.appearance))
                     break
     return solids
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from models.messages import Array
-from vision.synthetic.world import Look, Solid
+from vision.synthetic.world import Appearance, Solid
 
 _CARS = ((40, 40, 45), (225, 225, 225), (150, 150, 155), (35, 35, 170), (140, 70, 30), (60, 60, 60), (30, 160, 200))
-_ASPHALT = Look((92.0, 92.0, 94.0), texture="gravel", contrast=0.06)
-_LINE = Look((215.0, 218.0, 220.0), texture="gravel", contrast=0.06)
+_ASPHALT = Appearance((92.0, 92.0, 94.0), texture="gravel", contrast=0.06)
+_LINE = Appearance((215.0, 218.0, 220.0), texture="gravel", contrast=0.06)
 _ROAD_M, _LINE_M = 6.5, 0.15
 
 
@@ -58,8 +58,8 @@ def _outward(edge: Array) -> Array:
 def car(rng: np.random.Generator) -> Solid:
     """A box of 4.3 m by 1.8 m and 1.4 m high; darker below, as windows are."""
     b, g, r = (float(x) for x in _CARS[rng.integers(len(_CARS))])
-    look = Look((b, g, r), (0.6 * b, 0.6 * g, 0.6 * r), "paint", 0.05, 0.0, "paint", 0.05)
-    return Solid(_turned(rectangle(4.3 * rng.uniform(0.9, 1.15), 1.8), rng), 0.0, 1.4, look)
+    appearance = Appearance((b, g, r), (0.6 * b, 0.6 * g, 0.6 * r), "paint", 0.05, 0.0, "paint", 0.05)
+    return Solid(_turned(rectangle(4.3 * rng.uniform(0.9, 1.15), 1.8), rng), 0.0, 1.4, appearance)
 
 
 def tree(rng: np.random.Generator) -> Solid:
@@ -67,7 +67,7 @@ def tree(rng: np.random.Generator) -> Solid:
     radius, height = rng.uniform(1.0, 3.5), rng.uniform(2.5, 7.0)
     outline = _regular(10, radius) * rng.uniform(0.82, 1.1, (10, 1))
     b, g, r = (np.array([36.0, 72.0, 50.0]) * rng.uniform(0.7, 1.35) * rng.uniform(0.9, 1.1, 3)).tolist()
-    return Solid(outline, 0.0, height, Look((b, g, r), (0.8 * b, 0.8 * g, 0.8 * r), "leaves", 0.3, 0.0, "leaves", 0.3))
+    return Solid(outline, 0.0, height, Appearance((b, g, r), (0.8 * b, 0.8 * g, 0.8 * r), "leaves", 0.3, 0.0, "leaves", 0.3))
 
 
 def patch(rng: np.random.Generator) -> Solid:
@@ -75,10 +75,10 @@ def patch(rng: np.random.Generator) -> Solid:
     b, g, r = rng.uniform(30.0, 220.0, 3).tolist()
     size = rng.uniform(1.0, 6.0)
     outline = rectangle(size, size * rng.uniform(0.4, 1.0)) if rng.random() < 0.6 else _regular(9, 0.5 * size)
-    return Solid(_turned(outline, rng), 0.0, 0.0, Look((b, g, r), texture="gravel", contrast=rng.uniform(0.03, 0.15)))
+    return Solid(_turned(outline, rng), 0.0, 0.0, Appearance((b, g, r), texture="gravel", contrast=rng.uniform(0.03, 0.15)))
 
 
-def road(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[Array, Look]]:
+def road(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[Array, Appearance]]:
     """Asphalt from start to end (north, east) and dashes of 3 m along its middle."""
     along = np.subtract(end, start)
     length = float(np.hypot(*along))

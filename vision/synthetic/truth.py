@@ -33,7 +33,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Sight:
+class LandmarkView:
     """One landmark in one image.
 
     corners_px: of the roof (K, 2), NaN behind the camera; corners_visible (K,): in the image and not hidden;
@@ -50,14 +50,14 @@ class Sight:
     cut: bool
 
 
-def sights(world: World, camera: CameraModel, p_nc: Array, R_nc: Array) -> list[Sight]:
+def landmark_views(world: World, camera: CameraModel, p_nc: Array, R_nc: Array) -> list[LandmarkView]:
     """The landmarks of which any roof edge or side is to be seen."""
     found = []
     for index in range(len(world.landmarks)):
         if _may_be_seen(world, index, camera, p_nc, R_nc):
-            sight = _sight(world, index, camera, p_nc, R_nc)
-            if sight.stretches or sight.sides_visible.any():
-                found.append(sight)
+            landmark_view = _landmark_view(world, index, camera, p_nc, R_nc)
+            if landmark_view.stretches or landmark_view.sides_visible.any():
+                found.append(landmark_view)
     return found
 
 
@@ -72,7 +72,7 @@ def _may_be_seen(world: World, index: int, camera: CameraModel, p_nc: Array, R_n
     return far <= radius or math.acos(max(-1.0, min(1.0, float(x_c[2]) / far))) <= cone + math.asin(radius / far)
 
 
-def _sight(world: World, index: int, camera: CameraModel, p_nc: Array, R_nc: Array) -> Sight:
+def _landmark_view(world: World, index: int, camera: CameraModel, p_nc: Array, R_nc: Array) -> LandmarkView:
     mark = world.landmarks[index]
     outline, k = mark.outline_n, len(mark.outline_n)
     corners = np.column_stack([outline, np.full(k, mark.roof_d)])
@@ -98,7 +98,7 @@ def _sight(world: World, index: int, camera: CameraModel, p_nc: Array, R_nc: Arr
             sides[edge] = _wall_seen(world, index, a, b, camera, p_nc, R_nc)
     visible = camera.contains(corners_px) & ~_hidden(world, corners, p_nc) & seen_from_above
     occluded = hidden_points / inside_points if inside_points else 0.0
-    return Sight(mark.id, corners_px, visible, tuple(stretches), sides, occluded, cut)
+    return LandmarkView(mark.id, corners_px, visible, tuple(stretches), sides, occluded, cut)
 
 
 def _along(a: Array, b: Array, camera: CameraModel, p_nc: Array, R_nc: Array) -> tuple[Array, Array]:

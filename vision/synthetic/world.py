@@ -21,7 +21,7 @@ Bgr = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """Colours in sunlight (0..255) and the roof's texture, one of texture.SURFACES.
 
     contrast: relative, per unit of texture; ridge: one half of the roof is lighter by this share, the other darker (gables).
@@ -43,7 +43,7 @@ class Solid:
     outline_n: Array
     base_d: float
     height_m: float
-    look: Look
+    appearance: Appearance
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class Columns:
 class World:
     """True landmarks, how they look, clutter, ground and sun. The label of a landmark in an image is its index, clutter follows.
 
-    landmarks: as they truly are (their ids are the map's); looks: one each.
+    landmarks: as they truly are (their ids are the map's); appearances: one each.
     """
 
     landmarks: tuple[Landmark, ...]
-    looks: tuple[Look, ...]
+    appearances: tuple[Appearance, ...]
     clutter: tuple[Solid, ...]
     ground: Ground
     sun: Sun = field(default_factory=Sun)
@@ -101,7 +101,8 @@ class World:
     def solids(self) -> tuple[Solid, ...]:
         """The landmarks' bodies, then the clutter."""
         bodies = (
-            Solid(mark.outline_n, mark.base_d, mark.height_m, look) for mark, look in zip(self.landmarks, self.looks, strict=True)
+            Solid(mark.outline_n, mark.base_d, mark.height_m, appearance)
+            for mark, appearance in zip(self.landmarks, self.appearances, strict=True)
         )
         return (*bodies, *self.clutter)
 
@@ -121,13 +122,16 @@ class World:
             height_m=np.array([s.height_m for s in solids], dtype=np.float64),
             centre_n=centres,
             radius_m=np.array([np.hypot(*(o - c).T).max() for o, c in zip(outlines, centres, strict=True)], dtype=np.float64),
-            roof_bgr=np.array([s.look.roof_bgr for s in solids], dtype=np.float64).reshape(-1, 3),
-            wall_bgr=np.array([s.look.wall_bgr for s in solids], dtype=np.float64).reshape(-1, 3),
+            roof_bgr=np.array([s.appearance.roof_bgr for s in solids], dtype=np.float64).reshape(-1, 3),
+            wall_bgr=np.array([s.appearance.wall_bgr for s in solids], dtype=np.float64).reshape(-1, 3),
             textures=np.array(
-                [(SURFACES.index(s.look.texture), SURFACES.index(s.look.wall_texture)) for s in solids], dtype=np.int64
+                [(SURFACES.index(s.appearance.texture), SURFACES.index(s.appearance.wall_texture)) for s in solids],
+                dtype=np.int64,
             ).reshape(-1, 2),
-            contrasts=np.array([(s.look.contrast, s.look.wall_contrast) for s in solids], dtype=np.float64).reshape(-1, 2),
-            ridge=np.array([s.look.ridge for s in solids], dtype=np.float64),
+            contrasts=np.array([(s.appearance.contrast, s.appearance.wall_contrast) for s in solids], dtype=np.float64).reshape(
+                -1, 2
+            ),
+            ridge=np.array([s.appearance.ridge for s in solids], dtype=np.float64),
             orientation_rad=np.ascontiguousarray(described[:, polygon.ORIENTATION]),
         )
 

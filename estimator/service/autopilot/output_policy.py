@@ -68,7 +68,7 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     slot: Annotated[int, Meta(ge=1, le=255, description="EKF2_AGPx_ID of the slot that the fixes are for")] = 1
 
 
-class Handover:
+class OutputPolicy:
     """Notes what the estimator puts out; answers for the estimate at hand. One for each link: it knows what was sent last."""
 
     def __init__(self, config: AutopilotConfig) -> None:

@@ -1,4 +1,4 @@
-"""The log's own thread: what the loop hands over is written, flushed every 50 ms, rotated, and never waited for.
+"""The log's own thread: writes what the loop queues, flushes every 50 ms and rotates files. The loop never waits for it.
 
 A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
 replay makes again, are left out first, images from the oldest on, and inputs only when memory is at stake. When the disk is

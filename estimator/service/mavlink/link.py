@@ -1,6 +1,6 @@
-"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and its messages asked for.
+"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and requests for its messages.
 
-One thread reads, answers and asks; what the estimator says is sent from the daemon's loop, which never waits for the link.
+One thread reads, answers and requests. The daemon's loop sends the estimator's outputs and never waits for the link.
 """
 
 import threading
@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.publish import Pace
 from estimator.service.autopilot.clock import AutopilotClock
-from estimator.service.autopilot.output_policy import Handover, is_sound, newest
+from estimator.service.autopilot.output_policy import OutputPolicy, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
 from estimator.service.mavlink import codec
@@ -59,7 +59,7 @@ class MavlinkLink:
         folder: Path,
         topics: Topics,
         clock: Clock,
-        handover: Handover,
+        policy: OutputPolicy,
         odometry_hz: float,
         geoid_m: float,
         say: Callable[[str], None] = lambda _: None,
@@ -71,7 +71,7 @@ class MavlinkLink:
         """
         if clash := set(config.odometry_from) & {config.component, *config.listen_to}:
             raise ConfigError(f"mavlink.odometry_from = {min(clash)}: is the autopilot or landfix itself: name another component")
-        self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
+        self._config, self._clock, self._policy, self._geoid_m = config, clock, policy, geoid_m
         self._say, self._said, self._said_ns = say, "", -SECOND_NS
         self._inputs = Inputs(config, topics, geoid_m, level)
         key, heard = signing_key(config, folder), frozenset(config.listen_to) | self._inputs.companions
@@ -103,7 +103,7 @@ class MavlinkLink:
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Send the autopilot what is for it."""
-        self._fix_waits |= self._handover.note(outputs)
+        self._fix_waits |= self._policy.note(outputs)
         estimate = newest(outputs)
         autopilot = self._autopilot
         if autopilot is None or autopilot not in _NAMES or self._clock.now_ns() - self._heartbeat_ns > _GONE_NS:
@@ -168,15 +168,15 @@ class MavlinkLink:
         self._map_origin = estimate.origin
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
         pose = self._ekf3.pose(estimate, self._geoid_m) if is_ardupilot else ours
-        quality = self._handover.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
+        quality = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
         self._announce(estimate, quality, knows_frame=pose is not None)
         pose, self._quality = pose or ours, quality
-        counter = self._handover.reset_counter(estimate, pose[0], quality)
+        counter = self._policy.reset_counter(estimate, pose[0], quality)
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
     def _tell_alert(self) -> None:
         """A change of the state of integrity, as STATUSTEXT."""
-        now = self._handover.integrity
+        now = self._policy.integrity
         if now is not None and now.state is not self._told and self._tell(codec.alert(now)):
             self._told = now.state
 
@@ -185,23 +185,23 @@ class MavlinkLink:
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
-        elif (now := self._handover.integrity) is not None and self._handover.is_alarmed:
+        elif (now := self._policy.integrity) is not None and self._policy.is_alarmed:
             line = f"odometry is not to be used: {now.reason}"
         elif not knows_frame:
             line = "odometry is not to be used: the origin of EKF3 is " + self._ekf3.report(self._map_origin, self._geoid_m)
-        elif radius_m < self._handover.most_radius_m:
+        elif radius_m < self._policy.most_radius_m:
             line = f"odometry is not to be used: the mode is {estimate.mode.value}"
         else:
-            line = f"odometry is not to be used: its 95 % radius is above {self._handover.most_radius_m:g} m"
+            line = f"odometry is not to be used: its 95 % radius is above {self._policy.most_radius_m:g} m"
         if line != self._said and estimate.t_ns - self._said_ns >= SECOND_NS:
             self._said, self._said_ns = line, estimate.t_ns
             self._say(f"{_NAMES.get(self._autopilot or -1, 'autopilot')}: {line}")
 
     def _tell_fix(self, estimate: Estimate, time_usec: int) -> None:
         origin = Origin.of(estimate.origin)
-        if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
+        if origin is None or not self._config.fixes or not self._policy.is_fix(estimate):
             return
-        estimate = self._handover.widened(estimate)
+        estimate = self._policy.widened(estimate)
         at = codec.place(origin.to_geodetic(estimate.nav[X.P]), self._geoid_m)
         if self._autopilot == codec.PX4:
             message = codec.global_position(estimate, at, time_usec, self._config.slot, self._config.system)

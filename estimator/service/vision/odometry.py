@@ -19,13 +19,13 @@ def serve_odometry(pipe: Connection, rig_file: Path) -> None:
     def load() -> tuple[int, Callable[[Any], Any]]:
         from estimator.frontend.files import load_odometry  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
-        sight = load_odometry(rig_file)
+        processor = load_odometry(rig_file)
 
         def answer(asked: Any) -> Any:
             data, first, second = asked
-            return sight.look(decode_odometry_request(data, 0), first, second)
+            return processor.process(decode_odometry_request(data, 0), first, second)
 
-        return sight.time_offset_ns, answer
+        return processor.time_offset_ns, answer
 
     def warm() -> None:
         from estimator.service.vision.warm_up import warm_up_odometry  # noqa: PLC0415

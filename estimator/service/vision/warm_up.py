@@ -6,8 +6,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from estimator.frontend.odometry import OdometrySight
-from estimator.frontend.processor import Sight
+from estimator.frontend.odometry import OdometryProcessor
+from estimator.frontend.processor import Processor
 from estimator.frontend.requests import Pair, Shot
 from logs.wire.images import Pixels, encode_image
 from models.camera import CameraModel
@@ -40,20 +40,22 @@ def warm_up() -> None:
     ]
     left = _drawn(marks, rig.left, *rig.camera_pose(p_n, np.eye(3)))
     right = _drawn(marks, rig.right, *rig.right_camera_pose(p_n, np.eye(3)))
-    sight = Sight(rig, LandmarkMap.from_landmarks(_ORIGIN, marks))
+    processor = Processor(rig, LandmarkMap.from_landmarks(_ORIGIN, marks))
     for k, (sigma_m, (is_stereo, is_grey, is_jpeg)) in enumerate(product(_PRIORS_M, product((True, False), repeat=3))):
         t_ns = (k + 1) * _PERIOD_NS
         covariance = np.diag(np.repeat([sigma_m, 0.02], 3) ** 2)
         shots = [_shot(t_ns, p[:, :, 1] if is_grey else p, is_jpeg) for p in (left, right)]
-        sight.look(VisionRequest(t_ns, t_ns, _PLACE, _LEVEL, covariance, None, None), (shots[0], shots[1] if is_stereo else None))
-    sight.draw("aided")
+        processor.process(
+            VisionRequest(t_ns, t_ns, _PLACE, _LEVEL, covariance, None, None), (shots[0], shots[1] if is_stereo else None)
+        )
+    processor.draw("aided")
 
 
 def warm_up_odometry() -> None:
     """A step between pairs of the same scene, with height and without."""
     rig = make_rig()
     marks = [Landmark.of(str(k), outline, height_m=4.0, colour_bgr=bgr) for k, (outline, bgr) in enumerate(_ROOFS)]
-    odometry = OdometrySight(rig)
+    odometry = OdometryProcessor(rig)
     pairs = []
     for k in (1, 2):
         p_n = np.array((0.2 * k, *_PLACE[1:]))
@@ -66,7 +68,7 @@ def warm_up_odometry() -> None:
             2 * _PERIOD_NS, 2 * _PERIOD_NS, _PERIOD_NS, (0.2, 0.0, 0.0), _LEVEL, np.eye(6) * 1e-3,
             (names[0][0], names[0][1]), (names[1][0], names[1][1]), (0.0, 0.0, 1.0), -_PLACE[2], sigma_m,
         )  # fmt: skip
-        odometry.look(request, *pairs)
+        odometry.process(request, *pairs)
 
 
 def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Pixels:

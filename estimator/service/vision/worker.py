@@ -1,4 +1,4 @@
-"""Vision in a process of its own: what it does to itself, by crash or hang, never reaches the estimator.
+"""Vision in a process of its own, so that a crash or hang does not affect the estimator.
 
 The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
 counted. A process that dies, or does not answer in time, is started anew, each time a little later. While it compiles a kernel it
@@ -55,17 +55,17 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     """
 
     def load() -> tuple[int, Callable[[Any], Any]]:
-        from estimator.frontend.files import load_sight  # noqa: PLC0415  (OpenCV is loaded in this process only)
+        from estimator.frontend.files import load_processor  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
-        sight = load_sight(rig_file, map_file, origin, image)
+        processor = load_processor(rig_file, map_file, origin, image)
 
         def answer(asked: Any) -> Any:
             if isinstance(asked, str):
-                return (sight.draw(asked),)
+                return (processor.draw(asked),)
             data, left, right = asked
-            return sight.look(decode_vision_request(data, 0), (left, right))
+            return processor.process(decode_vision_request(data, 0), (left, right))
 
-        return sight.time_offset_ns, answer
+        return processor.time_offset_ns, answer
 
     def warm() -> None:
         from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415

@@ -13,7 +13,7 @@ import zenoh
 from estimator.publish import Pace
 from estimator.service.autopilot import px4_messages as px4
 from estimator.service.autopilot.clock import AutopilotClock
-from estimator.service.autopilot.output_policy import Handover, Px4Config, is_sound, newest
+from estimator.service.autopilot.output_policy import OutputPolicy, Px4Config, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.zenoh.keys import rmw_key
 from logs.wire.codec import Encoded
@@ -36,11 +36,11 @@ class Px4Link:
         session: zenoh.Session,
         domain: int,
         clock: Clock,
-        handover: Handover,
+        policy: OutputPolicy,
         odometry_hz: float,
         geoid_m: float,
     ) -> None:
-        self._config, self._clock, self._handover, self._geoid_m = config, clock, handover, geoid_m
+        self._config, self._clock, self._policy, self._geoid_m = config, clock, policy, geoid_m
         self._pace = Pace(odometry_hz)
         self._boot, self._heard_ns = AutopilotClock(), 0
         self._fix_waits = False
@@ -56,7 +56,7 @@ class Px4Link:
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Send PX4 what is for it."""
-        self._fix_waits |= self._handover.note(outputs)
+        self._fix_waits |= self._policy.note(outputs)
         estimate = newest(outputs)
         if estimate is None:
             return
@@ -70,8 +70,8 @@ class Px4Link:
             return
         try:
             if self._config.odometry and self._pace.due(estimate.t_ns):
-                quality = self._handover.quality(estimate, one_source_at_a_time=False)
-                counter = self._handover.reset_counter(estimate, vec3(estimate.nav[X.P]), quality)
+                quality = self._policy.quality(estimate, one_source_at_a_time=False)
+                counter = self._policy.reset_counter(estimate, vec3(estimate.nav[X.P]), quality)
                 data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, counter, quality)
                 self.sent_odometry += self._put(self._odometry, data)
             if self._fix_waits:
@@ -98,9 +98,9 @@ class Px4Link:
 
     def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
         origin = Origin.of(estimate.origin)
-        if origin is None or not self._config.fixes or not self._handover.is_fix(estimate):
+        if origin is None or not self._config.fixes or not self._policy.is_fix(estimate):
             return
-        lla, estimate = origin.to_geodetic(estimate.nav[X.P]), self._handover.widened(estimate)
+        lla, estimate = origin.to_geodetic(estimate.nav[X.P]), self._policy.widened(estimate)
         if self._config.release == "1.18":
             data = px4.aux_global_position(estimate, lla, self._geoid_m, sent_us, sample_us, self._config.slot)
         else:

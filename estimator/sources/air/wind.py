@@ -3,7 +3,7 @@
     w' = n_w,   var(w_0) = sigma^2,   g' = -g / tau + n_g
 
 w, north and east, is estimated as a random walk. A gust g comes on top; it is considered, so that a thousand readings within it
-are one witness. Both act through the same Jacobian, d z / d w.
+share its error. Both act through the same Jacobian, d z / d w.
 """
 
 import math

@@ -26,7 +26,7 @@ from vision.describe.regions import Limits, Region
 from vision.describe.survey import Settings, Survey, survey
 from vision.identify.identify import Prior
 from vision.image.rectify import Rectification, rectification
-from vision.learn.mapping import Look, Mapper, MappingConfig, look
+from vision.learn.mapping import Mapper, MappingConfig, Observation, observe
 from vision.learn.tracks import KeepConfig, learned
 
 _OLDEST_NS = 200_000_000  # a pose further from the exposure says nothing of it
@@ -89,11 +89,11 @@ def learn(
     mapper, skipped, images = Mapper(ground_d, how.mapping), Counter[str](), 0
     for pair, done in _pairs(log, config, how, rig):
         progress(_SMOOTHED + (1.0 - _SMOOTHED) * done)
-        looks = _look(pair, images, smoothed, rectified, ground_d, how)
-        if isinstance(looks, str):
-            skipped[looks] += 1
+        observations = _look(pair, images, smoothed, rectified, ground_d, how)
+        if isinstance(observations, str):
+            skipped[observations] += 1
         else:
-            mapper.add(looks)
+            mapper.add(observations)
             images += 1
     if not images:
         reasons = ", ".join(f"{count} x {reason}" for reason, count in skipped.most_common()) or "there is none"
@@ -151,7 +151,7 @@ def _pairs(log: Path, config: Config, how: LearnConfig, rig: StereoRig) -> Itera
 
 def _look(
     pair: Pair, frame: int, smoothed: Smoothed, rectified: Rectification, ground_d: float, how: LearnConfig
-) -> list[Look] | str:
+) -> list[Observation] | str:
     """What a pair shows, or why it is not used."""
     pose = _pose(smoothed, pair.t_ns)
     if pose is None:
@@ -170,8 +170,8 @@ def _look(
     seen = survey(left, right, rectified, Settings(tuple(how.colours_bgr), limits=limits))
     if isinstance(seen, str):
         return seen
-    looks = (look(frame, region, m, pose, rectified.rig, ground_d, how.mapping) for region, m in _regions(seen))
-    return [one for one in looks if one is not None]
+    observations = (observe(frame, region, m, pose, rectified.rig, ground_d, how.mapping) for region, m in _regions(seen))
+    return [one for one in observations if one is not None]
 
 
 def _pose(smoothed: Smoothed, t_ns: int) -> Prior | None:

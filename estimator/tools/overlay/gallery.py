@@ -9,8 +9,8 @@ import numpy as np
 from estimator.strict_toml import ConfigError
 from estimator.tools.overlay.files import Scenery, scenery
 from estimator.tools.overlay.sheet import draw_from, find_images, spread
-from logs.evaluation.evidence import Evidence
-from logs.report.gather import FIX_TOPIC, Gathered, Look
+from logs.evaluation.collected import Collected
+from logs.report.gather import FIX_TOPIC, Frame, Gathered
 from logs.report.page import Illustrations, Shot
 from logs.report.write import Illustrate
 from logs.wire.images import Pixels
@@ -27,7 +27,7 @@ class _Choice(NamedTuple):
     """A look whose image is shown, and what the estimator made of its fix."""
 
     t_ns: int
-    look: Look
+    frame: Frame
     image: ImageName
     aid: AidStatus | None
 
@@ -35,38 +35,38 @@ class _Choice(NamedTuple):
 def illustrations(log: Path, config: Path | None = None, rig: Path | None = None, map_file: Path | None = None) -> Illustrate:
     """What logs.report.write.write asks for. Files as landfix overlay finds them; where there are none, no map is drawn in."""
 
-    def illustrate(evidence: Evidence, gathered: Gathered) -> Illustrations:
-        chosen = _choose(evidence, gathered)
-        around, note = _scenery(log, evidence, config, rig, map_file)
+    def illustrate(collected: Collected, gathered: Gathered) -> Illustrations:
+        chosen = _choose(collected, gathered)
+        around, note = _scenery(log, collected, config, rig, map_file)
         if not chosen:
-            return Illustrations(_landmarks(around, evidence), (), note)
+            return Illustrations(_landmarks(around, collected), (), note)
         images, _ = find_images(log, {choice.image for choice in chosen})
         shots = [_shot(choice, images[choice.image], around) for choice in chosen if choice.image in images]
-        return Illustrations(_landmarks(around, evidence), shots, note)
+        return Illustrations(_landmarks(around, collected), shots, note)
 
     return illustrate
 
 
 def _scenery(
-    log: Path, evidence: Evidence, config: Path | None, rig: Path | None, map_file: Path | None
+    log: Path, collected: Collected, config: Path | None, rig: Path | None, map_file: Path | None
 ) -> tuple[Scenery | None, str]:
     """Cameras and map, or why there are none. What the caller named must be there."""
     try:
-        return scenery(log, list(evidence.attachments), config, rig, map_file), ""
+        return scenery(log, list(collected.attachments), config, rig, map_file), ""
     except ConfigError as error:
         if config or rig or map_file:
             raise
         return None, f"Without the map drawn in: {error}"
 
 
-def _choose(evidence: Evidence, gathered: Gathered) -> list[_Choice]:
+def _choose(collected: Collected, gathered: Gathered) -> list[_Choice]:
     """Looks evenly over the flight: fixes, and refusals of each kind, what the estimator refused among them."""
-    aids = {aid.t_ns: aid for aid in evidence.aids if aid.topic == FIX_TOPIC}
+    aids = {aid.t_ns: aid for aid in collected.aids if aid.topic == FIX_TOPIC}
     fixes, refusals = list[_Choice](), dict[str, list[_Choice]]()
-    for t_ns, look in sorted(gathered.looks.items()):
-        if look.request is None or look.request.left is None or (look.fix is None and look.report is None):
+    for t_ns, frame in sorted(gathered.frames.items()):
+        if frame.request is None or frame.request.left is None or (frame.fix is None and frame.report is None):
             continue
-        choice = _Choice(t_ns, look, look.request.left, aids.get(t_ns))
+        choice = _Choice(t_ns, frame, frame.request.left, aids.get(t_ns))
         refused_as = _refusal(choice)
         if refused_as:
             refusals.setdefault(refused_as, []).append(choice)
@@ -79,17 +79,17 @@ def _choose(evidence: Evidence, gathered: Gathered) -> list[_Choice]:
 
 def _refusal(choice: _Choice) -> str:
     """Why there is no fix, or it was not used; "" where it was."""
-    if choice.look.fix is None:
-        return choice.look.report.outcome if choice.look.report else "no fix"
+    if choice.frame.fix is None:
+        return choice.frame.report.outcome if choice.frame.report else "no fix"
     return choice.aid.reason if choice.aid and choice.aid.reason not in {Reason.FUSED, Reason.ALIGNING} else ""
 
 
 def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
-    look = choice.look
-    pose = look.fix or look.request
+    frame = choice.frame
+    pose = frame.fix or frame.request
     canvas = image if image.dtype == np.uint8 else cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
     if around is not None and pose is not None:
-        canvas = draw_from(pose, canvas, around.rig, around.landmarks, look.fix.landmarks if look.fix else ())
+        canvas = draw_from(pose, canvas, around.rig, around.landmarks, frame.fix.landmarks if frame.fix else ())
     if canvas.shape[1] > _WIDTH_PX:
         canvas = cv2.resize(
             canvas, (_WIDTH_PX, round(canvas.shape[0] * _WIDTH_PX / canvas.shape[1])), interpolation=cv2.INTER_AREA
@@ -101,7 +101,7 @@ def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
 
 def _words(choice: _Choice) -> str:
     """What it rests on, or what was in the way."""
-    fix, report, aid = choice.look.fix, choice.look.report, choice.aid
+    fix, report, aid = choice.frame.fix, choice.frame.report, choice.aid
     if fix is None:
         why = (report.detail or report.outcome.replace("_", " ")) if report else ""
         found = f"{report.regions} regions, {report.candidates} candidates" if report else ""
@@ -112,11 +112,11 @@ def _words(choice: _Choice) -> str:
     return f"{many} ({', '.join(fix.landmarks[:6])}), fit {fix.residual_px:.2f} px{gate}{detail}"
 
 
-def _landmarks(around: Scenery | None, evidence: Evidence) -> list[Landmark]:
+def _landmarks(around: Scenery | None, collected: Collected) -> list[Landmark]:
     """Those around the flight."""
     if around is None:
         return []
-    p = evidence.estimate.p[np.isfinite(evidence.estimate.p).all(axis=1), :2]
+    p = collected.estimate.p[np.isfinite(collected.estimate.p).all(axis=1), :2]
     low, high = p.min(axis=0), p.max(axis=0)
     east, north = (0.5 * (low + high)).tolist()
     return around.landmarks.near(north, east, 0.5 * float(np.linalg.norm(high - low)) + _MARGIN_M)

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from estimator.frontend.residuals import View
+from logs.evaluation.collected import ODOMETRY_TOPIC
 from logs.evaluation.evaluate import LONGEST_STEP_NS
-from logs.evaluation.evidence import ODOMETRY_TOPIC
 from logs.evaluation.trajectory import decode, interpolate
 from logs.store.reader import Attachment, LogError, LogReader, Record
 from logs.wire import axes, schemas

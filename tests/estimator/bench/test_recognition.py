@@ -27,7 +27,7 @@ from vision.predict.coarse_search import CoarseConfig
 from vision.predict.predict import PredictConfig
 from vision.predict.verify import VerifyConfig
 from vision.synthetic.render import render_labels
-from vision.synthetic.truth import sights
+from vision.synthetic.truth import landmark_views
 
 
 @cache
@@ -81,7 +81,9 @@ def test_towers_hide_what_they_cover() -> None:
     s = sample()
     world = hide(s.scene.world, s.scene.rig, s.p_n, s.R_nb, np.random.default_rng(3))
     before, after = (shares(w, s.scene.rig, s.p_n, s.R_nb) for w in (s.scene.world, world))
-    hidden = {x.id: x.occluded for x in sights(world, s.scene.rig.left, *s.scene.rig.camera_pose(s.p_n, s.R_nb)) if not x.cut}
+    hidden = {
+        x.id: x.occluded for x in landmark_views(world, s.scene.rig.left, *s.scene.rig.camera_pose(s.p_n, s.R_nb)) if not x.cut
+    }
     lost = {name: before[name] - after.get(name, 0.0) for name in hidden if name in before}
     assert max(lost.values()) > 0.1
     for name, share in lost.items():
@@ -103,7 +105,7 @@ def test_fusing_a_fix_with_its_prior() -> None:
 
 def test_one_texture_comes_in_five_sizes() -> None:
     s = sample("size", "pale")
-    assert len(set(s.scene.world.looks)) == 1
+    assert len(set(s.scene.world.appearances)) == 1
     sizes = {round(m.length_m / 11.0, 2) for m in s.scene.map}
     assert sizes <= {0.7, 0.84, 1.0, 1.19, 1.4}
     assert len(sizes) >= 4
@@ -153,8 +155,8 @@ def test_all_are_asked_again_until_they_answer_and_each_pair_is_another_one() ->
 def test_the_others_too_get_the_next_pair() -> None:
     """A dark first pair: SIFT finds the ground in the second one, where it is shown it."""
     dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
-    looked = recognisers.look(dark.left)
-    ground = [recognisers.ask(dark, looked, False, pairs)["SIFT+FLANN, ground"] for pairs in (1, 2)]
+    checked = recognisers.sift_points(dark.left)
+    ground = [recognisers.ask(dark, checked, False, pairs)["SIFT+FLANN, ground"] for pairs in (1, 2)]
     assert [(a.verdict, a.pair) for a in ground] == [("silent", 1), ("recognised", 2)]
 
 
@@ -172,7 +174,7 @@ def test_a_right_answer_is_recognised_and_a_false_truth_makes_it_wrong() -> None
 
 def test_naming_a_landmark_that_is_gone_is_wrong_and_naming_others_is_not_enough() -> None:
     s = sample()
-    bare = dataclasses.replace(s.scene.world, landmarks=(), looks=())
+    bare = dataclasses.replace(s.scene.world, landmarks=(), appearances=())
     assert recognisers.landfix(dataclasses.replace(s, scene=s.scene._replace(world=bare)), timed=False).verdict == "wrong"
     assert recognisers.landfix(dataclasses.replace(s, target="nobody"), timed=False).verdict == "silent"
 
@@ -185,28 +187,28 @@ def test_the_thesis_method_is_judged_by_the_place_it_says() -> None:
 
 def test_sift_and_flann_find_the_place_by_its_ground() -> None:
     s = sample()
-    looked = recognisers.look(s.left)
-    assert len(looked.points) >= 500
+    checked = recognisers.sift_points(s.left)
+    assert len(checked.points) >= 500
     assert s.reference is not None
-    found = recognisers.sift_and_flann(s, looked, surroundings=True)
+    found = recognisers.sift_and_flann(s, checked, surroundings=True)
     assert found.verdict == "recognised"
     assert found.error_m is not None
     assert found.error_m < 2.0
     elsewhere = dataclasses.replace(s.reference, centre_px=s.reference.centre_px + 60.0)
-    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=elsewhere), looked, True).verdict == "wrong"
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=elsewhere), checked, True).verdict == "wrong"
     strange = dataclasses.replace(s, reference=sample(number=2).reference)
-    assert recognisers.sift_and_flann(strange, looked, True).verdict == "silent"
-    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), looked, True).verdict == "silent"
+    assert recognisers.sift_and_flann(strange, checked, True).verdict == "silent"
+    assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), checked, True).verdict == "silent"
 
 
 def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
     """A box half hidden in a scene, a wall seen askew, a street in other light are found; a box is not found on the wall."""
     folder = landfix_data / "images/opencv_feature_pairs"
     pairs = [("box.png", "box_in_scene.png"), ("graf1.png", "graf3.png"), ("leuvenA.jpg", "leuvenB.jpg")]
-    looked = {name: recognisers.look(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
+    checked = {name: recognisers.sift_points(np.asarray(cv2.imread(str(folder / name)))) for pair in pairs for name in pair}
     for reference, image in pairs:
-        assert recognisers.homography(looked[reference], looked[image]) is not None
-    assert recognisers.homography(looked["box.png"], looked["graf1.png"]) is None
+        assert recognisers.homography(checked[reference], checked[image]) is not None
+    assert recognisers.homography(checked["box.png"], checked["graf1.png"]) is None
 
 
 def test_a_row_counts_verdicts() -> None:
@@ -274,7 +276,7 @@ def test_a_place_behind_the_twentieth_summit_is_found() -> None:
 def test_a_place_with_more_votes_that_leads_to_the_same_fit_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = views.draw("partial", "pale", 741, 71)
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
-    monkeypatch.setattr(verify, "same_place", lambda *_: False)
+    monkeypatch.setattr(verify, "same_position", lambda *_: False)
     assert recognisers.landfix(sample, timed=False).verdict == "silent"
 
 

@@ -80,7 +80,7 @@ def test_one_image_is_located_for_a_person(folder: Path) -> None:
 
 
 def test_a_fix_may_be_asked_to_be_good_enough(folder: Path) -> None:
-    """What is asked is what fix and prior promise together, in the worst direction."""
+    """The limit is compared with the accuracy of fix and prior together, in the worst direction."""
     given = [folder / "left.png", folder / "right.png", *options(folder), "--prior-sigma", "5,1", "--json"]
     joint = json.loads(run(*given).stdout)["with_prior"]
     worst = math.sqrt(7.814728 * np.linalg.eigvalsh(np.array(joint["covariance"])[:3, :3])[-1])

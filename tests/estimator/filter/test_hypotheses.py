@@ -288,7 +288,7 @@ def test_a_copy_is_independent() -> None:
 def test_a_velocity_accepted_again_is_no_news_that_its_doubter_alone_pays_for() -> None:
     """The leading filter takes a receiver's velocity for false, and so, just now, did the one that follows it.
 
-    When that one foresees the next, both have explained it: one as true, one as the same falsehood.
+    When that one foresees the next, both have explained it: one as true, one as the same false fix.
     """
     honest, follower = _member(_state(0.0, 0.0, 0.0)), _member(_state(0.0, 0.0, 0.0), weight=-6.0)
     follower.filter.x[X.V] = (8.0, 0.0, 0.0)
@@ -306,7 +306,7 @@ def test_a_velocity_accepted_again_is_no_news_that_its_doubter_alone_pays_for() 
 
 
 def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
-    """Both refused the one before; neither calls this one the same falsehood because the other foresaw it a little better."""
+    """Both refused the one before; neither calls this one the same false fix because the other foresaw it a little better."""
     one, other = _member(_state(0.0, 0.0, 0.0)), _member(_state(0.0, 0.0, 0.0), weight=-1.0)
     other.filter.x[X.V] = (0.3, 0.0, 0.0)
     for member in (one, other):

@@ -8,7 +8,7 @@ import pytest
 from estimator.config import Config, load
 from estimator.frontend.files import load_odometry
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
-from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometrySight
+from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometryProcessor
 from estimator.frontend.replay_odometry import OdometryCounts, OdometryReplay
 from estimator.frontend.requests import Pair, Shot, Track
 from estimator.replay.replay import replay
@@ -99,8 +99,8 @@ def _request() -> OdometryRequest:
 
 
 def test_a_request_gives_an_increment_and_a_report() -> None:
-    sight, decoder = OdometrySight(scene.RIG), Decoder()
-    report, said = sight.look(_request(), _pair(0, T0_NS), _pair(1, T1_NS))
+    processor, decoder = OdometryProcessor(scene.RIG), Decoder()
+    report, said = processor.process(_request(), _pair(0, T0_NS), _pair(1, T1_NS))
     delta = decoder.decode(*said, T1_NS)
     assert report.topic == ODOMETRY_REPORT_TOPIC
     assert isinstance(delta, OdometryDelta)
@@ -109,13 +109,15 @@ def test_a_request_gives_an_increment_and_a_report() -> None:
     total = delta.covariance[:3, :3] + (delta.systematic @ delta.systematic.T)[:3, :3]
     off = delta.dp_b - scene.truth()[0]
     assert off @ np.linalg.solve(total, off) < 16.3
-    assert OdometrySight(scene.RIG).look(_request(), _pair(0, T0_NS), _pair(1, T1_NS))[1].data == said.data  # no memory
+    assert OdometryProcessor(scene.RIG).process(_request(), _pair(0, T0_NS), _pair(1, T1_NS))[1].data == said.data  # no memory
 
 
 def test_an_image_that_cannot_be_read_is_a_reason() -> None:
     torn = _pair(1, T1_NS)
     assert torn.left is not None
-    (report,) = OdometrySight(scene.RIG).look(_request(), _pair(0, T0_NS), torn._replace(left=torn.left._replace(data=b"\0\1")))
+    (report,) = OdometryProcessor(scene.RIG).process(
+        _request(), _pair(0, T0_NS), torn._replace(left=torn.left._replace(data=b"\0\1"))
+    )
     assert report.topic == ODOMETRY_REPORT_TOPIC
 
 
@@ -134,10 +136,10 @@ def _records(path: Path, topic: str) -> list[Record]:
 
 def _again(source: Path, out: Path, config: Config) -> OdometryCounts:
     assert config.rig.file is not None
-    sight = load_odometry(source.parent / config.rig.file)
+    processor = load_odometry(source.parent / config.rig.file)
     topics = config.inputs.left_image, config.inputs.right_image
-    again = OdometryReplay(sight, config.visual_odometry, config.vision, topics, source)
-    replay(source, out, config, sight=again)
+    again = OdometryReplay(processor, config.visual_odometry, config.vision, topics, source)
+    replay(source, out, config, processor=again)
     return again.counts
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.frontend.processor import Sight
+from estimator.frontend.processor import Processor
 from estimator.frontend.requests import Shot
 from logs.wire.codec import Encoded
 from logs.wire.images import Pixels, encode_image
@@ -38,7 +38,7 @@ def test_images_of_another_size_are_scaled_where_the_aspect_ratio_fits(size: tup
     covariance = np.diag(np.array([3.0, 3.0, 2.0, 0.01, 0.01, 0.02]) ** 2)
     request = VisionRequest(0, 0, vec3(P_N), (w, x, y, z), covariance, None, None)
     seen = np.asarray(cv2.resize(left, size, interpolation=cv2.INTER_CUBIC), np.uint8)
-    messages = Sight(scene.rig_calibrated, scene.map).look(request, (shot(seen), None))
+    messages = Processor(scene.rig_calibrated, scene.map).process(request, (shot(seen), None))
     assert said(messages[0]).outcome == outcome
     if outcome == "fixed":
         position = said(messages[1]).pose.pose.position

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.config import ConfigError, load
-from estimator.frontend.files import load_sight
-from estimator.frontend.replay_images import ImageCounts, SightReplay
+from estimator.frontend.files import load_processor
+from estimator.frontend.replay_images import ImageCounts, ImageReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
@@ -24,9 +24,9 @@ def _again(source: Path, out: Path, config_file: Path) -> ImageCounts:
     config = load(config_file)
     assert config.rig.file is not None
     assert config.map.landmarks is not None
-    sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
-    images = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, source)
-    replay(source, out, config, sight=images)
+    processor = load_processor(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
+    images = ImageReplay(processor, config.vision, config.inputs.left_image, config.inputs.right_image, source)
+    replay(source, out, config, processor=images)
     return images.counts
 
 
@@ -126,6 +126,6 @@ def test_broken_images_give_a_reason_and_no_fix(flight: tuple[Path, Path], tmp_p
 def test_files_that_are_not_there_are_named(tmp_path: Path, flight: tuple[Path, Path]) -> None:
     rig, landmarks = flight[0].with_name("rig.yaml"), flight[0].with_name("map.geojson")
     with pytest.raises(ConfigError, match="nowhere"):
-        load_sight(rig, tmp_path / "nowhere.geojson", None)
+        load_processor(rig, tmp_path / "nowhere.geojson", None)
     with pytest.raises(ConfigError, match="nowhere"):
-        load_sight(tmp_path / "nowhere.yaml", landmarks, None)
+        load_processor(tmp_path / "nowhere.yaml", landmarks, None)

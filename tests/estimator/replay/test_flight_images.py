@@ -101,13 +101,13 @@ def test_roofs_are_where_truth_and_rig_put_them(log: Path) -> None:
             camera = scene.rig.right if side else scene.rig.left
             if image.mean() < 5.0:
                 continue
-            for mark, look in zip(scene.world.landmarks, scene.world.looks, strict=True):
+            for mark, appearance in zip(scene.world.landmarks, scene.world.appearances, strict=True):
                 shrunk = mark.outline_n + 0.2 * (np.array(mark.centre_n) - mark.outline_n)
                 px = camera.project((np.column_stack([shrunk, np.full(len(shrunk), mark.roof_d)]) - p) @ R)
                 if camera.contains(px, 2.0).all():
                     u, v = np.rint(px).astype(int).T
                     seen = np.median(image[v, u].astype(float), axis=0)
-                    chroma = [c / c.sum() for c in (seen, np.array(look.roof_bgr))]
+                    chroma = [c / c.sum() for c in (seen, np.array(appearance.roof_bgr))]
                     checked += 1
                     near += bool(np.abs(chroma[0] - chroma[1]).max() < 0.1)
     assert checked > 10

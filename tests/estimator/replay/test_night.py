@@ -51,7 +51,7 @@ def test_a_grey_camera_sends_one_channel() -> None:
 
 
 def test_roofs_are_colder_or_warmer_than_the_ground_and_nothing_casts_a_shadow(night: flight_images.Flight) -> None:
-    levels = np.array([look.roof_bgr for look in night.scene.world.looks])
+    levels = np.array([appearance.roof_bgr for appearance in night.scene.world.appearances])
     assert (np.ptp(levels, axis=1) == 0.0).all()
     assert 0.2 < (levels[:, 0] > 110.0).mean() < 0.7
     assert night.scene.world.sun.shadow == 1.0

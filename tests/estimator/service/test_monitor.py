@@ -137,4 +137,4 @@ def test_without_a_daemon_it_says_so_in_one_line() -> None:
         env=environment(), capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert result.returncode == 1
-    assert result.stderr == f"landfix: {endpoint}: no daemon listens there, or it does not let us in\n"
+    assert result.stderr == f"landfix: {endpoint}: no daemon listens there, or it refuses the connection\n"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from logs.evaluation.collected import HealthPoint, NoEstimateError, read
 from logs.evaluation.evaluate import assess, compare, evaluate, find_outages
-from logs.evaluation.evidence import HealthPoint, NoEstimateError, read
 from logs.evaluation.metrics import nees
 from logs.evaluation.records import ConsistencySummary, Evaluation
 from logs.evaluation.table import odometry, print_table
@@ -104,8 +104,8 @@ def test_outages_and_their_drift(log: Path, consistent: Evaluation) -> None:
     assert second.drift.distance_m == pytest.approx(161.0, abs=1.0)
     assert second.drift.end_percent == pytest.approx(100 * second.drift.end_m / second.drift.distance_m)
     assert second.radius95_end_m == pytest.approx(2.4477 * np.sqrt(0.3**2 * 32), rel=0.03)  # 32 s of random walk
-    evidence = read(log)
-    c = compare(evidence.estimate, evidence.truth)
+    collected = read(log)
+    c = compare(collected.estimate, collected.truth)
     c = c[(c.t_ns > EPOCH_NS + 58 * S) & (c.t_ns < EPOCH_NS + 90 * S)]
     assert second.nees_position == pytest.approx(nees(c.p_error, c.p_covariance).mean() / 3)
     assert second.attitude_end_deg == pytest.approx(np.rad2deg(np.linalg.norm(c.theta_error[-1])))
@@ -113,13 +113,13 @@ def test_outages_and_their_drift(log: Path, consistent: Evaluation) -> None:
 
 def test_an_outage_with_odometry_stands_beside_the_flight_without_it(log: Path, consistent: Evaluation) -> None:
     """Increments are counted in the outage alone; the other estimate is 3 m off all the time."""
-    evidence = read(log)
+    collected = read(log)
     _, outage = consistent.outages
-    start_s = (int(evidence.estimate.t_ns[0]) - EPOCH_NS) * 1e-9 + outage.start_s
+    start_s = (int(collected.estimate.t_ns[0]) - EPOCH_NS) * 1e-9 + outage.start_s
     steps = [aid(start_s + s, "/odometry", "odometry") for s in (-1.0, 0.5, 1.0, outage.duration_s + 1.0)]
     gated = aid(start_s + 1.5, "/odometry", "odometry", Reason.GATED)
-    beside = replace(evidence.estimate, p=evidence.estimate.p + np.array([3.0, 0.0, 0.0]))
-    assessed = assess(replace(evidence, aids=(*evidence.aids, *steps, gated)), "flight", without_odometry=beside)
+    beside = replace(collected.estimate, p=collected.estimate.p + np.array([3.0, 0.0, 0.0]))
+    assessed = assess(replace(collected, aids=(*collected.aids, *steps, gated)), "flight", without_odometry=beside)
     first, found = assessed.outages
     assert (first.increments, found.increments) == (0, 2)
     assert outage.drift is not None
@@ -275,19 +275,19 @@ def test_a_slow_source_does_not_wait_by_the_clock_of_a_fast_one() -> None:
 
 
 def test_velocity_errors_are_judged_along_the_body(log: Path) -> None:
-    evidence = read(log)
-    c = compare(evidence.estimate, evidence.truth)
+    collected = read(log)
+    c = compare(collected.estimate, collected.truth)
     np.testing.assert_allclose(c.v_error, c.truth.v_body - c.estimate.v_body)
     assert np.abs(c.v_error).max() < 2.0
 
 
 def test_nothing_is_compared_where_the_estimate_is_silent_or_not_finite(log: Path) -> None:
     """GIVEN an estimate silent for 1 s from 40 s and not finite at 50 s, THEN the hole is left out, the short one bridged."""
-    evidence = read(log)
-    t = (evidence.estimate.t_ns - EPOCH_NS) / S
-    estimate = evidence.estimate[(t <= 40) | (t >= 41)]
+    collected = read(log)
+    t = (collected.estimate.t_ns - EPOCH_NS) / S
+    estimate = collected.estimate[(t <= 40) | (t >= 41)]
     estimate.p[estimate.t_ns == EPOCH_NS + 50 * S] = np.nan
-    c = compare(estimate, evidence.truth)
+    c = compare(estimate, collected.truth)
     assert c.left_out == 24
     assert np.isfinite(c.p_error).all()
     assert EPOCH_NS + 50 * S in c.t_ns
@@ -295,12 +295,12 @@ def test_nothing_is_compared_where_the_estimate_is_silent_or_not_finite(log: Pat
 
 def test_the_jump_at_the_end_of_an_outage_is_not_called_aided(log: Path) -> None:
     """GIVEN a fix between two estimates, THEN a truth between it and the second, where both are mixed, is not aided."""
-    evidence = read(log)
-    aids = tuple(msgspec.structs.replace(a, t_ns=a.t_ns - S // 100, arrived_ns=a.arrived_ns - S // 100) for a in evidence.aids)
-    truth = evidence.truth[2247:2248]  # at 89.88 s
+    collected = read(log)
+    aids = tuple(msgspec.structs.replace(a, t_ns=a.t_ns - S // 100, arrived_ns=a.arrived_ns - S // 100) for a in collected.aids)
+    truth = collected.truth[2247:2248]  # at 89.88 s
     for t_s, aided in ((89.995, 0), (91.0, 1)):
         moved = replace(truth, t_ns=np.array([EPOCH_NS + round(t_s * S)]))
-        accuracy = assess(replace(evidence, aids=aids, truth=moved), "log").accuracy
+        accuracy = assess(replace(collected, aids=aids, truth=moved), "log").accuracy
         assert accuracy is not None
         assert (accuracy.position_m.n, accuracy.aided_position_m.n) == (1, aided)
 
@@ -388,11 +388,11 @@ def test_a_real_flight_with_nothing_but_poses(
 
 def test_estimates_without_an_attitude_are_finite_and_their_positions_count(log: Path) -> None:
     """GIVEN a heading that is not known from 40 s to 60 s (a variance of 12 rad^2, "not given" on the wire)."""
-    evidence = read(log)
-    unknown = (evidence.estimate.t_ns >= EPOCH_NS + 40 * S) & (evidence.estimate.t_ns < EPOCH_NS + 60 * S)
-    evidence.estimate.covariance[unknown, 5, 5] = 12.0
-    evidence.estimate.q_wxyz[unknown] = np.nan
-    e, whole = assess(evidence, "unknown heading"), evaluate(log)
+    collected = read(log)
+    unknown = (collected.estimate.t_ns >= EPOCH_NS + 40 * S) & (collected.estimate.t_ns < EPOCH_NS + 60 * S)
+    collected.estimate.covariance[unknown, 5, 5] = 12.0
+    collected.estimate.q_wxyz[unknown] = np.nan
+    e, whole = assess(collected, "unknown heading"), evaluate(log)
     assert e.compared == whole.compared
     assert e.notes == (f"{np.count_nonzero(unknown)} estimates have no attitude that is known: of these the position counts",)
     assert e.accuracy is not None

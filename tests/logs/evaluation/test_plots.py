@@ -11,25 +11,25 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from logs.evaluation import plots
+from logs.evaluation.collected import Collected, read
 from logs.evaluation.evaluate import compare, find_outages
-from logs.evaluation.evidence import Evidence, read
 from tests.logs import flight_log
 from tests.logs.flight_log import Flight
 
-Make: TypeAlias = Callable[[Evidence, plots.Spans], Figure]
+Make: TypeAlias = Callable[[Collected, plots.Spans], Figure]
 FIGURES: list[Make] = [plots.from_above, plots.errors, plots.horizontal_error, plots.overview]
 
 
 @pytest.fixture(scope="module")
-def evidence(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
+def collected(tmp_path_factory: pytest.TempPathFactory) -> Collected:
     path = tmp_path_factory.mktemp("plots") / "flight.mcap"
     flight_log.write(path, Flight())
     return read(path)
 
 
 @pytest.fixture(scope="module")
-def outages(evidence: Evidence) -> plots.Spans:
-    return find_outages(evidence.aids, evidence.health, evidence.estimate)["all"].spans
+def outages(collected: Collected) -> plots.Spans:
+    return find_outages(collected.aids, collected.health, collected.estimate)["all"].spans
 
 
 def lines(axes: Axes) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -52,8 +52,8 @@ def overlaps_axes(figure: Figure) -> bool:
 
 
 @pytest.mark.parametrize("make", FIGURES)
-def test_every_axis_has_its_unit_and_the_legend_hides_nothing(make: Make, evidence: Evidence, outages: plots.Spans) -> None:
-    figure = make(evidence, outages)
+def test_every_axis_has_its_unit_and_the_legend_hides_nothing(make: Make, collected: Collected, outages: plots.Spans) -> None:
+    figure = make(collected, outages)
     picture = drawn(figure)
     assert picture.std() > 5  # something is on it
     assert (picture[0, 0] == 255).all()  # on white
@@ -63,8 +63,8 @@ def test_every_axis_has_its_unit_and_the_legend_hides_nothing(make: Make, eviden
     assert figure.axes[-1].get_xlabel().endswith("]")
 
 
-def test_from_above_shows_truth_estimate_fixes_and_outages(evidence: Evidence, outages: plots.Spans) -> None:
-    (axes,) = plots.from_above(evidence, outages).axes
+def test_from_above_shows_truth_estimate_fixes_and_outages(collected: Collected, outages: plots.Spans) -> None:
+    (axes,) = plots.from_above(collected, outages).axes
     shown = lines(axes)
     np.testing.assert_allclose(np.hypot(*shown["truth"]), 40.0, atol=1e-6)
     aided, blind = shown["estimate, aided"][0], shown["estimate in an outage"][0]
@@ -78,18 +78,18 @@ def test_from_above_shows_truth_estimate_fixes_and_outages(evidence: Evidence, o
     assert largest == pytest.approx(2 * 2.4477 * np.sqrt(0.3**2 * 32), rel=0.03)
 
 
-def test_a_far_false_fix_does_not_shrink_the_flight(evidence: Evidence, outages: plots.Spans) -> None:
-    fixes = evidence.fixes["/pose_fix"]
+def test_a_far_false_fix_does_not_shrink_the_flight(collected: Collected, outages: plots.Spans) -> None:
+    fixes = collected.fixes["/pose_fix"]
     far = replace(fixes, p=fixes.p + 1e5 * ~fixes.used[:, None])
-    figure = plots.from_above(replace(evidence, fixes={"/pose_fix": far}), outages)
+    figure = plots.from_above(replace(collected, fixes={"/pose_fix": far}), outages)
     drawn(figure)
     assert figure.axes[0].get_xlim()[1] < 60
 
 
-def test_errors_are_shown_with_their_band(evidence: Evidence, outages: plots.Spans) -> None:
-    figure = plots.errors(evidence, outages)
+def test_errors_are_shown_with_their_band(collected: Collected, outages: plots.Spans) -> None:
+    figure = plots.errors(collected, outages)
     assert len(figure.axes) == 6
-    c = compare(evidence.estimate, evidence.truth)
+    c = compare(collected.estimate, collected.truth)
     east, about_east, north = (lines(figure.axes[k])["error, true minus estimated"] for k in (0, 1, 2))
     np.testing.assert_allclose(east[1], c.p_error[:, 0])
     np.testing.assert_allclose(north[1], c.p_error[:, 1])
@@ -99,8 +99,8 @@ def test_errors_are_shown_with_their_band(evidence: Evidence, outages: plots.Spa
     assert band.ymax == pytest.approx(1.96 * np.sqrt(c.p_covariance[:, 0, 0].max()), rel=1e-3)
 
 
-def test_horizontal_error_marks_what_lies_beyond_the_radius(evidence: Evidence, outages: plots.Spans) -> None:
-    (axes,) = plots.horizontal_error(evidence, outages).axes
+def test_horizontal_error_marks_what_lies_beyond_the_radius(collected: Collected, outages: plots.Spans) -> None:
+    (axes,) = plots.horizontal_error(collected, outages).axes
     shown = lines(axes)
     error, radius = shown["horizontal error"][1], shown["95 % radius"][1]
     assert len(shown["error beyond the radius"][0]) == np.count_nonzero(error > radius)
@@ -110,14 +110,14 @@ def test_horizontal_error_marks_what_lies_beyond_the_radius(evidence: Evidence, 
 
 
 @pytest.mark.parametrize("make", [plots.from_above, plots.horizontal_error, plots.overview])
-def test_images_need_neither_truth_nor_fixes(make: Make, evidence: Evidence) -> None:
-    bare = replace(evidence, truth=evidence.truth[:0], aids=(), fixes={})
+def test_images_need_neither_truth_nor_fixes(make: Make, collected: Collected) -> None:
+    bare = replace(collected, truth=collected.truth[:0], aids=(), fixes={})
     assert drawn(make(bare, [])).std() > 3
 
 
-def test_a_truth_without_attitude_has_three_panels(evidence: Evidence, outages: plots.Spans) -> None:
-    blind = replace(evidence.truth, q_wxyz=np.full_like(evidence.truth.q_wxyz, np.nan))
-    assert len(plots.errors(replace(evidence, truth=blind), outages).axes) == 3
+def test_a_truth_without_attitude_has_three_panels(collected: Collected, outages: plots.Spans) -> None:
+    blind = replace(collected.truth, q_wxyz=np.full_like(collected.truth.q_wxyz, np.nan))
+    assert len(plots.errors(replace(collected, truth=blind), outages).axes) == 3
 
 
 def test_nothing_is_drawn_over_a_hole() -> None:

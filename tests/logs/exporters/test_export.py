@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from estimator.cli import app
 from landfix import estimate_frame
-from logs.evaluation.evidence import read
+from logs.evaluation.collected import read
 from logs.exporters.export import Format, export
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import CONFIG_ATTACHMENT, Recorder

@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from logs.evaluation.collected import read
 from logs.evaluation.evaluate import assess, evaluate
-from logs.evaluation.evidence import read
 from logs.importers.recording import AUTOPILOT
 from logs.report.charts import Points, StripChart, TimeChart
-from logs.report.gather import Gathered, Look, attitude_deg, sigmas
+from logs.report.gather import Frame, Gathered, attitude_deg, sigmas
 from logs.report.map import flight
 from logs.report.plots import MOST_POINTS, thinned, vision
 from logs.report.words import Level, findings
@@ -135,8 +135,10 @@ def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> 
 def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
     for scale, level in ((4.0, Level.WRONG), (1.6, Level.LOOK), (1.0, None)):
         flight_log.write(tmp_path / "x.mcap", Flight(error_scale=scale))
-        evidence = read(tmp_path / "x.mcap")
-        levels = {f.level for f in findings(assess(evidence, "x"), evidence, Gathered()) if f.text.startswith("position errors")}
+        collected = read(tmp_path / "x.mcap")
+        levels = {
+            f.level for f in findings(assess(collected, "x"), collected, Gathered()) if f.text.startswith("position errors")
+        }
         assert levels == ({level} if level is not None else set())
 
 
@@ -233,17 +235,17 @@ def test_the_map_shows_the_way_by_mode_ellipses_and_fixes(page: Page, log: Path)
 
 
 def test_gnss_and_landmark_fixes_have_marks_of_their_own(log: Path) -> None:
-    evidence = read(log)
-    aids = tuple(msgspec.structs.replace(a, kind="gnss_position", topic="/gnss") for a in evidence.aids)
-    both = replace(evidence, aids=(*evidence.aids, *aids), fixes={**evidence.fixes, "/gnss": evidence.fixes["/pose_fix"]})
+    collected = read(log)
+    aids = tuple(msgspec.structs.replace(a, kind="gnss_position", topic="/gnss") for a in collected.aids)
+    both = replace(collected, aids=(*collected.aids, *aids), fixes={**collected.fixes, "/gnss": collected.fixes["/pose_fix"]})
     shapes = [m.shape for m in flight(both, Gathered(), [], []).marks]
     assert sorted(shapes) == ["cross", "diamond", "dot", "plus", "square", "triangle"]
 
 
 def test_an_attitude_is_no_position_on_the_map(log: Path) -> None:
-    evidence = read(log)
-    attitudes = tuple(msgspec.structs.replace(a, kind="attitude") for a in evidence.aids)
-    assert [m.name for m in flight(replace(evidence, aids=attitudes), Gathered(), [], []).marks] == ["start", "end"]
+    collected = read(log)
+    attitudes = tuple(msgspec.structs.replace(a, kind="attitude") for a in collected.aids)
+    assert [m.name for m in flight(replace(collected, aids=attitudes), Gathered(), [], []).marks] == ["start", "end"]
 
 
 def test_the_strip_of_modes_has_names_for_its_colours(page: Page) -> None:
@@ -266,9 +268,9 @@ def test_a_reference_is_called_so(log: Path, tmp_path: Path) -> None:
 
 
 def test_no_line_leads_over_a_hole(log: Path) -> None:
-    evidence, hole = read(log), (40.02, 49.98)
-    known = np.array([not hole[0] < t < hole[1] for t in (evidence.estimate.t_ns - EPOCH_NS) * 1e-9])
-    broken = replace(evidence, estimate=evidence.estimate[known], truth=evidence.truth[known])
+    collected, hole = read(log), (40.02, 49.98)
+    known = np.array([not hole[0] < t < hole[1] for t in (collected.estimate.t_ns - EPOCH_NS) * 1e-9])
+    broken = replace(collected, estimate=collected.estimate[known], truth=collected.truth[known])
     chart = flight(broken, Gathered(), [], [])
     assert [p.name for p in chart.paths] == ["truth", "truth", "estimate", "estimate"]
     assert [t for p in chart.paths for t in (p.t[0], p.t[-1])] == pytest.approx([0.0, 40.0, 50.0, 120.0] * 2, abs=0.09)
@@ -276,9 +278,9 @@ def test_no_line_leads_over_a_hole(log: Path) -> None:
 
 def test_an_ellipse_lies_as_its_covariance(log: Path) -> None:
     """GIVEN sigmas of 2 m along 30 degrees from east to north and 1 m across, THEN so lies the ellipse."""
-    evidence, c, s = read(log), np.cos(np.pi / 6), np.sin(np.pi / 6)
-    evidence.estimate.covariance[:, :2, :2] = [[4 * c * c + s * s, 3 * c * s], [3 * c * s, 4 * s * s + c * c]]
-    ellipse = flight(evidence, Gathered(), [], []).ellipses[5]
+    collected, c, s = read(log), np.cos(np.pi / 6), np.sin(np.pi / 6)
+    collected.estimate.covariance[:, :2, :2] = [[4 * c * c + s * s, 3 * c * s], [3 * c * s, 4 * s * s + c * c]]
+    ellipse = flight(collected, Gathered(), [], []).ellipses[5]
     assert (ellipse.a, ellipse.b) == pytest.approx((2 * 2.447747, 2.447747), abs=1e-3)
     assert ellipse.turn_deg % 180.0 == pytest.approx(30.0)
 
@@ -493,12 +495,12 @@ def test_of_many_measurements_the_worst_are_shown(log: Path) -> None:
 
 
 def test_of_many_looks_the_strips_and_the_fits_are_bounded_and_the_worst_fit_stays(log: Path) -> None:
-    evidence, gathered = read(log), Gathered()
+    collected, gathered = read(log), Gathered()
     for k in range(10_000):
         outcome, residual = ("fixed", 0.5 + (k == 4321)) if k % 3 else ("too few", np.nan)
         report = VisionReport(EPOCH_NS + k * S // 10, 0, outcome, f"{k}", 1, 1, (), (), residual, 0.1)
-        gathered.looks[report.t_ns] = Look(report=report)
-    charts = vision(evidence, gathered)
+        gathered.frames[report.t_ns] = Frame(report=report)
+    charts = vision(collected, gathered)
     strips, fit = charts["outcomes"], charts["fit"]
     assert isinstance(strips, StripChart)
     assert {name: len(stays) <= MOST_POINTS for name, stays in strips.rows.items()} == {"fixed": True, "too few": True}

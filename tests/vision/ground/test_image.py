@@ -13,20 +13,20 @@ AFFINE = np.array([[0.1, -0.5, 40.0], [0.5, 0.1, -30.0]])
 def test_pixels_and_places_are_inverse_to_each_other() -> None:
     image = GroundImage("x", np.zeros((60, 80), np.uint8), AFFINE, Heights.level(3.0))
     px = np.array([[0.0, 0.0], [79.0, 59.0], [12.3, 45.6]])
-    place = px @ AFFINE[:, :2].T + AFFINE[:, 2]
-    np.testing.assert_allclose(image.to_pixels(place), px, atol=1e-9)
+    position = px @ AFFINE[:, :2].T + AFFINE[:, 2]
+    np.testing.assert_allclose(image.to_pixels(position), px, atol=1e-9)
     assert image.pixel_m == pytest.approx(np.sqrt(0.26))
-    np.testing.assert_allclose(image.points(place)[:, 2], 3.0)
+    np.testing.assert_allclose(image.points(position)[:, 2], 3.0)
     outside = np.array([[-0.1, 5.0], [5.0, 59.1]]) @ AFFINE[:, :2].T + AFFINE[:, 2]
-    assert image.contains(place).all()
+    assert image.contains(position).all()
     assert not image.contains(outside).any()
 
 
 def test_heights_are_bilinear_and_end_at_the_border() -> None:
     down = np.array([[0.0, 10.0, 20.0], [4.0, 14.0, 24.0]])
     heights = Heights(down, np.array([[0.0, 2.0, 0.0], [2.0, 0.0, 0.0]]), 1.0)  # u is east, v is north, 2 m apart
-    place = np.array([[0.0, 1.0], [1.0, 3.0], [9.0, 9.0], [-5.0, -5.0]])
-    np.testing.assert_allclose(heights.at(place), [5.0, 17.0, 24.0, 0.0])
+    position = np.array([[0.0, 1.0], [1.0, 3.0], [9.0, 9.0], [-5.0, -5.0]])
+    np.testing.assert_allclose(heights.at(position), [5.0, 17.0, 24.0, 0.0])
 
 
 def test_what_stands_on_the_ground_raises_it() -> None:

@@ -68,7 +68,7 @@ def test_each_condition_counts() -> None:
         ({"ratio": 1.24}, "times the second"),
         ({"correlation": 0.19}, "correlation 0.19"),
         ({"deviations": 4.9}, "standard deviations"),
-        ({"curvature": None}, "no one place"),
+        ({"curvature": None}, "no single peak"),
     ):
         flaw = fit_peak(scene.RIG, prior, map_image, replace(peak, **change))
         assert isinstance(flaw, str)

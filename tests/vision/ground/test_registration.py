@@ -57,9 +57,9 @@ def test_a_camera_that_looks_ahead() -> None:
         q0 = so3.normalise(so3.multiply(so3.from_euler(0.0, 0.0, 0.05), q))
         prior = Prior(p_n + np.array([7.0, -6.0, 6.0]), q0, np.diag(_SIGMA**2))
         image, map_image = scene.shot(ground, p_n, so3.matrix(q), rng), scene.map_image(ground)
-        place = _search(scene.RIG, pyramid(image), prior, map_image, _CONFIG)
-        assert not isinstance(place, NotRegistered)
-        assert np.linalg.norm((place.p_n - p_n)[:2]) < 1.2, "turned about the vehicle, not about what it sees"
+        position = _search(scene.RIG, pyramid(image), prior, map_image, _CONFIG)
+        assert not isinstance(position, NotRegistered)
+        assert np.linalg.norm((position.p_n - p_n)[:2]) < 1.2, "turned about the vehicle, not about what it sees"
         found = register(scene.RIG, image, prior, map_image)
         assert isinstance(found, Registered)
         assert found.is_sure(_CONFIG)

@@ -7,7 +7,7 @@ from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.identify.ambiguity import steps_off
 
-PLACE, ODDS = np.array([0.0, 0.0, -60.0]), 1e3
+POSITION, ODDS = np.array([0.0, 0.0, -60.0]), 1e3
 
 
 def house(name: str, north: float, east: float, length: float = 14.0, width: float = 9.0) -> Landmark:
@@ -23,7 +23,7 @@ def doubted(
     used: tuple[Landmark, ...] = (HERE,), share: float = 1.0 / 3.0,
 ) -> bool:  # fmt: skip
     covariance: Array = np.diag([sigma**2] * 3 + [1e-4] * 3)
-    return len(steps_off(PLACE + off, used, near, PLACE, covariance, ODDS, share)) > 0
+    return len(steps_off(POSITION + off, used, near, POSITION, covariance, ODDS, share)) > 0
 
 
 @pytest.mark.parametrize(("sigma", "doubt"), [(2.0, False), (6.0, False), (7.0, True), (20.0, True)])
@@ -61,7 +61,7 @@ def test_steps_tell_where_the_map_shows_the_same_each_of_them_once() -> None:
     """Three of a row of five: one step to either side has all three in the map, two steps only two of them."""
     row = tuple(house(str(k), 0.0, 25.0 * k) for k in range(-2, 3))
     covariance: Array = np.diag([20.0**2] * 3 + [1e-4] * 3)
-    steps = steps_off(PLACE, row[1:4], row, PLACE, covariance, ODDS, 2.0 / 3.0)
+    steps = steps_off(POSITION, row[1:4], row, POSITION, covariance, ODDS, 2.0 / 3.0)
     assert sorted(steps[:, 1].tolist()) == [-25.0, 25.0]
-    both = steps_off(PLACE, row[1:4], row, PLACE, covariance, ODDS, 1.0 / 3.0)
+    both = steps_off(POSITION, row[1:4], row, POSITION, covariance, ODDS, 1.0 / 3.0)
     assert sorted(both[:, 1].tolist()) == [-50.0, -25.0, 25.0, 50.0]

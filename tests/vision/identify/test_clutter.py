@@ -18,12 +18,12 @@ def street(turns: Array) -> Catalogue:
     """Houses of 8 by 11 m, 25 m apart, turned by turns (N,), the nearest first."""
     half = math.isqrt(len(turns)) / 2.0
     axis = 25.0 * np.arange(-half + 0.5, half)
-    places = sorted(((n, e) for n in axis for e in axis), key=lambda place: math.hypot(*place))
+    positions = sorted(((n, e) for n in axis for e in axis), key=lambda position: math.hypot(*position))
     marks = []
-    for k, (turn, place) in enumerate(zip(turns, places, strict=True)):
+    for k, (turn, position) in enumerate(zip(turns, positions, strict=True)):
         c, s = math.cos(turn), math.sin(turn)
         outline = 0.5 * np.array([[11.0, 8.0], [11.0, -8.0], [-11.0, -8.0], [-11.0, 8.0]]) @ np.array([[c, s], [-s, c]])
-        marks.append(Landmark.of(str(k), outline + np.array(place), 0.0, 3.0))
+        marks.append(Landmark.of(str(k), outline + np.array(position), 0.0, 3.0))
     return catalogue(marks)
 
 

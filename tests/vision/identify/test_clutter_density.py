@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vision.identify.assignment import SCALE, STATES
-from vision.identify.clutter_density import Crowd
+from vision.identify.clutter_density import ClutterDensity
 
 TURNS, SCALES = np.linspace(-0.1, 0.1, 5), np.linspace(-0.08, 0.08, 5)
 HEADING = 5
@@ -17,21 +17,21 @@ def state(turn: float, scale: float, sigma: float) -> tuple[np.ndarray, np.ndarr
     return x, covariance
 
 
-def summit_at(t: int, s: int, low: float = 0.01) -> Crowd:
+def summit_at(t: int, s: int, low: float = 0.01) -> ClutterDensity:
     """One region next to which much stands, were the image turned and grown just so."""
     density = np.full((1, 5, 5), low)
     density[0, t, s] = 1.0
-    return Crowd(np.log(density), TURNS, SCALES)
+    return ClutterDensity(np.log(density), TURNS, SCALES)
 
 
 ABSENT = np.ones((1, 1), np.bool_)
 
 
 def test_a_hypothesis_is_judged_by_the_density_at_its_own_turn_and_scale() -> None:
-    crowd = summit_at(3, 1)
-    assert crowd.highest == pytest.approx(0.0)
-    there = crowd.below_highest(ABSENT, *state(TURNS[3], SCALES[1], 1e-4))
-    beside = crowd.below_highest(ABSENT, *state(TURNS[1], SCALES[3], 1e-4))
+    clutter_density = summit_at(3, 1)
+    assert clutter_density.highest == pytest.approx(0.0)
+    there = clutter_density.below_highest(ABSENT, *state(TURNS[3], SCALES[1], 1e-4))
+    beside = clutter_density.below_highest(ABSENT, *state(TURNS[1], SCALES[3], 1e-4))
     assert there == pytest.approx(0.0, abs=0.6)
     assert beside == pytest.approx(np.log(0.01), abs=0.1)
 
@@ -42,11 +42,13 @@ def test_one_that_has_not_found_them_is_judged_by_the_mean() -> None:
 
 
 def test_a_density_that_is_the_same_everywhere_changes_nothing() -> None:
-    crowd = Crowd(np.full((2, 5, 5), -3.0), TURNS, SCALES)
-    below = crowd.below_highest(np.array([[True, True]]), *state(0.03, -0.5, 1e-3))  # its scale is beyond those considered
+    clutter_density = ClutterDensity(np.full((2, 5, 5), -3.0), TURNS, SCALES)
+    below = clutter_density.below_highest(
+        np.array([[True, True]]), *state(0.03, -0.5, 1e-3)
+    )  # its scale is beyond those considered
     np.testing.assert_allclose(below, 0.0, atol=1e-12)
 
 
 def test_only_what_is_said_not_to_be_in_the_map_counts() -> None:
-    crowd = summit_at(3, 1)
-    assert crowd.below_highest(~ABSENT, *state(0.0, 0.0, 1e-4)) == pytest.approx(0.0)
+    clutter_density = summit_at(3, 1)
+    assert clutter_density.below_highest(~ABSENT, *state(0.0, 0.0, 1e-4)) == pytest.approx(0.0)

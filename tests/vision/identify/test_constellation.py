@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.identification.numbers import CONFIG
-from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, look
+from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, observe
 from vision.identify.catalogue import Sighting, catalogue
 from vision.identify.constellation import Constellation, MemoryConfig
 from vision.identify.identify import Prior, identify
@@ -86,13 +86,13 @@ def test_images_that_say_nothing_alone_together_say_where(seed: int) -> None:
     p_n, q_nb = draw_pose(rng, c)
     error, memory, alone, together = draw_error(rng, c), Constellation(), [], []
     for image in range(3):
-        frame = look(rng, world, p_n + image * np.array([25.0, 0.0, 0.0]), q_nb, error, c)
+        frame = observe(rng, world, p_n + image * np.array([25.0, 0.0, 0.0]), q_nb, error, c)
         two = frame.sightings[:2]
         near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 110.0))
         remembered = memory.recall(two, image * SECOND, frame.prior)
-        alone.append(identify(two, near, frame.prior, RIG, SCALE_SIGMA, CONFIG).place_posterior)
+        alone.append(identify(two, near, frame.prior, RIG, SCALE_SIGMA, CONFIG).position_posterior)
         found = identify([*two, *remembered], near, frame.prior, RIG, SCALE_SIGMA, CONFIG)
-        together.append(found.place_posterior)
+        together.append(found.position_posterior)
         memory.hold(two, remembered, image * SECOND, frame.prior)
     assert max(alone) < CONFIG.fix_posterior < together[-1]
     assert np.linalg.norm(frame.p_n - frame.prior.moved(found.x)[0]) < 5.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.identification.numbers import judge, run
-from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, look
+from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from models import so3
 from vision.identify.catalogue import Assumptions, Catalogue, Sighting, catalogue
 from vision.identify.identify import NONE, Identification, Prior, identify
@@ -20,7 +20,7 @@ def draw(seed: int, conditions: Conditions = CALM, least: int = 4) -> tuple[Fram
     rng = np.random.default_rng(seed)
     world = draw_world(rng, conditions)
     while True:
-        frame = look(rng, world, *draw_pose(rng, conditions), draw_error(rng, conditions), conditions)
+        frame = observe(rng, world, *draw_pose(rng, conditions), draw_error(rng, conditions), conditions)
         if len(frame.sightings) >= least:
             return frame, catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 120.0))
 
@@ -55,7 +55,7 @@ def test_reported_probability_of_being_wrong_is_the_frequency() -> None:
 def test_the_prior_is_corrected_by_its_error() -> None:
     frame, landmarks = draw(3)
     found = found_in(frame, landmarks)
-    assert found.place_posterior > 0.9999
+    assert found.position_posterior > 0.9999
     p_n, _ = frame.prior.moved(found.x)
     error = frame.p_n - p_n
     assert np.linalg.norm(error) < 5.0 < np.linalg.norm(frame.p_n - frame.prior.p_n)
@@ -89,7 +89,7 @@ def test_one_region_alone_stays_open_where_others_look_alike() -> None:
     frame, landmarks = draw(7)
     found = identify(frame.sightings[:1], landmarks, frame.prior, RIG, SCALE_SIGMA)
     assert not found.accepted.any()
-    assert found.place_posterior == 0.0
+    assert found.position_posterior == 0.0
     assert found.candidates[0] > 1
 
 
@@ -140,10 +140,10 @@ def test_unmapped_objects_on_the_grid_are_expected_there() -> None:
     landmarks = catalogue(world.map.near(0.0, 0.0, 120.0))
     from vision.identify.clutter import intensity  # noqa: PLC0415  (the density itself)
 
-    place = np.stack([landmarks.place_n[0], landmarks.place_n[1], landmarks.place_n[2]])
-    off = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
+    position = np.stack([landmarks.position_n[0], landmarks.position_n[1], landmarks.position_n[2]])
+    off = position + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [11.0, 7.0, 0.0]])
     own, none = np.zeros((3, 3, 3)), np.zeros(1)
-    on_grid = intensity(place, own, landmarks, none, none, Assumptions())[:, 0, 0]
+    on_grid = intensity(position, own, landmarks, none, none, Assumptions())[:, 0, 0]
     beside = intensity(off, own, landmarks, none, none, Assumptions())[:, 0, 0]
     assert on_grid[2] > 10.0 * beside[2]
     assert beside[2] == pytest.approx(0.3 / 0.7 * landmarks.density_per_m2 + 1e-4, rel=0.2)
@@ -154,7 +154,7 @@ def test_an_empty_map_or_no_region_is_no_error(count: int) -> None:
     frame, landmarks = draw(10)
     nothing = identify(frame.sightings, catalogue([]), frame.prior, RIG, SCALE_SIGMA)
     assert nothing.landmark.tolist() == [NONE] * len(frame.sightings)
-    assert nothing.place_posterior == 0.0
+    assert nothing.position_posterior == 0.0
     few = identify(frame.sightings[:count], landmarks, frame.prior, RIG, SCALE_SIGMA)
     assert len(few.landmark) == count
 

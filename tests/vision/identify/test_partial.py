@@ -84,7 +84,7 @@ def test_the_corners_seen_stand_where_the_map_has_them() -> None:
         np.testing.assert_allclose(seen.features[seen.known], seen.described[0][seen.known], atol=2e-3)
         one = sighting(mark, known)
         assert one is not None
-        np.testing.assert_allclose(P_N + one.arm_n, known.place_n[1], atol=0.05)
+        np.testing.assert_allclose(P_N + one.arm_n, known.position_n[1], atol=0.05)
         assert seen.similarity(np.ones(2), 0.01).tolist() == pytest.approx([0.0, 1.0], abs=5e-3)
 
 
@@ -161,8 +161,8 @@ def test_roofs_at_the_border_tell_similar_landmarks_apart() -> None:
     assert whole is not None
     wide = replace(PRIOR, covariance=np.diag([400.0] * 3 + [math.radians(1.0) ** 2] * 3))
     alone = identify([whole], known, wide, RIG, 0.01)
-    assert alone.place_posterior < 0.9
+    assert alone.position_posterior < 0.9
     together = identify([whole, *cut], known, wide, RIG, 0.01)
     assert [known.ids[k] if k != NONE else "" for k in together.landmark] == ["m", "l", "r"]
-    assert together.place_posterior > 0.9999
+    assert together.position_posterior > 0.9999
     assert np.linalg.norm(together.x[:3]) < 2.0

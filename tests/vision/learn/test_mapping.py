@@ -11,7 +11,7 @@ from models.messages import Array
 from vision.describe.measure import Measured
 from vision.describe.regions import Region
 from vision.identify.identify import Prior
-from vision.learn.mapping import Look, Mapper, MappingConfig, look
+from vision.learn.mapping import Mapper, MappingConfig, Observation, observe
 from vision.learn.median_outline import merged_outline
 from vision.learn.tracks import KeepConfig, learned
 from vision.synthetic.rigs import draw_rig, make_rig
@@ -41,7 +41,7 @@ def measured(region: Region, distance_m: float, sigma: float, rig_sigma: float) 
 def seen(
     frame: int, roof: Array, down: float, true: tuple[Array, Array], prior: Prior, rig: StereoRig, rng: np.random.Generator,
     depth: tuple[float, float, float] | None = None,
-) -> Look:  # fmt: skip
+) -> Observation:  # fmt: skip
     """The look at a roof (K, 2) at `down`, from the true pose through the true rig, laid out from the prior ones.
 
     depth: measured over true distance, and the relative errors that it claims, its own and the rig's.
@@ -51,7 +51,7 @@ def seen(
     px = rig.left.project((corners - p_nc) @ R_nc) + rng.normal(0.0, CONFIG.centre_px, 2)
     seen_region, distance = region(px), float(np.linalg.norm(corners.mean(axis=0) - p_nc))
     pair = None if depth is None else measured(seen_region, depth[0] * distance, *depth[1:])
-    found = look(frame, seen_region, pair, prior, RIG, 0.0, CONFIG)
+    found = observe(frame, seen_region, pair, prior, RIG, 0.0, CONFIG)
     assert found is not None
     return found
 
@@ -72,14 +72,14 @@ def flight(rng: np.random.Generator, count: int, leg_m: float = 50.0) -> list[tu
 
 def test_the_covariance_is_consistent() -> None:
     """Error of the learned place over its covariance, pose and mounting drawn anew each time; not too large, not too small."""
-    rng, place, squares = np.random.default_rng(1), np.array([5.0, -3.0, -6.0]), []
+    rng, position, squares = np.random.default_rng(1), np.array([5.0, -3.0, -6.0]), []
     for _ in range(150):
         rig, mapper = draw_rig(RIG, rng), Mapper(0.0, CONFIG)
         for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10)):
-            mapper.add([seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), prior, rig, rng)])
+            mapper.add([seen(k, HOUSE + position[:2], position[2], (p_n, R_nb), prior, rig, rng)])
         (track,) = mapper.tracks
-        found = mapper.place(track)
-        error = found.place_n - place
+        found = mapper.position(track)
+        error = found.position_n - position
         squares.append(float(error @ np.linalg.solve(found.covariance, error)) / 3.0)
     assert 0.8 < np.mean(squares) < 1.25
     assert np.mean(np.array(squares) > 5.42) < 0.04, "99.9 % of chi-square with 3 degrees, over 3"
@@ -92,7 +92,7 @@ def test_what_repeats_is_not_averaged_away() -> None:
     for mapper, count in ((few, 6), (many, 60)):
         for k, (p_n, R_nb, prior) in enumerate(flight(rng, count)):
             mapper.add([seen(k, HOUSE, -6.0, (p_n, R_nb), prior, RIG, rng)])
-    a, b = few.place(few.tracks[0]), many.place(many.tracks[0])
+    a, b = few.position(few.tracks[0]), many.position(many.tracks[0])
     assert np.trace(b.own) < 0.2 * np.trace(a.own)
     floor = np.sqrt(1.0 - CONFIG.fresh_share) * POSE_SIGMA[0]
     assert floor < np.sqrt(b.covariance[0, 0]) < 1.1 * np.sqrt(a.covariance[0, 0])
@@ -107,7 +107,7 @@ def test_rays_that_meet_tell_the_height_and_parallel_ones_do_not() -> None:
             still = np.array([p_n[0], 0.0, p_n[2]]), R_nb
             pose = Prior(prior.p_n - p_n + still[0], prior.q_nb_wxyz, prior.covariance)
             mapper.add([seen(k, HOUSE, -9.0, still, pose, RIG, rng)])
-        sigmas.append(float(np.sqrt(mapper.place(mapper.tracks[0]).own[2, 2])))
+        sigmas.append(float(np.sqrt(mapper.position(mapper.tracks[0]).own[2, 2])))
     assert sigmas[0] > 4.0, "what roofs have in general"
     assert 0.1 < sigmas[1] < 1.0
 
@@ -116,12 +116,12 @@ def heights(leg_m: float, depth: tuple[float, float, float] | None) -> tuple[flo
     """Error of a roof's height 12 m above ground, exact poses, and the standard deviation of it."""
     rng, mapper = np.random.default_rng(10), Mapper(0.0, CONFIG)
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 30, leg_m)):
-        place = np.array([p_n[0], 0.0, p_n[2]])
-        exact = Prior(place, so3.from_matrix(np.ascontiguousarray(R_nb)), prior.covariance)
-        mapper.add([seen(k, HOUSE, -12.0, (place, R_nb), exact, RIG, rng, depth)])
+        position = np.array([p_n[0], 0.0, p_n[2]])
+        exact = Prior(position, so3.from_matrix(np.ascontiguousarray(R_nb)), prior.covariance)
+        mapper.add([seen(k, HOUSE, -12.0, (position, R_nb), exact, RIG, rng, depth)])
     (track,) = mapper.tracks
-    found = mapper.place(track)
-    return float(found.place_n[2] + 12.0), float(np.sqrt(found.own[2, 2] + found.F[2, -1] ** 2))
+    found = mapper.position(track)
+    return float(found.position_n[2] + 12.0), float(np.sqrt(found.own[2, 2] + found.F[2, -1] ** 2))
 
 
 def test_the_rig_s_error_of_distance_counts_once_however_often_it_is_seen() -> None:
@@ -143,22 +143,24 @@ def test_neighbours_are_kept_apart_although_the_whole_image_is_off() -> None:
             prior.p_n + np.array([0.0, (-1.0) ** k, 0.0]), prior.q_nb_wxyz, np.diag([1.2, 1.2, 1.2, 2e-4, 2e-4, 2e-3]) ** 2
         )
         mapper.add([seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), off, RIG, rng) for east in (-7.0, 7.0)])
-    assert sorted(len(track.looks) for track in mapper.tracks) == [10, 10]
-    assert sorted(round(float(track.place[1])) for track in mapper.tracks) == pytest.approx([-7, 7], abs=1)
+    assert sorted(len(track.observations) for track in mapper.tracks) == [10, 10]
+    assert sorted(round(float(track.position[1])) for track in mapper.tracks) == pytest.approx([-7, 7], abs=1)
 
 
 def test_what_moves_is_no_landmark_and_what_is_seen_once_is_none_either() -> None:
     rng, mapper = np.random.default_rng(5), Mapper(0.0, CONFIG)
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 12)):
-        looks = [seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), prior, RIG, rng) for east in (0.0, 20.0 + 0.9 * k)]
+        observations = [
+            seen(k, HOUSE + np.array([0.0, east]), -6.0, (p_n, R_nb), prior, RIG, rng) for east in (0.0, 20.0 + 0.9 * k)
+        ]
         if k == 5:
-            looks.append(seen(k, HOUSE + np.array([0.0, -20.0]), -6.0, (p_n, R_nb), prior, RIG, rng))
-        mapper.add(looks)
+            observations.append(seen(k, HOUSE + np.array([0.0, -20.0]), -6.0, (p_n, R_nb), prior, RIG, rng))
+        mapper.add(observations)
     found = learned(mapper, 0.0, KeepConfig(least_frames=3))
     assert [round(float(np.hypot(*mark.centre_n))) for mark in found.landmarks] == pytest.approx([0], abs=1)
     assert found.seen == [12]
     assert found.left_out["seen in fewer than 3 images"] >= 1
-    assert found.left_out["not at one place: it moves, or is several"] >= 1
+    assert found.left_out["not at one position: it moves, or is several things"] >= 1
 
 
 def test_what_moves_against_the_rest_of_the_image_is_not_followed() -> None:
@@ -167,9 +169,9 @@ def test_what_moves_against_the_rest_of_the_image_is_not_followed() -> None:
     vague = np.diag([2.0, 2.0, 2.0, 2e-4, 2e-4, 2e-3]) ** 2
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10, 30.0)):
         pose = Prior(prior.p_n, prior.q_nb_wxyz, vague)
-        places = [(0.0, 0.0), (0.0, -22.0), (-12.0, 0.0), (0.0, 18.0 + 2.5 * k)]
-        mapper.add([seen(k, HOUSE + np.array(place), -6.0, (p_n, R_nb), pose, RIG, rng) for place in places])
-    counts = sorted(len(track.looks) for track in mapper.tracks)
+        positions = [(0.0, 0.0), (0.0, -22.0), (-12.0, 0.0), (0.0, 18.0 + 2.5 * k)]
+        mapper.add([seen(k, HOUSE + np.array(position), -6.0, (p_n, R_nb), pose, RIG, rng) for position in positions])
+    counts = sorted(len(track.observations) for track in mapper.tracks)
     assert counts[-3:] == [10, 10, 10]
     assert counts[-4] <= 6
 
@@ -179,15 +181,17 @@ def test_what_looks_different_from_side_to_side_is_no_roof() -> None:
     triangle = np.array([[-4.0, -3.0], [-4.0, 6.0], [8.0, -3.0]])
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 10)):
         mapper.add([seen(k, (-1.0) ** k * triangle, -6.0, (p_n, R_nb), prior, RIG, rng)])
-    assert [len(track.looks) for track in mapper.tracks] == [10]
+    assert [len(track.observations) for track in mapper.tracks] == [10]
     assert learned(mapper, 0.0).left_out == {"its outlines differ from side to side, as those of walls do": 1}
 
 
 def test_a_learned_landmark_has_size_height_and_colour() -> None:
     rng, mapper = np.random.default_rng(9), Mapper(0.0, CONFIG)
     for k, (p_n, R_nb, prior) in enumerate(flight(rng, 20)):
-        looks = [seen(k, HOUSE + place[:2], place[2], (p_n, R_nb), prior, RIG, rng) for place in ((0, 0, -8), (0, 20, 0))]
-        mapper.add(looks)
+        observations = [
+            seen(k, HOUSE + position[:2], position[2], (p_n, R_nb), prior, RIG, rng) for position in ((0, 0, -8), (0, 20, 0))
+        ]
+        mapper.add(observations)
     found = learned(mapper, 0.0)
     house, painted = sorted(found.landmarks, key=lambda mark: mark.centre_n[1])
     assert (house.width_m, house.length_m) == pytest.approx((8.0, 12.0), abs=0.25)

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 from vision.outline.step_fit import fit
 
 HALF, POINTS = 5, 20
-PLACE = np.arange(-HALF, HALF + 1.0)
+POSITION = np.arange(-HALF, HALF + 1.0)
 ONE = np.zeros(POINTS, dtype=np.int64)
 
 
@@ -17,7 +17,7 @@ def run(grey: np.ndarray, gap: float = 0.0, farthest: float = 2.5) -> tuple[np.n
 
 
 def step(s0: float, sigma: float, contrast: float = 80.0) -> np.ndarray:
-    result: np.ndarray = contrast * ndtr((PLACE - s0) / sigma)
+    result: np.ndarray = contrast * ndtr((POSITION - s0) / sigma)
     return result
 
 
@@ -44,7 +44,7 @@ def test_noise_is_used_well() -> None:
     slope = (step(0.201, 0.9) - step(0.199, 0.9)) / 0.002
     spread = []
     for _ in range(60):
-        offsets, _, _ = run(100.0 + shape + noise * rng.normal(size=(POINTS, len(PLACE))))
+        offsets, _, _ = run(100.0 + shape + noise * rng.normal(size=(POINTS, len(POSITION))))
         assert np.isfinite(offsets).all()
         spread.append(np.std(offsets))
         assert abs(np.mean(offsets) - 0.2) < 0.1
@@ -94,7 +94,7 @@ def test_texture_makes_no_edge() -> None:
     """Roughness whose mean profile has more than the least contrast, without a step; with one it is found."""
     rng, found = np.random.default_rng(3), [0, 0]
     for _ in range(50):
-        rough = 100.0 + 15.0 * rng.normal(size=(POINTS, len(PLACE)))
+        rough = 100.0 + 15.0 * rng.normal(size=(POINTS, len(POSITION)))
         for k, contrast in enumerate((0.0, 40.0)):
             found[k] += bool(np.isfinite(run(rough + step(0.3, 0.8, contrast))[0]).any())
     assert found[0] <= 5

@@ -10,7 +10,7 @@ from tests.vision.pose.test_pose import flight
 from tests.vision.predict.test_predict import MARKS, RIG, under_a_sheet, whole
 from tests.vision.roofs import nadir_rig
 from vision.outline.profiles import profiles
-from vision.pose.observation import LookConfig, Scene, _roof_beside
+from vision.pose.observation import ObservationConfig, Scene, _roof_beside
 from vision.pose.sensitivity import eyes
 
 POINTS, HALF = 20, 8
@@ -41,7 +41,7 @@ def test_the_edge_of_a_painted_mark_in_a_shadow_is_its_edge_still() -> None:
     left, top, right, bottom = (math.ceil(x) for x in (*corners.min(axis=0), *corners.max(axis=0)))
     image[top:bottom, left:right] = 200
     image[: top + 20] = (0.45 * image[: top + 20]).astype(np.uint8)
-    seen = Scene(rig, (image, None), [mark]).look(p_n, R_nb, np.zeros((1, 6)), rig, LookConfig(), farthest_px=2.5)
+    seen = Scene(rig, (image, None), [mark]).observe(p_n, R_nb, np.zeros((1, 6)), rig, ObservationConfig(), farthest_px=2.5)
     assert seen.found.all()
     assert np.abs(seen.line[:, 0, 0]).max() < 0.6
 
@@ -49,7 +49,7 @@ def test_the_edge_of_a_painted_mark_in_a_shadow_is_its_edge_still() -> None:
 def test_edges_farther_off_are_not_found_any_more() -> None:
     view = flight(1)
     scene, as_mapped = Scene(view.rig, view.images, view.landmarks), np.zeros((3, 6))
-    seen = scene.look(view.p_n, view.R_nb, as_mapped, view.rig, LookConfig(), farthest_px=2.5)
+    seen = scene.observe(view.p_n, view.R_nb, as_mapped, view.rig, ObservationConfig(), farthest_px=2.5)
     off_px = np.zeros(seen.found.shape)
     off_px[np.argmax(seen.found[:, 1]), 1] = -1.6
     near = seen.within(off_px, 1.5)
@@ -70,7 +70,9 @@ def test_a_search_does_not_ask_what_a_sheet_covers() -> None:
     view = whole()
     covered = under_a_sheet(view.left, eyes(RIG)[0], view)
     whole_rim, rest = (
-        Scene(RIG, (shown, None), MARKS[:1]).look(view.p_n, view.R_nb, np.zeros((1, 6)), RIG, LookConfig(), search_px=8).usable
+        Scene(RIG, (shown, None), MARKS[:1])
+        .observe(view.p_n, view.R_nb, np.zeros((1, 6)), RIG, ObservationConfig(), search_px=8)
+        .usable
         for shown in (view.left, covered)
     )
     assert rest < 0.9 * whole_rim

@@ -17,12 +17,12 @@ from tests.vision.roofs import nadir_rig
 from vision.identify.identify import Prior
 from vision.outline.visibility import MapError
 from vision.pose import observation
-from vision.pose.observation import Image, LookConfig, Scene
+from vision.pose.observation import Image, ObservationConfig, Scene
 from vision.pose.pose import NoPose, PoseConfig, PoseEstimate, combine, difference, estimate_pose
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
-from vision.synthetic.world import Look, Sun, World
+from vision.synthetic.world import Appearance, Sun, World
 
 SIGMA = np.array([3.0, 3.0, 2.0, *np.radians([0.5, 0.5, 2.0])])
 COLOURS = ((40, 50, 190), (170, 80, 40), (60, 170, 60))
@@ -43,13 +43,13 @@ class Flight:
 def flight(seed: int, marks: int = 3, height_m: float = 40.0, tilt: float = 0.15, rig: StereoRig | None = None) -> Flight:
     """Painted boxes below, seen from height_m; the prior is drawn about the truth."""
     rng, rig = np.random.default_rng(seed), rig or nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
-    places = np.array([(0.1, 0.0), (-0.2, 0.25), (-0.15, -0.25)])[:marks] * height_m
+    positions = np.array([(0.1, 0.0), (-0.2, 0.25), (-0.15, -0.25)])[:marks] * height_m
     true = []
-    for k, place in enumerate(places):
+    for k, position in enumerate(positions):
         a, size = rng.uniform(0.0, np.pi), rng.uniform(0.12, 0.2) * height_m
         turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
         corners = np.array([(-0.5, -0.35), (0.5, -0.35), (0.5, 0.35), (-0.5, 0.35)]) * size
-        true.append(Landmark.of(str(k), corners @ turn + place, 0.0, rng.uniform(0.03, 0.1) * height_m, COLOURS[k]))
+        true.append(Landmark.of(str(k), corners @ turn + position, 0.0, rng.uniform(0.03, 0.1) * height_m, COLOURS[k]))
     return seen_from_above(rng, rig, true, true, height_m, tilt, SIGMA)
 
 
@@ -63,7 +63,7 @@ def seen_from_above(
     sigma: Array,
 ) -> Flight:
     """Landmarks as they stand and as they are mapped, on textured ground; a prior drawn with sigma (6,) about the truth."""
-    looks = tuple(Look(mark.colour_bgr or (0, 0, 0)) for mark in true)
+    looks = tuple(Appearance(mark.colour_bgr or (0, 0, 0)) for mark in true)
     world = World(tuple(true), looks, (), Ground.procedural(rng), Sun(rng.uniform(-3.0, 3.0)))
     roll, pitch = rng.normal(0.0, tilt, 2)
     R_nb = so3.matrix(so3.from_euler(roll, pitch, rng.uniform(-3.0, 3.0)))
@@ -219,7 +219,7 @@ def test_ground_that_slopes_does_not_bias_the_place() -> None:
 def _painted(view: Flight) -> tuple[list[Landmark], tuple[Image, Image]]:
     """The view's landmarks without their height."""
     marks = [msgspec.structs.replace(mark, height_m=0.0) for mark in view.landmarks]
-    looks = tuple(Look(COLOURS[k]) for k in range(len(marks)))
+    looks = tuple(Appearance(COLOURS[k]) for k in range(len(marks)))
     rng = np.random.default_rng(0)
     world = World(tuple(marks), looks, (), Ground.procedural(rng), Sun(0.0))
     return marks, render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), rng)
@@ -273,7 +273,7 @@ def test_a_quarter_turn_is_left_open_by_a_square() -> None:
     middle = view.landmarks[0].outline_n.mean(axis=0)
     square = 3.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) + middle
     mark = Landmark.of("0", square, 0.0, 0.0, COLOURS[0])
-    world = World((mark,), (Look(COLOURS[0]),), (), Ground.procedural(np.random.default_rng(1)))
+    world = World((mark,), (Appearance(COLOURS[0]),), (), Ground.procedural(np.random.default_rng(1)))
     images = render_pair(world, view.rig, view.p_n, view.R_nb, Conditions(), np.random.default_rng(2))
     found = []
     for sigma_deg in (35.0, 2.0):
@@ -318,21 +318,21 @@ def test_edges_that_hardly_move_are_looked_at_once(
     view: Flight, east_m: float, reaches: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """15 px a metre; one look and two give the same pose."""
-    given, looked = list[float](), Scene.look
+    given, looked = list[float](), Scene.observe
 
-    def noted(*args: Any, **kwargs: Any) -> observation.Look:
+    def noted(*args: Any, **kwargs: Any) -> observation.Observation:
         given.append(kwargs["farthest_px"])
         return looked(*args, **kwargs)
 
     def at(east: float, farthest: tuple[float, ...]) -> PoseEstimate:
         start = view.p_n + np.array([0.0, east, 0.0]), view.R_nb
-        config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
+        config = PoseConfig(observation=ObservationConfig(search_px=(), farthest_px=farthest))
         found = estimate_pose(view.rig, view.images, view.landmarks, start, view.prior, config)
         assert isinstance(found, PoseEstimate)
         return found
 
     best = at(0.0, (2.5, 1.5, 1.5))
-    monkeypatch.setattr(Scene, "look", lambda self, *args: noted(self, *args[:5], search_px=args[5], farthest_px=args[6]))
+    monkeypatch.setattr(Scene, "observe", lambda self, *args: noted(self, *args[:5], search_px=args[5], farthest_px=args[6]))
     found = at(east_m, (2.5, 1.5))
     assert given == reaches
     off = difference(found.joint_p_n, found.joint_R_nb, best.joint_p_n, so3.from_matrix(best.joint_R_nb))
@@ -349,7 +349,7 @@ def test_a_side_that_stays_off_is_not_found_though_nothing_else_moves(view: Flig
     marks = [msgspec.structs.replace(view.landmarks[0], outline_n=outline), *view.landmarks[1:]]
 
     def share(*farthest: float) -> float:
-        config = PoseConfig(look=LookConfig(search_px=(), farthest_px=farthest))
+        config = PoseConfig(observation=ObservationConfig(search_px=(), farthest_px=farthest))
         found = estimate_pose(view.rig, view.images, marks, (view.p_n, view.R_nb), view.prior, config)
         assert isinstance(found, PoseEstimate)
         return found.found

@@ -27,9 +27,9 @@ def moved(rotation: Array, axis: int) -> Array:
 def shifted(rig: StereoRig, which: str, k: int) -> StereoRig:
     """The rig with one unknown of covariance_bc or covariance_rc moved by STEP."""
     parts = {"R_rc": rig.R_rc, "t_rc": rig.t_rc, "R_bc": rig.R_bc, "p_bc": rig.p_bc}
-    place, turn = ("p_bc", "R_bc") if which == "bc" else ("t_rc", "R_rc")
+    position, turn = ("p_bc", "R_bc") if which == "bc" else ("t_rc", "R_rc")
     if k < 3:
-        parts[place] = parts[place] + STEP * np.eye(3)[k]
+        parts[position] = parts[position] + STEP * np.eye(3)[k]
     else:
         parts[turn] = moved(parts[turn], k - 3)
     return StereoRig(rig.left, rig.right, parts["R_rc"], parts["t_rc"], parts["R_bc"], parts["p_bc"])
@@ -45,8 +45,8 @@ def test_rows_are_derivatives(right: bool) -> None:
     assert seen.usable.all()
 
     def along_normal(other: Eye, p: Array, rotation: Array, points: Array = samples.points_n) -> Array:
-        place, axes = other.pose(p, rotation)
-        change: Array = np.sum((other.camera.project((points - place) @ axes) - seen.px) * seen.normal, axis=1) / STEP
+        position, axes = other.pose(p, rotation)
+        change: Array = np.sum((other.camera.project((points - position) @ axes) - seen.px) * seen.normal, axis=1) / STEP
         return change
 
     for k in range(3):
@@ -98,8 +98,8 @@ def test_points_and_their_places_belong_to_what_is_in_view_of_an_edge() -> None:
     level, p = np.eye(3), np.array([0.0, 0.0, -40.0])
     edges = visible_edges([long], eye.pose(p, level)[0])
     samples = sample_edges(edges, eye, p, level, 8.0, 100)
-    place, axes = eye.pose(p, level)
-    px = CAMERA.project((samples.points_n - place) @ axes)
+    position, axes = eye.pose(p, level)
+    px = CAMERA.project((samples.points_n - position) @ axes)
     inside = CAMERA.contains(px)
     assert inside.mean() > 0.9
     counts = np.bincount(samples.edge)

@@ -1,4 +1,4 @@
-"""Landmarks too small to have edges, each measured as one spot: on drawn and rendered images whose truth is known."""
+"""Landmarks too small to have edges, each measured as one small landmark: on drawn and rendered images whose truth is known."""
 
 import cv2
 import numpy as np
@@ -13,11 +13,11 @@ from tests.vision.pose.test_pose import Flight, seen_from_above
 from tests.vision.roofs import nadir_rig
 from vision.outline.visibility import Kind, Prisms, visible_edges
 from vision.pipeline import LandmarkPipeline, PipelineConfig
-from vision.pose.observation import LookConfig
+from vision.pose.observation import ObservationConfig
 from vision.pose.pose import PoseEstimate, difference, estimate_pose
 from vision.pose.sensitivity import eyes
 from vision.pose.small_landmarks import blocks, measure, sampled
-from vision.predict.final_check import recheck
+from vision.predict.final_check import final_check
 
 ORIGIN = (47.3977, 8.5456, 488.0)
 CORNERS = np.array([(-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4)])
@@ -36,8 +36,8 @@ def boulders(seed: int, sigma: Array, count: int = 8, height_m: float = 40.0, ma
     true, mapped = [], []
     for k in range(count):
         bearing, a = 2.0 * np.pi * k / count, rng.uniform(0.0, np.pi)
-        place = np.array([np.cos(bearing), np.sin(bearing)]) * rng.uniform(3.0, 11.0)
-        outline, tall = CORNERS * rng.uniform(0.45, 0.75) @ turned(a) + place, rng.uniform(0.05, 0.3)
+        position = np.array([np.cos(bearing), np.sin(bearing)]) * rng.uniform(3.0, 11.0)
+        outline, tall = CORNERS * rng.uniform(0.45, 0.75) @ turned(a) + position, rng.uniform(0.05, 0.3)
         blue, green, red = rng.integers(120, 200, 3).tolist()
         colour = blue, green, red
         true.append(Landmark.of(str(k), outline, 0.0, tall, colour))
@@ -52,11 +52,11 @@ def house_and_boulders(seed: int, sigma: Array) -> Flight:
     for k in range(8):
         a = rng.uniform(0.0, np.pi)
         if k == 0:
-            place, size, tall = np.array([-8.0, rng.uniform(-5.0, 5.0)]), rng.uniform(6.0, 8.0), 3.0
+            position, size, tall = np.array([-8.0, rng.uniform(-5.0, 5.0)]), rng.uniform(6.0, 8.0), 3.0
         else:
-            place = np.array([rng.uniform(6.0, 11.0), 3.1 * k - 11.0])
+            position = np.array([rng.uniform(6.0, 11.0), 3.1 * k - 11.0])
             size, tall = rng.uniform(0.45, 0.75), rng.uniform(0.05, 0.3)
-        outline = CORNERS * size @ turned(a) + place
+        outline = CORNERS * size @ turned(a) + position
         blue, green, red = rng.integers(120, 200, 3).tolist()
         true.append(Landmark.of(str(k), outline, 0.0, tall, (blue, green, red)))
         mapped.append(Landmark.of(str(k), outline + rng.normal(0.0, 0.05, 2), 0.0, tall, (blue, green, red), 0.05))
@@ -116,14 +116,14 @@ def test_what_has_no_side_of_a_dozen_pixels_is_a_spot() -> None:
     marks = [Landmark.of(str(k), CORNERS * size + (0.0, 4.0 * k), 0.0, 0.3) for k, size in enumerate((0.9, 1.5, 0.9))]
     eye = eyes(rig)[0]
     edges = visible_edges(Prisms.of(marks), eye.pose(*pose)[0])
-    block, spot = blocks(edges, eye, pose)
-    np.testing.assert_array_equal(spot, edges.landmark != 1)
+    block, is_small = blocks(edges, eye, pose)
+    np.testing.assert_array_equal(is_small, edges.landmark != 1)
     for k in (0, 2):
         own = edges.landmark == k
         assert set(block[own]) == {np.flatnonzero(own)[0]}
-    np.testing.assert_array_equal(block[~spot], np.flatnonzero(~spot))
-    samples = sampled(edges, eye, pose, 4.0, 20, np.ones(len(spot), np.bool_), spot)
-    assert (edges.kind[samples.edge][spot[samples.edge]] == Kind.ROOF).all()
+    np.testing.assert_array_equal(block[~is_small], np.flatnonzero(~is_small))
+    samples = sampled(edges, eye, pose, 4.0, 20, np.ones(len(is_small), np.bool_), is_small)
+    assert (edges.kind[samples.edge][is_small[samples.edge]] == Kind.ROOF).all()
     assert np.bincount(edges.landmark[samples.edge], minlength=3).min() > 12
 
 
@@ -217,8 +217,8 @@ def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> 
     fit = estimate_pose(view.rig, view.images, view.landmarks, (view.p_n, view.R_nb), view.prior)
     assert isinstance(fit, PoseEstimate)
     beside = [Landmark.of(m.id, m.outline_n + np.array([0.5, 0.0]), m.base_d, m.height_m, m.colour_bgr) for m in view.landmarks]
-    there, missed = (recheck(view.rig, view.images, marks, fit, LookConfig()) for marks in (view.landmarks, beside))
-    assert np.median(there.stands) > 2.0
+    there, missed = (final_check(view.rig, view.images, marks, fit, ObservationConfig()) for marks in (view.landmarks, beside))
+    assert np.median(there.present) > 2.0
     assert (there.share >= 0.5).mean() >= 0.75
     assert (missed.share < 0.5).mean() >= 0.75
-    np.testing.assert_allclose(missed.stands[missed.share < 0.5], np.log(0.15 / 0.95))
+    np.testing.assert_allclose(missed.present[missed.share < 0.5], np.log(0.15 / 0.95))

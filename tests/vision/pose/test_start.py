@@ -19,8 +19,8 @@ P_N = np.array([0.3, -0.2, -12.0])
 
 
 def marks(sigma_m: float = 0.0) -> list[Landmark]:
-    places = [(0.0, 0.0), (2.0, -2.5), (-2.0, 2.0)]
-    return [Landmark.of(str(k), CORNERS + np.array(place), 0.0, 0.5, sigma_m=sigma_m) for k, place in enumerate(places)]
+    positions = [(0.0, 0.0), (2.0, -2.5), (-2.0, 2.0)]
+    return [Landmark.of(str(k), CORNERS + np.array(position), 0.0, 0.5, sigma_m=sigma_m) for k, position in enumerate(positions)]
 
 
 def regions(true: list[Landmark]) -> tuple[Array, Array]:

@@ -21,14 +21,14 @@ from vision.outline.visibility import MapError, Prisms
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict import coarse_search
 from vision.predict.coarse_search import Candidate, CoarseConfig, Search
-from vision.predict.edge_points import chains, chromas, voters
+from vision.predict.edge_points import chains, chromas, edge_points
 from vision.predict.motion import motion, moved, straight
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 from vision.predict.votes import aim, vote
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render
-from vision.synthetic.world import Look, Sun, World
+from vision.synthetic.world import Appearance, Sun, World
 
 HEIGHT_M = 40.0
 RIG = nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))
@@ -44,10 +44,10 @@ class Seen(NamedTuple):
 
 
 def box(
-    name: str, place: tuple[float, float], angle: float, sigma_m: float = 0.0, colour: tuple[int, int, int] | None = None
+    name: str, position: tuple[float, float], angle: float, sigma_m: float = 0.0, colour: tuple[int, int, int] | None = None
 ) -> Landmark:
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    corners = np.array([(-4.0, -2.5), (4.0, -2.5), (4.0, 2.5), (-4.0, 2.5)]) @ turn + place
+    corners = np.array([(-4.0, -2.5), (4.0, -2.5), (4.0, 2.5), (-4.0, 2.5)]) @ turn + position
     return Landmark.of(name, corners, 0.0, 3.0, colour, sigma_m)
 
 
@@ -56,10 +56,10 @@ def seen(sigma_m: float = 0.0, tilt: float = 0.1) -> Seen:
     """Three grey roofs that differ in place and direction, textured, in no map colour."""
     rng = np.random.default_rng(4)
     marks = tuple(
-        box(str(k), place, angle, sigma_m)
-        for k, (place, angle) in enumerate((((2.0, 1.0), 0.3), ((-7.0, 9.0), 1.2), ((5.0, -9.0), 2.0)))
+        box(str(k), position, angle, sigma_m)
+        for k, (position, angle) in enumerate((((2.0, 1.0), 0.3), ((-7.0, 9.0), 1.2), ((5.0, -9.0), 2.0)))
     )
-    looks = tuple(Look((118.0, 126.0, 130.0), texture="shingles", contrast=0.1) for _ in marks)
+    looks = tuple(Appearance((118.0, 126.0, 130.0), texture="shingles", contrast=0.1) for _ in marks)
     p_n, R_nb = np.array([0.5, -0.5, -HEIGHT_M]), so3.matrix(so3.from_euler(tilt, -0.05, 0.8))
     world = World(marks, looks, (), Ground.procedural(rng), Sun(1.0))
     return Seen(render(world, RIG.left, *RIG.camera_pose(p_n, R_nb), Conditions(), rng), marks, p_n, R_nb)
@@ -77,12 +77,12 @@ def found(view: Seen, prior: Prior, image: Image | None = None) -> list[Candidat
     return Search(EYE, view.marks, moves, CoarseConfig()).candidates(view.image if image is None else image)
 
 
-def off_px(view: Seen, place: Candidate, mapped: tuple[Landmark, ...] | None = None) -> float:
+def off_px(view: Seen, position: Candidate, mapped: tuple[Landmark, ...] | None = None) -> float:
     """By how much the roofs' corners, as mapped, lie next to their true places, at most."""
     worst = 0.0
-    for mark, known, shift in zip(view.marks, mapped or view.marks, place.shift_m, strict=True):
+    for mark, known, shift in zip(view.marks, mapped or view.marks, position.shift_m, strict=True):
         ends = []
-        for pose, outline in (((view.p_n, view.R_nb), mark.outline_n), (place.pose, known.outline_n + shift[:2])):
+        for pose, outline in (((view.p_n, view.R_nb), mark.outline_n), (position.pose, known.outline_n + shift[:2])):
             p_nk, R_nk = EYE.pose(*pose)
             ends.append(EYE.camera.project((np.column_stack((outline, np.full(4, mark.roof_d))) - p_nk) @ R_nk))
         worst = max(worst, float(np.linalg.norm(ends[1] - ends[0], axis=1).max()))
@@ -94,10 +94,10 @@ def test_outlines_a_hundred_pixels_off_are_found_to_a_few(seed: int) -> None:
     rng = np.random.default_rng(seed)
     direction = rng.uniform(0.0, 2.0 * np.pi)
     error = np.array([7.0 * np.cos(direction), 7.0 * np.sin(direction), *rng.normal(size=4) * SIGMA[2:]])
-    places = found(seen(), prior_off(seen(), error))
-    assert off_px(seen(), places[0]) < 6.0
-    assert all(place.score < 0.6 * places[0].score for place in places[1:])
-    assert places[0].support.sum() > 0.5 * places[0].length.sum()
+    positions = found(seen(), prior_off(seen(), error))
+    assert off_px(seen(), positions[0]) < 6.0
+    assert all(position.score < 0.6 * positions[0].score for position in positions[1:])
+    assert positions[0].support.sum() > 0.5 * positions[0].length.sum()
 
 
 def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,8 +110,8 @@ def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monke
     monkeypatch.setattr(coarse_search, "levels", noted)
     for share in (1.0, 0.05):
         prior = prior_off(seen(), share * SIGMA)
-        places = found(seen(), Prior(prior.p_n, prior.q_nb_wxyz, share**2 * prior.covariance))
-        assert off_px(seen(), places[0]) < 6.0
+        positions = found(seen(), Prior(prior.p_n, prior.q_nb_wxyz, share**2 * prior.covariance))
+        assert off_px(seen(), positions[0]) < 6.0
     wide, narrow = reduced
     assert narrow[0] == wide[0]
     assert narrow[-1] < wide[-1]
@@ -121,22 +121,22 @@ def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monke
 def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
     off_px: float, looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    view, voted, vote_of = seen(), list[int](), Stage.vote
+    view, voted, vote_of = seen(), list[int](), SearchLevel.vote
     moves = motion(EYE, view.marks, prior_off(view, np.zeros(6)))
     assert moves is not None
     search = Search(EYE, view.marks, moves, CoarseConfig())
     (level,) = levels(view.image, EYE.camera, (1,))
-    stage = Stage(level, EYE, view.marks, moves, 0.2, 160.0, 160)
+    search_level = SearchLevel(level, EYE, view.marks, moves, 0.2, 160.0, 160)
     as_predicted = Candidate(*moves.pose(np.zeros(6)), np.zeros(6), np.zeros((3, len(MapError))), np.zeros(3), np.zeros(3), 0.0)
-    true = search._again(stage, as_predicted, 2)
-    place = replace(true, error=true.error + moves.gain[:, 0] * off_px)
+    true = search._again(search_level, as_predicted, 2)
+    position = replace(true, error=true.error + moves.gain[:, 0] * off_px)
 
-    def noted(stage: Stage, *args: Array) -> tuple[Array, Array]:
+    def noted(search_level: SearchLevel, *args: Array) -> tuple[Array, Array]:
         voted.append(1)
-        return vote_of(stage, *args)
+        return vote_of(search_level, *args)
 
-    monkeypatch.setattr(Stage, "vote", noted)
-    near = search._nearest(stage, place, 2)
+    monkeypatch.setattr(SearchLevel, "vote", noted)
+    near = search._nearest(search_level, position, 2)
     assert len(voted) == looks
     assert np.abs(moves.J @ (near.error - true.error))[:2].max() < 1.0
 
@@ -149,9 +149,9 @@ def test_landmarks_that_are_off_the_map_find_their_own_places() -> None:
         Landmark.of(m.id, m.outline_n - d, m.base_d, m.height_m, None, 0.5) for m, d in zip(view.marks, aside, strict=True)
     )
     wrong = view._replace(marks=mapped)
-    (place, *_) = found(wrong, prior_off(wrong, np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0])))
-    assert off_px(view, place, mapped) < 6.0
-    assert np.abs(place.shift_m[:, :2]).max() > 0.3
+    (position, *_) = found(wrong, prior_off(wrong, np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0])))
+    assert off_px(view, position, mapped) < 6.0
+    assert np.abs(position.shift_m[:, :2]).max() > 0.3
 
 
 def test_a_landmark_that_is_larger_than_mapped_is_found_as_large_as_it_is() -> None:
@@ -176,7 +176,7 @@ def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
     view, shift_m = seen(), np.zeros((3, len(MapError)))
     shift_m[:, MapError.NORTH], shift_m[:, MapError.EAST], shift_m[:, MapError.GROWTH] = 0.4, -0.7, (0.0, 0.5, -0.3)
     body, eye = Prisms.of(view.marks), straight(EYE)
-    made = voters(eye, body, chromas(view.marks), (view.p_n, view.R_nb), 0.0, 300)
+    made = edge_points(eye, body, chromas(view.marks), (view.p_n, view.R_nb), 0.0, 300)
     assert made is not None
     corners = body.moved(shift_m).vertices.reshape(3, 4, 2)
     start, end = corners[made.mark_of_point], np.roll(corners, -1, axis=1)[made.mark_of_point]
@@ -189,15 +189,15 @@ def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
 
 def test_a_place_pays_for_what_the_prior_says_against_it() -> None:
     """score = sum (support - tau length) - dx^T P^-1 dx / 2: seen from a worse prior the same place is worth less by that."""
-    view, places = seen(), []
+    view, positions = seen(), []
     for error in (np.zeros(6), np.array([5.0, -4.0, 0.0, 0.0, 0.0, 0.0])):
-        place = found(view, prior_off(view, error))[0]
-        chi2 = float(np.sum((place.error / SIGMA) ** 2))
-        votes = float((place.support - CoarseConfig().expected * place.length).sum())
-        assert place.score == pytest.approx(votes - 0.5 * chi2)
-        places.append((votes, chi2))
-    assert places[1][1] - places[0][1] > 2.0
-    assert places[1][0] == pytest.approx(places[0][0], rel=0.1)
+        position = found(view, prior_off(view, error))[0]
+        chi2 = float(np.sum((position.error / SIGMA) ** 2))
+        votes = float((position.support - CoarseConfig().expected * position.length).sum())
+        assert position.score == pytest.approx(votes - 0.5 * chi2)
+        positions.append((votes, chi2))
+    assert positions[1][1] - positions[0][1] > 2.0
+    assert positions[1][0] == pytest.approx(positions[0][0], rel=0.1)
 
 
 def test_empty_ground_gives_no_place_worth_a_fit() -> None:
@@ -348,7 +348,7 @@ def test_a_curve_votes_in_pieces_that_are_long_enough() -> None:
     angle = -2.0 * np.pi * np.arange(40) / 40
     curve = Landmark.of("round", 5.0 * np.column_stack((np.cos(angle), np.sin(angle))), 0.0, 0.0)
     small = Eye(CameraModel(80, 60, 75.0, 75.0, 39.5, 29.5), EYE.R_kb, EYE.p_bk, right=False)
-    made = voters(small, Prisms.of([curve]), chromas([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
+    made = edge_points(small, Prisms.of([curve]), chromas([curve]), (np.array([0.0, 0.0, -20.0]), np.eye(3)), 0.0, 200)
     assert made is not None
     assert 6 <= len(made.mark) <= 16
     assert abs((made.length * np.diff(made.first)).sum() / (2.0 * np.pi * 5.0 * 75.0 / 20.0) - 1.0) < 0.1
@@ -372,5 +372,5 @@ def test_outlines_beyond_the_border_vote_once_they_come_into_view() -> None:
     errors = [far * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)]
     outside = [e for e in errors if not EYE.camera.contains(px(view.p_n - e, view.R_nb), -8.0).any()]
     assert outside
-    places = found(view, prior_off(view, np.concatenate((outside[len(outside) // 2], np.zeros(3)))))
-    assert off_px(view, places[0]) < 10.0
+    positions = found(view, prior_off(view, np.concatenate((outside[len(outside) // 2], np.zeros(3)))))
+    assert off_px(view, positions[0]) < 10.0

@@ -1,4 +1,4 @@
-"""The last look: which landmarks lie where a fit says, and whether the two images say the same."""
+"""The final check: which landmarks lie where a fit says, and whether the two images say the same."""
 
 from dataclasses import replace
 
@@ -7,10 +7,10 @@ import pytest
 
 from models.maps.landmarks import Landmark
 from tests.vision.predict.test_predict import MARKS, RIG, drawn, under_a_sheet, whole
-from vision.pose.observation import LookConfig
+from vision.pose.observation import ObservationConfig
 from vision.pose.pose import PoseEstimate, estimate_pose
 from vision.pose.sensitivity import eyes
-from vision.predict.final_check import recheck
+from vision.predict.final_check import final_check
 
 
 def fitted() -> PoseEstimate:
@@ -22,7 +22,7 @@ def fitted() -> PoseEstimate:
 
 def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_images() -> None:
     view = whole()
-    seen = recheck(RIG, (view.left, view.right), MARKS, fitted(), LookConfig())
+    seen = final_check(RIG, (view.left, view.right), MARKS, fitted(), ObservationConfig())
     assert seen.share.min() > 0.7
     assert min(seen.images) > 0.75
     assert seen.apart is not None
@@ -34,7 +34,7 @@ def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
     """0.35 m are 5 px: beyond 2.5 px, within the look's 8 px."""
     view, fit = whole(), fitted()
     moved = Landmark.of("0", MARKS[0].outline_n + np.array([0.25, 0.25]), 0.0, 3.0)
-    seen = recheck(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, LookConfig())
+    seen = final_check(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, ObservationConfig())
     assert seen.share[0] < 0.5
     assert seen.share[1:].min() > 0.7
 
@@ -45,10 +45,12 @@ def test_walls_that_do_not_end_where_the_map_says_speak_against_a_landmark() -> 
     for k in (1, 2):  # the first one is seen from above
         taller = Landmark.of("taller", MARKS[k].outline_n, 3.0, MARKS[k].height_m + 3.0)
         others = (*MARKS[:k], taller, *MARKS[k + 1 :])
-        stands, instead = (recheck(RIG, (view.left, view.right), marks, fit, LookConfig()).stands for marks in (MARKS, others))
-        assert stands[k] > 4.0 * np.log(9.0)  # what four sides of the roof say at most
-        assert instead[k] < stands[k] - 2.0
-        np.testing.assert_array_equal(np.delete(stands, k), np.delete(instead, k))
+        present, instead = (
+            final_check(RIG, (view.left, view.right), marks, fit, ObservationConfig()).present for marks in (MARKS, others)
+        )
+        assert present[k] > 4.0 * np.log(9.0)  # what four sides of the roof say at most
+        assert instead[k] < present[k] - 2.0
+        np.testing.assert_array_equal(np.delete(present, k), np.delete(instead, k))
 
 
 @pytest.mark.parametrize(
@@ -62,7 +64,7 @@ def test_an_edge_may_be_as_far_off_as_the_map(aside_m: float, sigma_m: float, fo
     c, s = np.cos(0.3), np.sin(0.3)  # along both sides of the house alike
     aside = aside_m * np.array([c - s, s + c])
     moved = Landmark.of("0", MARKS[0].outline_n + aside, 0.0, 3.0, None, 0.0, 0.0, sigma_m)
-    seen = recheck(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, LookConfig())
+    seen = final_check(RIG, (view.left, view.right), (moved, *MARKS[1:]), fit, ObservationConfig())
     assert bool(seen.share[0] > 0.6) is found
     assert found or seen.share[0] < 0.5
 
@@ -73,7 +75,7 @@ def test_what_something_covers_in_both_images_is_not_asked(over: tuple[int, ...]
     view, fit, images = whole(), fitted(), [whole().left, whole().right]
     for k in over:
         images[k] = under_a_sheet(images[k], eyes(RIG)[k], view)
-    seen = recheck(RIG, (images[0], images[1]), MARKS, fit, LookConfig())
+    seen = final_check(RIG, (images[0], images[1]), MARKS, fit, ObservationConfig())
     assert seen.share[1:].min() > 0.7
     assert asked or seen.share[0] > 0.55  # 0.46 of all
     assert bool(seen.images[1] - seen.images[0] > 0.1) is asked
@@ -84,7 +86,7 @@ def test_what_something_covers_in_both_images_is_not_asked(over: tuple[int, ...]
 def test_a_shift_of_the_right_image_is_measured(du: int, dv: int) -> None:
     view = whole()
     shifted = np.ascontiguousarray(np.roll(view.right, (dv, du), axis=(0, 1)))
-    seen = recheck(RIG, (view.left, shifted), MARKS, fitted(), LookConfig())
+    seen = final_check(RIG, (view.left, shifted), MARKS, fitted(), ObservationConfig())
     assert seen.apart is not None
     np.testing.assert_allclose(seen.apart[:2], (du, dv), atol=0.5)
     assert 0.0 < seen.apart[2] < 0.6
@@ -92,6 +94,6 @@ def test_a_shift_of_the_right_image_is_measured(du: int, dv: int) -> None:
 
 def test_one_image_has_nothing_to_differ_from() -> None:
     view = whole()
-    seen = recheck(RIG, (view.left, None), MARKS, replace(fitted()), LookConfig())
+    seen = final_check(RIG, (view.left, None), MARKS, replace(fitted()), ObservationConfig())
     assert seen.apart is None
     assert len(seen.images) == 1

@@ -14,22 +14,22 @@ from models.so3 import from_matrix, matrix, multiply, quat_exp
 from tests.vision.predict.test_predict import MARKS, RIG, View, drawn, look_at, whole
 from vision.identify.identify import Prior
 from vision.outline.visibility import MapError
-from vision.pose.observation import LookConfig
+from vision.pose.observation import ObservationConfig
 from vision.pose.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, retract
 from vision.pose.sensitivity import eyes
-from vision.predict import fit as places
+from vision.predict import fit as fits
 from vision.predict.coarse_search import Candidate
-from vision.predict.final_check import Recheck, recheck
+from vision.predict.final_check import FinalCheck, final_check
 from vision.predict.fit import Fitter
-from vision.predict.verify import Evidence, Fitted, VerifyConfig, Waiting, decided, grade, place_odds
+from vision.predict.verify import Evidence, Fitted, VerifyConfig, Waiting, decided, grade, position_odds
 from vision.records.images import Images
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
-from vision.synthetic.world import Look, Solid, Sun, World
+from vision.synthetic.world import Appearance, Solid, Sun, World
 
 
-def place(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candidate:
+def position(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candidate:
     """The true pose, where the search thinks that every landmark is off the map by east_m."""
     shift_m, length = np.zeros((len(marks), len(MapError))), np.full(len(marks), 100.0)
     shift_m[:, MapError.EAST] = east_m
@@ -38,7 +38,7 @@ def place(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Candi
 
 def fitted(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Fitted:
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
-    fit = fitter.fit(Images(view.left, view.right, ""), list(marks), place(view, marks, east_m), drawn(view, 1))
+    fit = fitter.fit(Images(view.left, view.right, ""), list(marks), position(view, marks, east_m), drawn(view, 1))
     assert isinstance(fit, Fitted)
     return fit
 
@@ -102,9 +102,9 @@ def test_odds_of_a_place_by_hand() -> None:
     """One landmark that stands, 20 to 1, one without evidence, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
     shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
-    odds = place_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6, 0.25)
+    odds = position_odds(np.array([np.log(20.0), 0.0, -800.0]), 0.1, 4.0, 0.6, 0.25)
     assert odds == pytest.approx((there - 2.0) / 3.0 + 12.0 * shown - 4.0, abs=1e-12)
-    assert np.isfinite(place_odds(np.array([800.0]), 0.1, 0.0, 1.0, 0.0))
+    assert np.isfinite(position_odds(np.array([800.0]), 0.1, 0.0, 1.0, 0.0))
 
 
 @pytest.mark.parametrize(("chosen", "less"), [([0], 4.0), ([0, 1, 2], 0.0)], ids=["alone", "next to others"])
@@ -113,21 +113,21 @@ def test_what_covers_one_roof_alone_may_be_the_bare_ground(chosen: list[int], le
     some, views = [MARKS[k] for k in chosen], (view.left, view.right)
     fit = estimate_pose(RIG, views, some, (view.p_n, view.R_nb), prior)
     assert isinstance(fit, PoseEstimate)
-    seen = recheck(RIG, views, some, fit, LookConfig())
+    seen = final_check(RIG, views, some, fit, ObservationConfig())
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
     bare, covered = (
-        fitter._odds(views, list(MARKS), place(view, MARKS), chosen, fit, replace(seen, covered=h), prior) for h in (0.0, 0.25)
+        fitter._odds(views, list(MARKS), position(view, MARKS), chosen, fit, replace(seen, covered=h), prior) for h in (0.0, 0.25)
     )
     assert bare - covered == pytest.approx(less)
 
 
 @pytest.mark.parametrize(
-    ("odds", "looked", "expected"),
+    ("odds", "checked", "expected"),
     [(1.9, 1.0, "refused"), (2.1, 1.0, "weak"), (4.9, 1.0, "weak"), (5.1, 1.0, "sure"), (11.9, 0.7, "weak"), (12.1, 0.7, "sure")],
 )
-def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, looked: float, expected: str) -> None:
+def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, checked: float, expected: str) -> None:
     """Above 12 however little of the outlines is found."""
-    fit = replace(fitted(whole(), MARKS), odds=odds, looked=looked)
+    fit = replace(fitted(whole(), MARKS), odds=odds, checked=checked)
     assert grade(Evidence(100.0, 0.5, 1.0, 0.0), fit, VerifyConfig())[0] == expected
 
 
@@ -135,7 +135,7 @@ def test_how_far_a_fit_is_accepted_follows_from_its_odds(odds: float, looked: fl
 def test_one_landmark_alone_answers_for_those_that_have_no_votes(seen: tuple[int, ...], kept: float) -> None:
     """By chance one outline lies on edges somewhere in what is searched, but not two as far apart as on the map."""
     view = whole()
-    at, support = place(view, MARKS), np.zeros(len(MARKS))
+    at, support = position(view, MARKS), np.zeros(len(MARKS))
     support[list(seen)] = 50.0
     fitter = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)
     fit = fitter.fit(Images(view.left, view.right, ""), list(MARKS), replace(at, support=support), drawn(view, 1))
@@ -155,13 +155,13 @@ def test_one_side_on_a_kerb_is_no_landmark() -> None:
     """Of a roof at the border one side is in view. Where it is gone a concrete slab has its edge there: it is not the roof."""
     view = whole()
     gone = Landmark.of("3", on_the_ground(view, [(760, 150), (624, 150), (624, 330), (760, 330)]), 0.0, 0.0, None, 0.1, 0.0, 0.05)
-    slab = Solid(on_the_ground(view, [(760, 60), (624, 60), (624, 420), (760, 420)]), 0.0, 0.0, Look((165.0, 170.0, 172.0)))
-    looks = tuple(Look((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in MARKS)
+    slab = Solid(on_the_ground(view, [(760, 60), (624, 60), (624, 420), (760, 420)]), 0.0, 0.0, Appearance((165.0, 170.0, 172.0)))
+    looks = tuple(Appearance((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in MARKS)
     rng, marks = np.random.default_rng(3), (*MARKS, gone)
-    for stands, used in ((False, [0, 1, 2]), (True, [0, 1, 2, 3])):
-        looks_of = (*looks, Look((40.0, 60.0, 190.0))) if stands else looks
-        clutter = () if stands else (slab,)
-        world = World(marks if stands else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
+    for present, used in ((False, [0, 1, 2]), (True, [0, 1, 2, 3])):
+        looks_of = (*looks, Appearance((40.0, 60.0, 190.0))) if present else looks
+        clutter = () if present else (slab,)
+        world = World(marks if present else MARKS, looks_of, clutter, Ground.procedural(np.random.default_rng(3)), Sun(0.8))
         pair = render_pair(world, RIG, view.p_n, view.R_nb, Conditions(), rng)
         assert fitted(View(*pair, view.p_n, view.R_nb, marks), marks).used == used
 
@@ -171,18 +171,18 @@ def test_a_roof_larger_than_mapped_joins_once_the_others_tell_the_pose(grown_m: 
     """Its sides are out of the first window's reach. One that is gone does not join, whatever its outline lies on."""
     middle, outline = np.array(MARKS[2].centre_n), MARKS[2].outline_n
     rough = msgspec.structs.replace(MARKS[2], outline_sigma_m=0.3)
-    marks, stands = (*MARKS[:2], rough), MARKS[:2]
+    marks, present = (*MARKS[:2], rough), MARKS[:2]
     if grown_m is not None:
         axes = np.linalg.svd(outline - middle)[2]
         sides = (outline - middle) @ axes.T
-        stands = (*stands, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
-    view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=stands)
+        present = (*present, msgspec.structs.replace(rough, outline_n=middle + (sides + grown_m * np.sign(sides)) @ axes))
+    view = look_at(marks, np.array([0.0, 0.0, -40.0]), shown=present)
     fitter, images, prior = (
         Fitter(RIG, PoseConfig(), VerifyConfig(), 2, 0.1),
         Images(view.left, view.right, ""),
         drawn(view, 1),
     )
-    at, some = place(view, marks), list(marks)
+    at, some = position(view, marks), list(marks)
     at.support[2] = 25.0  # fewer votes than the others: not in the first fit
     first = fitter.fit(images, some, at, prior)
     assert isinstance(first, Fitted)
@@ -198,10 +198,10 @@ def test_what_is_left_is_fitted_from_the_fit_before(found: bool, monkeypatch: py
     view, searched = whole(), list[tuple[int, tuple[int, ...]]]()
 
     def noted(*args: Any) -> PoseEstimate | NoPose:
-        searched.append((len(args[2]), args[5].look.search_px))
-        return estimate_pose(*args) if found or args[5].look.search_px else NoPose("not_found")
+        searched.append((len(args[2]), args[5].observation.search_px))
+        return estimate_pose(*args) if found or args[5].observation.search_px else NoPose("not_found")
 
-    monkeypatch.setattr(places, "estimate_pose", noted)
+    monkeypatch.setattr(fits, "estimate_pose", noted)
     fit = fitted(view, (*MARKS[:2], aside(MARKS[2], (0.0, 2.0))))
     assert fit.used == [0, 1]
     assert searched == [(3, (8, 8)), (2, ()), *([] if found else [(2, (8, 8))])]
@@ -213,7 +213,7 @@ def test_where_all_together_contradict_each_other_one_determines_the_position() 
     view = whole()
     moved = (MARKS[0], aside(MARKS[1], (0.0, 2.0)), aside(MARKS[2], (2.0, 0.0)))
     fitter, images = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Images(view.left, view.right, "")
-    at, prior = place(view, moved), drawn(view, 1)
+    at, prior = position(view, moved), drawn(view, 1)
     assert isinstance(fitter.fit(images, list(moved), at, prior), str)
     one = fitter.fit_one(images, list(moved), at, prior)
     assert isinstance(one, Fitted)
@@ -231,7 +231,7 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
     """From one landmark alone, 2 m too high and tilted so that it lies where it shows: the others are ten pixels off."""
     view = whole()
     fitter, images = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1), Images(view.left, view.right, "")
-    at, votes, prior = place(view, MARKS), np.zeros(len(MARKS)), drawn(view, 1)
+    at, votes, prior = position(view, MARKS), np.zeros(len(MARKS)), drawn(view, 1)
     votes[0] = 50.0
     one = fitter.fit(images, list(MARKS), replace(at, support=votes), prior)
     assert isinstance(one, Fitted)
@@ -246,14 +246,14 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
 
 
 @pytest.mark.parametrize(
-    ("share", "stands", "used"),
+    ("share", "present", "used"),
     [(0.6, 2.5, True), (0.6, 2.3, False), (0.4, 4.8, True), (0.4, 4.6, False), (0.0, 7.1, True), (0.0, 6.9, False)],
 )
-def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, stands: float, used: bool) -> None:
+def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, present: float, used: bool) -> None:
     """99, 99.9 and 99.99 %, with one of ten gone: 4.6, 6.9 and 9.2 less ln 9."""
     fit = fitted(whole(), MARKS).pose
-    seen = Recheck(np.full(len(MARKS), share), np.full(len(MARKS), stands), (1.0, 1.0), 0.0, None)
-    stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._stand(list(MARKS), fit, seen)
+    seen = FinalCheck(np.full(len(MARKS), share), np.full(len(MARKS), present), (1.0, 1.0), 0.0, None)
+    stood = Fitter(RIG, PoseConfig(), VerifyConfig(), 6, 0.1)._present(list(MARKS), fit, seen)
     assert stood.tolist() == [used] * len(MARKS)
 
 

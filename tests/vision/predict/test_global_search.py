@@ -11,21 +11,21 @@ from vision.predict.coarse_search import CoarseConfig, limit_px
 from vision.predict.global_search import Grid, summits
 from vision.predict.motion import Motion, motion
 from vision.predict.rigid_votes import rigid_votes
-from vision.predict.search_level import Stage
+from vision.predict.search_level import SearchLevel
 from vision.predict.votes import vote
 
 CONFIG = CoarseConfig()
 SIZE = 4
 
 
-def prepared(view: Seen, error: Array) -> tuple[Stage, Motion, Grid]:
+def prepared(view: Seen, error: Array) -> tuple[SearchLevel, Motion, Grid]:
     """The search of an image reduced four times from a prior with this error."""
     moves = motion(EYE, view.marks, prior_off(view, error))
     assert moves is not None
     limit = limit_px(EYE.camera, CONFIG)
     level = levels(view.image, EYE.camera, (1, SIZE))[1]
-    stage = Stage(level, EYE, view.marks, moves, CONFIG.expected, limit, CONFIG.points)
-    return stage, moves, Grid.of(moves, CONFIG.sigmas, np.radians(CONFIG.turn_deg), SIZE, limit)
+    search_level = SearchLevel(level, EYE, view.marks, moves, CONFIG.expected, limit, CONFIG.points)
+    return search_level, moves, Grid.of(moves, CONFIG.sigmas, np.radians(CONFIG.turn_deg), SIZE, limit)
 
 
 def textured(normals: Array, apart_px: float = 2.0) -> tuple[Level, Array]:
@@ -63,14 +63,14 @@ def test_what_moves_as_a_whole_has_the_votes_of_its_points(bend: float, reach: i
 
 def test_the_votes_of_a_turn_and_scale_are_those_of_its_own_points() -> None:
     """Computed once for many turns and scales, the score of a summit is nearly what all points aimed from there have."""
-    stage, moves, grid = prepared(seen(), np.array([3.0, -2.0, 0.5, 0.0, 0.0, 0.05]))
-    scores, places = summits(stage, moves, grid)
-    assert stage.own_radius() < 0.6 * moves.radius  # so that landmarks look alike in several of them
+    search_level, moves, grid = prepared(seen(), np.array([3.0, -2.0, 0.5, 0.0, 0.0, 0.05]))
+    scores, positions = summits(search_level, moves, grid)
+    assert search_level.own_radius() < 0.6 * moves.radius  # so that landmarks look alike in several of them
     information = np.linalg.inv(moves.covariance)
     off = []
-    for score, q in zip(scores[:10], places[:10], strict=True):
-        aimed = stage.aimed(moves.pose(moves.gain @ np.array([0.0, 0.0, *q[2:]])))
-        votes, _ = stage.vote(aimed, q[:1], q[1:2])
+    for score, q in zip(scores[:10], positions[:10], strict=True):
+        aimed = search_level.aimed(moves.pose(moves.gain @ np.array([0.0, 0.0, *q[2:]])))
+        votes, _ = search_level.vote(aimed, q[:1], q[1:2])
         off.append(score - (SIZE * float(votes.sum()) - 0.5 * q @ information @ q))
     assert np.abs(off).max() < 0.25 * scores[0]
     assert abs(np.mean(off)) < 0.1 * scores[0]
@@ -80,17 +80,17 @@ def test_the_votes_of_a_turn_and_scale_are_those_of_its_own_points() -> None:
 def test_the_best_summit_is_where_the_outlines_are(turn: float) -> None:
     """To a step of the grid, for a prior that is turned by two of its standard deviations, too."""
     error = np.array([4.0, 3.0, 1.0, 0.0, 0.0, turn])
-    stage, moves, grid = prepared(seen(), error)
-    q = summits(stage, moves, grid)[1][0]
+    search_level, moves, grid = prepared(seen(), error)
+    q = summits(search_level, moves, grid)[1][0]
     off = q - moves.J @ error
-    assert np.sqrt(off @ stage.across(q) @ off) < 1.5 * SIZE
+    assert np.sqrt(off @ search_level.across(q) @ off) < 1.5 * SIZE
 
 
 def test_a_landmark_alone_is_reported_in_every_turn_and_scale() -> None:
     """Its own radius is that of all outlines: votes of one turn and scale serve no other."""
     alone = seen()._replace(marks=seen().marks[:1])
-    stage, moves, _ = prepared(alone, np.zeros(6))
-    assert stage.own_radius() == pytest.approx(moves.radius, rel=0.3)
+    search_level, moves, _ = prepared(alone, np.zeros(6))
+    assert search_level.own_radius() == pytest.approx(moves.radius, rel=0.3)
 
 
 def test_landmarks_off_the_map_vote_as_far_off_as_it_leaves_open() -> None:
@@ -103,6 +103,6 @@ def test_landmarks_off_the_map_vote_as_far_off_as_it_leaves_open() -> None:
             Landmark.of(m.id, m.outline_n - d, m.base_d, m.height_m, None, sigma_m)
             for m, d in zip(view.marks, aside, strict=True)
         )
-        stage, moves, grid = prepared(view._replace(marks=marks), np.zeros(6))
-        scores.append(summits(stage, moves, grid)[0][0])
+        search_level, moves, grid = prepared(view._replace(marks=marks), np.zeros(6))
+        scores.append(summits(search_level, moves, grid)[0][0])
     assert scores[1] > 1.2 * scores[0]

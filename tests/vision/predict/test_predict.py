@@ -34,7 +34,7 @@ from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair
 from vision.synthetic.shapes import rectangle
-from vision.synthetic.world import Look, Sun, World
+from vision.synthetic.world import Appearance, Sun, World
 
 ORIGIN = (47.0, 8.0, 400.0)
 CHI2_9999_OF_3 = 21.108
@@ -53,21 +53,21 @@ class View(NamedTuple):
     marks: tuple[Landmark, ...]
 
 
-def house(name: str, place: tuple[float, float], angle: float, sigma_m: float = 0.1) -> Landmark:
+def house(name: str, position: tuple[float, float], angle: float, sigma_m: float = 0.1) -> Landmark:
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return Landmark.of(name, rectangle(9.0, 6.0) @ turn + place, 0.0, 3.0, None, sigma_m, 0.1, 0.05)
+    return Landmark.of(name, rectangle(9.0, 6.0) @ turn + position, 0.0, 3.0, None, sigma_m, 0.1, 0.05)
 
 
 def look_at(marks: tuple[Landmark, ...], p_n: Array, seed: int = 3, shown: tuple[Landmark, ...] | None = None) -> View:
     """Pale roofs of the colour of their surroundings, seen from p_n; shown: what truly stands."""
     rng, R_nb = np.random.default_rng(seed), so3.matrix(so3.from_euler(0.05, -0.08, 0.6))
-    stands = marks if shown is None else shown
-    looks = tuple(Look((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in stands)
-    world = World(stands, looks, (), Ground.procedural(rng), Sun(0.8))
+    present = marks if shown is None else shown
+    looks = tuple(Appearance((120.0, 128.0, 134.0), texture="shingles", contrast=0.1) for _ in present)
+    world = World(present, looks, (), Ground.procedural(rng), Sun(0.8))
     return View(*render_pair(world, RIG, p_n, R_nb, Conditions(), rng), p_n, R_nb, marks)
 
 
-MARKS = tuple(house(str(k), place, angle) for k, (place, angle) in enumerate(PLACES))
+MARKS = tuple(house(str(k), position, angle) for k, (position, angle) in enumerate(PLACES))
 
 
 @cache
@@ -133,17 +133,17 @@ def test_one_roof_whose_size_the_search_mistakes_is_fitted_from_other_distances(
 
 def test_other_distances_leave_one_roof_where_it_is_in_the_image() -> None:
     eye, marks, prior = eyes(RIG)[0], list(MARKS), prior_off(whole(), np.zeros(6))
-    place = Candidate.as_mapped(eye, marks, (prior.p_n, prior.R_nb), np.zeros(6))
+    position = Candidate.as_mapped(eye, marks, (prior.p_n, prior.R_nb), np.zeros(6))
     middle = np.array([*marks[1].centre_n, marks[1].roof_d])
-    places = nearer_and_farther(marks, place, np.array([False, True, False]), prior)
-    away = place.p_n - middle
+    positions = nearer_and_farther(marks, position, np.array([False, True, False]), prior)
+    away = position.p_n - middle
     sigma = np.sqrt(away @ prior.covariance[:3, :3] @ away) / (away @ away)
-    farther = [np.linalg.norm(one.p_n - middle) / np.linalg.norm(away) for one in places]
+    farther = [np.linalg.norm(one.p_n - middle) / np.linalg.norm(away) for one in positions]
     np.testing.assert_allclose(np.log(farther), sigma * np.array([-2.0, -1.0, 1.0, 2.0]))
-    for one in places:
+    for one in positions:
         np.testing.assert_allclose(np.cross(one.p_n - middle, away), 0.0, atol=1e-9)
     assert (
-        nearer_and_farther(marks, place, np.array([True, True, False]), prior) == []
+        nearer_and_farther(marks, position, np.array([True, True, False]), prior) == []
     )  # their separation determines the distance
 
 
@@ -220,7 +220,9 @@ def test_reported_boxes_are_where_the_fit_says() -> None:
 @pytest.mark.parametrize("angle", [0.6, 1.57, 2.4])
 def test_a_map_that_is_turned_is_refused(angle: float) -> None:
     view, turn = whole(), np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    turned = tuple(house(str(k), tuple((np.array(place) @ turn).tolist()), a + angle) for k, (place, a) in enumerate(PLACES))
+    turned = tuple(
+        house(str(k), tuple((np.array(position) @ turn).tolist()), a + angle) for k, (position, a) in enumerate(PLACES)
+    )
     result = pipeline(turned).process(view.left, view.right, 0, drawn(view, 1))
     assert result.fix is None
     assert result.report.outcome in {"not_found", "no_pose"}  # by the votes, or by the fit of the best of many places

@@ -47,7 +47,7 @@ def test_sides_on_edges_speak_for_a_landmark_and_sides_on_nothing_against_it() -
     assert (off > 1.0).mean() < 0.05  # by chance
 
 
-@pytest.mark.parametrize(("kind", "most"), [(Kind.BASE, 0.8 / 0.2), (Kind.UPRIGHT, 0.8 / 0.2), (Kind.SPOT, 0.85 / 0.05)])
+@pytest.mark.parametrize(("kind", "most"), [(Kind.BASE, 0.8 / 0.2), (Kind.UPRIGHT, 0.8 / 0.2), (Kind.SMALL, 0.85 / 0.05)])
 def test_walls_speak_less_than_roofs_and_a_whole_rim_more_than_a_side(kind: Kind, most: float) -> None:
     assert math.exp(log_ratio(with_step(texture(1), 100), [side(100, 12)], kind=kind)) == pytest.approx(most, rel=0.05)
 

@@ -13,9 +13,9 @@ from models.camera import CameraModel
 from models.maps.landmarks import Landmark
 from vision.synthetic import (
     IDEAL,
+    Appearance,
     Conditions,
     Ground,
-    Look,
     Solid,
     Sun,
     World,
@@ -38,8 +38,8 @@ CAMERA = CameraModel(640, 480, 600.0, 604.0, 322.0, 236.0, LENS)
 NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def plain(colour: Bgr) -> Look:
-    return Look(colour, colour, contrast=0.0, wall_contrast=0.0)
+def plain(colour: Bgr) -> Appearance:
+    return Appearance(colour, colour, contrast=0.0, wall_contrast=0.0)
 
 
 def box(
@@ -124,7 +124,7 @@ def test_walls_stand_between_roof_and_ground() -> None:
     """A box next to the camera: the wall that faces it covers exactly the quadrilateral between roof and base edge."""
     solid = replace(
         box(0.0, 12.0, 6.0, (BRIGHT, BRIGHT, BRIGHT)),
-        look=Look((200.0, 200.0, 200.0), (10.0, 10.0, 250.0), contrast=0.0, wall_contrast=0.0),
+        appearance=Appearance((200.0, 200.0, 200.0), (10.0, 10.0, 250.0), contrast=0.0, wall_contrast=0.0),
     )
     p, R = pose(40.0)
     image = render(world_of(solid), CAMERA, p, R, IDEAL, np.random.default_rng(1))

@@ -9,12 +9,12 @@ import pytest
 from models import so3
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark
-from vision.synthetic import Ground, Look, Solid, World, WorldSpec, make_world, render_labels, sights
+from vision.synthetic import Appearance, Ground, Solid, World, WorldSpec, landmark_views, make_world, render_labels
 from vision.synthetic.shapes import rectangle
 
 CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.1, 0.03, 0.0, 0.0))
 NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-LOOK = Look((200.0, 30.0, 30.0))
+LOOK = Appearance((200.0, 30.0, 30.0))
 GROUND = Ground.of_image(np.full((4, 4, 3), 60, dtype=np.uint8), 1.0)
 
 
@@ -28,18 +28,18 @@ def tilted(roll: float, pitch: float, yaw: float = 0.0) -> np.ndarray:
 
 
 def test_everything_of_a_roof_below() -> None:
-    (sight,) = sights(one(4.0), CAMERA, np.array([0.0, 0.0, -40.0]), NADIR)
-    assert sight.corners_visible.all()
-    assert [(s.edge, s.start, s.end) for s in sight.stretches] == [(k, 0.0, 1.0) for k in range(4)]
-    assert not sight.sides_visible.any()
-    assert sight.occluded == 0.0
-    assert not sight.cut
+    (landmark_view,) = landmark_views(one(4.0), CAMERA, np.array([0.0, 0.0, -40.0]), NADIR)
+    assert landmark_view.corners_visible.all()
+    assert [(s.edge, s.start, s.end) for s in landmark_view.stretches] == [(k, 0.0, 1.0) for k in range(4)]
+    assert not landmark_view.sides_visible.any()
+    assert landmark_view.occluded == 0.0
+    assert not landmark_view.cut
 
 
 def test_the_side_that_faces_the_camera() -> None:
-    (sight,) = sights(one(4.0), CAMERA, np.array([0.0, -15.0, -40.0]), NADIR)  # west of it
+    (landmark_view,) = landmark_views(one(4.0), CAMERA, np.array([0.0, -15.0, -40.0]), NADIR)  # west of it
     middles = 0.5 * (rectangle(12, 8) + np.roll(rectangle(12, 8), -1, axis=0))
-    assert [tuple(m) for m in middles[sight.sides_visible]] == [(0.0, -4.0)]
+    assert [tuple(m) for m in middles[landmark_view.sides_visible]] == [(0.0, -4.0)]
 
 
 def test_what_a_taller_neighbour_hides() -> None:
@@ -47,24 +47,24 @@ def test_what_a_taller_neighbour_hides() -> None:
     tower = Solid(rectangle(6.0, 4.0) + np.array([0.0, -8.0]), 0.0, 20.0, LOOK)
     p = np.array([0.0, -30.0, -30.0])
     R = tilted(-0.6, 0.0)
-    (sight,) = sights(one(4.0, tower), CAMERA, p, R)
+    (landmark_view,) = landmark_views(one(4.0, tower), CAMERA, p, R)
     west = next(k for k in range(4) if rectangle(12, 8)[k][1] < 0 > rectangle(12, 8)[(k + 1) % 4][1])
-    stretches = [s for s in sight.stretches if s.edge == west]
+    stretches = [s for s in landmark_view.stretches if s.edge == west]
     assert len(stretches) == 2
     # Sight to (n, -4) at down -4 passes the tower's western face (e = -10) where it is 3 m from its middle.
     reach = 3.0 * 26.0 / 20.0
     assert stretches[0].end == pytest.approx(0.5 - reach / 12.0, abs=0.01)
     assert stretches[1].start == pytest.approx(0.5 + reach / 12.0, abs=0.01)
-    assert 0.05 < sight.occluded < 0.9
-    assert sight.corners_visible.all()
+    assert 0.05 < landmark_view.occluded < 0.9
+    assert landmark_view.corners_visible.all()
 
 
 def test_cut_by_the_border() -> None:
-    (sight,) = sights(one(4.0), CAMERA, np.array([0.0, 18.0, -40.0]), NADIR)
-    assert sight.cut
-    assert 0 < sight.corners_visible.sum() < 4
-    assert sights(one(4.0), CAMERA, np.array([0.0, 200.0, -40.0]), NADIR) == []
-    assert sights(one(4.0), CAMERA, np.array([0.0, 0.0, -40.0]), NADIR @ np.diag([1.0, -1.0, -1.0])) == []  # looks up
+    (landmark_view,) = landmark_views(one(4.0), CAMERA, np.array([0.0, 18.0, -40.0]), NADIR)
+    assert landmark_view.cut
+    assert 0 < landmark_view.corners_visible.sum() < 4
+    assert landmark_views(one(4.0), CAMERA, np.array([0.0, 200.0, -40.0]), NADIR) == []
+    assert landmark_views(one(4.0), CAMERA, np.array([0.0, 0.0, -40.0]), NADIR @ np.diag([1.0, -1.0, -1.0])) == []  # looks up
 
 
 def test_agrees_with_the_labels_of_a_crowded_place() -> None:
@@ -73,8 +73,10 @@ def test_agrees_with_the_labels_of_a_crowded_place() -> None:
     towers = []
     for mark in world.landmarks:  # one close to each landmark, on the side of a random direction
         way = rng.uniform(0, 2 * math.pi)
-        place = mark.centre_n + (0.5 * math.hypot(mark.length_m, mark.width_m) + 1.6) * np.array([math.cos(way), math.sin(way)])
-        towers.append(Solid(rectangle(3.0, 3.0) + place, 0.0, 15.0, LOOK))
+        position = mark.centre_n + (0.5 * math.hypot(mark.length_m, mark.width_m) + 1.6) * np.array(
+            [math.cos(way), math.sin(way)]
+        )
+        towers.append(Solid(rectangle(3.0, 3.0) + position, 0.0, 15.0, LOOK))
     world = replace(world, clutter=tuple(towers))
     shown: list[bool] = []
     hidden: list[bool] = []
@@ -85,9 +87,9 @@ def test_agrees_with_the_labels_of_a_crowded_place() -> None:
         )
         labels = render_labels(world, CAMERA, p, R)
         index = {mark.id: k for k, mark in enumerate(world.landmarks)}
-        for sight in sights(world, CAMERA, p, R):
-            own = index[sight.id]
-            for edge in range(len(sight.corners_px)):
+        for landmark_view in landmark_views(world, CAMERA, p, R):
+            own = index[landmark_view.id]
+            for edge in range(len(landmark_view.corners_px)):
                 mark = world.landmarks[own]
                 a, b = mark.outline_n[edge], mark.outline_n[(edge + 1) % len(mark.outline_n)]
                 inward = np.array([b[1] - a[1], a[0] - b[0]]) / math.hypot(*(b - a))
@@ -96,7 +98,7 @@ def test_agrees_with_the_labels_of_a_crowded_place() -> None:
                     at = np.append(a + share * (b - a) + 1.5 * depth / CAMERA.fx * inward, mark.roof_d)
                     ((u, v),) = CAMERA.project(((at - p) @ R)[None])
                     if 2 < u < 637 and 2 < v < 477:
-                        visible = any(s.edge == edge and s.start < share < s.end for s in sight.stretches)
+                        visible = any(s.edge == edge and s.start < share < s.end for s in landmark_view.stretches)
                         (shown if visible else hidden).append(bool(labels[round(v), round(u)] == own))
     assert len(shown) > 600
     assert len(hidden) > 50

@@ -20,7 +20,7 @@ from benchmarks.service.vehicle import ORIGIN
 from estimator.config import Config, parse
 from estimator.fusion import Fusion
 from estimator.service.autopilot import px4_messages as px4
-from estimator.service.autopilot.output_policy import AutopilotConfig, Handover, is_sound
+from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPolicy, is_sound
 from estimator.service.base.clock import Clock
 from estimator.service.base.mailbox import Mailbox
 from estimator.service.mavlink import codec
@@ -80,7 +80,7 @@ def linked(request: pytest.FixtureRequest) -> Iterator[tuple[MavlinkLink, socket
 
 def _link(there: socket.socket, **keys: Any) -> MavlinkLink:
     config = MavlinkConfig(endpoint=f"udpout:127.0.0.1:{there.getsockname()[1]}", attitude_sigma_deg=(2.0, 4.0), **keys)
-    return MavlinkLink(config, Path(), INPUTS, Clock(), Handover(AutopilotConfig(own_gnss=False)), 1000.0, 47.5)
+    return MavlinkLink(config, Path(), INPUTS, Clock(), OutputPolicy(AutopilotConfig(own_gnss=False)), 1000.0, 47.5)
 
 
 @MANY

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.service.autopilot.output_policy import AutopilotConfig, Handover
+from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPolicy
 from models import so3
 from models.messages import AidStatus, Alert, Estimate, Integrity, Mode, Reason, Vec3, vec3
 from models.state import E, X
@@ -29,13 +29,13 @@ def _fused(kind: str, t_s: float, reason: Reason = Reason.FUSED) -> AidStatus:
 
 
 def test_nothing_is_a_fix_while_it_rests_on_the_autopilots_own_gnss() -> None:
-    handover = Handover(AutopilotConfig())
-    assert not handover.note([_fused("gnss_position", 0), _fused("pose", 0, Reason.GATED)])
-    assert handover.note([_fused("pose", 1)])
-    assert not handover.is_fix(_estimate(2))
-    assert handover.note([_fused("pose", 6)])
-    assert handover.is_fix(_estimate(6))
-    assert not handover.note([_fused("gnss_velocity", 7)])
+    policy = OutputPolicy(AutopilotConfig())
+    assert not policy.note([_fused("gnss_position", 0), _fused("pose", 0, Reason.GATED)])
+    assert policy.note([_fused("pose", 1)])
+    assert not policy.is_fix(_estimate(2))
+    assert policy.note([_fused("pose", 6)])
+    assert policy.is_fix(_estimate(6))
+    assert not policy.note([_fused("gnss_velocity", 7)])
 
 
 def _integrity(state: Alert, sigma_m: float = 0.1) -> Integrity:
@@ -43,56 +43,58 @@ def _integrity(state: Alert, sigma_m: float = 0.1) -> Integrity:
 
 
 def test_what_integrity_forbids_is_neither_odometry_nor_fix() -> None:
-    handover = Handover(AutopilotConfig())
-    handover.note([_fused("pose", 0), _integrity(Alert.CAUTION)])
-    assert handover.quality(_estimate(), one_source_at_a_time=False) > 0
-    assert handover.is_fix(_estimate())
-    handover.note([_integrity(Alert.DO_NOT_USE)])
-    assert handover.quality(_estimate(), one_source_at_a_time=False) == -1
-    assert not handover.is_fix(_estimate())
-    handover.note([_integrity(Alert.USABLE)])
-    assert handover.quality(_estimate(), one_source_at_a_time=False) > 0
+    policy = OutputPolicy(AutopilotConfig())
+    policy.note([_fused("pose", 0), _integrity(Alert.CAUTION)])
+    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
+    assert policy.is_fix(_estimate())
+    policy.note([_integrity(Alert.DO_NOT_USE)])
+    assert policy.quality(_estimate(), one_source_at_a_time=False) == -1
+    assert not policy.is_fix(_estimate())
+    policy.note([_integrity(Alert.USABLE)])
+    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
 
 
 def test_an_accuracy_is_that_of_the_protection_level_where_one_is_judged() -> None:
-    handover = Handover(AutopilotConfig())
-    handover.note([_integrity(Alert.NOT_JUDGED, 5.0)])
-    np.testing.assert_array_equal(handover.widened(_estimate()).covariance, _estimate().covariance)
-    handover.note([_integrity(Alert.USABLE, 0.5)])
-    P = handover.widened(_estimate()).covariance
+    policy = OutputPolicy(AutopilotConfig())
+    policy.note([_integrity(Alert.NOT_JUDGED, 5.0)])
+    np.testing.assert_array_equal(policy.widened(_estimate()).covariance, _estimate().covariance)
+    policy.note([_integrity(Alert.USABLE, 0.5)])
+    P = policy.widened(_estimate()).covariance
     np.testing.assert_allclose(np.sqrt(P.diagonal()[:3]), [0.5, 0.5, 1.0])
     np.testing.assert_array_equal(P[3:, 3:], _estimate().covariance[3:, 3:])
-    handover.note([_integrity(Alert.USABLE, 0.01)])
-    np.testing.assert_array_equal(handover.widened(_estimate()).covariance, _estimate().covariance)
+    policy.note([_integrity(Alert.USABLE, 0.01)])
+    np.testing.assert_array_equal(policy.widened(_estimate()).covariance, _estimate().covariance)
 
 
 def test_a_second_receiver_is_news_to_the_autopilot() -> None:
-    handover = Handover(AutopilotConfig(own_gnss=False))
-    assert handover.note([_fused("gnss_position", 0)])
-    assert handover.is_fix(_estimate())
-    assert handover.quality(_estimate(), one_source_at_a_time=False) > 0
+    policy = OutputPolicy(AutopilotConfig(own_gnss=False))
+    assert policy.note([_fused("gnss_position", 0)])
+    assert policy.is_fix(_estimate())
+    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
 
 
 @pytest.mark.parametrize(
-    ("policy", "one_at_a_time", "is_used"),
+    ("gnss_quality", "one_at_a_time", "is_used"),
     [("auto", False, False), ("auto", True, True), ("zero", True, False), ("radius", False, True)],
 )
-def test_whether_what_rests_on_its_own_gnss_has_a_quality_is_configured(policy: str, one_at_a_time: bool, is_used: bool) -> None:
+def test_whether_what_rests_on_its_own_gnss_has_a_quality_is_configured(
+    gnss_quality: str, one_at_a_time: bool, is_used: bool
+) -> None:
     """By default: for PX4, which fuses both at once, none; ArduPilot may switch to it, for it takes one source at a time."""
-    handover = Handover(AutopilotConfig(own_gnss_quality=policy))  # type: ignore[arg-type]
+    policy = OutputPolicy(AutopilotConfig(own_gnss_quality=gnss_quality))  # type: ignore[arg-type]
 
     def is_of_use(t_s: float) -> bool:
-        quality = handover.quality(_estimate(t_s), one_source_at_a_time=one_at_a_time)
+        quality = policy.quality(_estimate(t_s), one_source_at_a_time=one_at_a_time)
         assert quality >= 0
         return quality > 0
 
-    handover.note([_fused("gnss_position", 0)])
+    policy.note([_fused("gnss_position", 0)])
     assert is_of_use(0.1) == is_used
-    handover.note([_fused("pose", 1)])
+    policy.note([_fused("pose", 1)])
     assert is_of_use(1) == is_used
-    handover.note([_fused("pose", 6)])
+    policy.note([_fused("pose", 6)])
     assert is_of_use(6)
-    handover.note([_fused("gnss_velocity", 7)])
+    policy.note([_fused("gnss_velocity", 7)])
     assert is_of_use(20) == is_used  # nothing from outside since
 
 
@@ -101,24 +103,24 @@ def test_whether_what_rests_on_its_own_gnss_has_a_quality_is_configured(policy: 
 )
 @pytest.mark.parametrize("mode", [Mode.AIDED, Mode.DEAD_RECKONING])
 def test_the_quality_is_the_radius_and_ends_before_it_is_too_large(radius_m: float, quality: int, mode: Mode) -> None:
-    handover = Handover(AutopilotConfig())
-    handover.note([_fused("pose", 0)])
+    policy = OutputPolicy(AutopilotConfig())
+    policy.note([_fused("pose", 0)])
     estimate = _estimate(mode=mode, sigma=radius_m / 2.4477)  # 95 % of a circular normal distribution
-    assert handover.quality(estimate, one_source_at_a_time=True) == quality
+    assert policy.quality(estimate, one_source_at_a_time=True) == quality
 
 
 @pytest.mark.parametrize("mode", [Mode.COASTING, Mode.ALIGNING_HEADING, Mode.STARTING])
 def test_what_is_not_to_be_used_has_no_quality(mode: Mode) -> None:
-    assert Handover(AutopilotConfig()).quality(_estimate(mode=mode), one_source_at_a_time=True) == -1
+    assert OutputPolicy(AutopilotConfig()).quality(_estimate(mode=mode), one_source_at_a_time=True) == -1
 
 
 def test_a_covariance_that_is_none_has_no_quality() -> None:
-    assert Handover(AutopilotConfig()).quality(_estimate(sigma=np.nan), one_source_at_a_time=True) == -1
+    assert OutputPolicy(AutopilotConfig()).quality(_estimate(sigma=np.nan), one_source_at_a_time=True) == -1
 
 
 def _counters(*sent: tuple[Estimate, int]) -> list[int]:
-    handover = Handover(AutopilotConfig())
-    return [handover.reset_counter(e, vec3(e.nav[X.P]), quality) for e, quality in sent]
+    policy = OutputPolicy(AutopilotConfig())
+    return [policy.reset_counter(e, vec3(e.nav[X.P]), quality) for e, quality in sent]
 
 
 def test_the_counter_counts_the_steps_of_what_is_sent() -> None:

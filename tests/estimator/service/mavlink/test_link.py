@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from benchmarks.service.vehicle import ORIGIN, truth
 from estimator.config import parse
-from estimator.service.autopilot.output_policy import AutopilotConfig, Handover
+from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPolicy
 from estimator.service.base.clock import Clock
 from estimator.service.daemon import Daemon
 from estimator.service.mavlink.config import MavlinkConfig
@@ -76,7 +76,7 @@ def _linked(
 ) -> Iterator[tuple[MavlinkLink, _Inbox, Clock]]:
     clock = Clock()
     said.clear()
-    link = MavlinkLink(config, folder, topics, clock, Handover(AutopilotConfig(own_gnss=own_gnss)), 30.0, 47.5, said.append)
+    link = MavlinkLink(config, folder, topics, clock, OutputPolicy(AutopilotConfig(own_gnss=own_gnss)), 30.0, 47.5, said.append)
     inbox = _Inbox(clock)
     link.open_inputs(inbox)
     try:

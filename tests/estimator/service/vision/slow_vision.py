@@ -7,7 +7,7 @@ from typing import Any
 from numba import njit
 from numba.extending import overload
 
-from estimator.frontend.processor import Sight
+from estimator.frontend.processor import Processor
 from estimator.service.vision import warm_up as vision_warm_up
 from estimator.service.vision.worker import serve
 
@@ -31,7 +31,7 @@ def every_other_look_is_slow(*args: Any) -> None:
 
 
 def _serve(first: Callable[[], object], *args: Any) -> None:
-    look, warm_up = Sight.look, vision_warm_up.warm_up
+    look, warm_up = Processor.process, vision_warm_up.warm_up
 
     def slow(*asked: Any) -> Any:
         first()
@@ -39,7 +39,7 @@ def _serve(first: Callable[[], object], *args: Any) -> None:
 
     def then_slow() -> None:
         warm_up()
-        Sight.look = slow  # type: ignore[assignment, method-assign]
+        Processor.process = slow  # type: ignore[assignment, method-assign]
 
     vision_warm_up.warm_up = then_slow
     serve(*args)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from estimator.config import Config, load
-from estimator.frontend.files import load_sight
-from estimator.frontend.replay_images import ImageCounts, SightReplay
+from estimator.frontend.files import load_processor
+from estimator.frontend.replay_images import ImageCounts, ImageReplay
 from estimator.replay.replay import replay
 from estimator.service.daemon import Daemon
 from logs.store.reader import LogReader
@@ -80,9 +80,9 @@ def _records(path: Path, topic: str) -> list[tuple[int, bytes]]:
 def _again(log: Path, out: Path, config_file: Path, config: Config) -> ImageCounts:
     assert config.rig.file is not None
     assert config.map.landmarks is not None
-    sight = load_sight(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
-    images = SightReplay(sight, config.vision, config.inputs.left_image, config.inputs.right_image, log)
-    replay(log, out, config, sight=images)
+    processor = load_processor(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
+    images = ImageReplay(processor, config.vision, config.inputs.left_image, config.inputs.right_image, log)
+    replay(log, out, config, processor=images)
     return images.counts
 
 

@@ -1,4 +1,4 @@
-"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, what became of each measurement."""
+"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, and the decision on each measurement."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class Fixes:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class Collected:
     """A log, as far as it concerns evaluation.
 
     aids: the last decision on each measurement; truth: empty where there is none; reference: what it is instead where it is no
@@ -138,8 +138,8 @@ def read(
     *,
     most: int | None = None,
     see: Callable[[Record], None] | None = None,
-) -> Evidence:
-    """The Evidence of a log. progress is called with the fraction done.
+) -> Collected:
+    """The Collected of a log. progress is called with the fraction done.
 
     most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
     Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
@@ -172,7 +172,7 @@ def read(
         raise LogError(f"{path}: none of its {len(estimate)} estimates is a number")
     origin = _origin(estimate, sheaves.get(_GLOBAL_TOPIC, _Sheaf("")))
     aids = _aids(sheaves.get(_AID_TOPIC, _Sheaf("")))
-    return Evidence(
+    return Collected(
         estimate=estimate,
         truth=_truth(path, truth_topic, sheaves.get(truth_topic), origin),
         aids=aids,

@@ -1,8 +1,8 @@
-"""Dark minutes: GNSS hidden, no images. What airspeed, the drag of a multirotor and an estimated wind are worth.
+"""Air data: GNSS hidden, no images. What airspeed, the drag of a multirotor and an estimated wind are worth.
 
     e: horizontal position error,   NEES = e' P^-1 e / 2,   in 95 %: share of seconds inside the ellipse
 
-python -m benchmarks.flights.dark_minutes [-o FOLDER]: a recorded fixed wing (umn_thor75, against its autopilot's estimate with
+python -m benchmarks.flights.air_data [-o FOLDER]: a recorded fixed wing (umn_thor75, against its autopilot's estimate with
 GNSS), simulated multirotors and fixed wings in winds of 1 to 8 m/s. The flight before the dark is gone through once; each
 window goes on from a copy.
 """
@@ -192,13 +192,13 @@ def table(out: Path, processes: int, names: Sequence[str] = FLIGHTS) -> Table:
 def main() -> None:
     """The table, on the terminal and in a file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--out", type=Path, default=Path("out/dark_minutes"), help="folder of the results")
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/air_data"), help="folder of the results")
     parser.add_argument("--only", nargs="+", choices=FLIGHTS, default=FLIGHTS, help="flights; default: all")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     text = table(given.out, given.jobs, given.only).markdown()
-    (given.out / "dark_minutes.md").write_text(text)
+    (given.out / "air_data.md").write_text(text)
     print(text)
 
 
