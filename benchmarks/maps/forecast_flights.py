@@ -136,13 +136,14 @@ def main() -> None:
         "data sheet, configured so": (msgspec.structs.replace(Config(), imu=bare), bare),
     }
     maps = {"own map": load(args.map)} if args.map else {"120 houses": village(1, 120), "25 houses": village(2, 25)}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for (name, the_map), (imu, (config, noise)), found in product(maps.items(), imus.items(), (0.5, 0.1)):
         flight, camera = route(the_map, 80.0, 10.0), Camera(found=found)
         radius = np.array([row.radius95_m for row in forecast(the_map, flight, config.fusion(), camera, 20.0).rows])
         seeds = track(range(args.flights), f"{name}, IMU {imu}, {100 * found:.0f} %", console=Console(stderr=True))
         errors = np.array([flown(the_map, flight, config, camera, noise, seed) for seed in seeds])
         rows.append((name, imu, f"{100 * found:.0f} %", *summary(radius, errors)))
+        print(*rows[-1], sep=" | ", flush=True)
     print(Table(f"Forecast and {args.flights} flights a row", _COLUMNS, rows).markdown())
 
 
