@@ -7,7 +7,7 @@ all that is in view may be taken for something else within the 95 % radius of th
 
 The covariance of a fix is its measurement's, in proportion to the distance, and what each landmark's own error in the map moves
 it by. The radius that comes out is the filter's own. Fixes that fail for light, weather or season are in it by `found` only, the
-share of images that give one.
+share of images that give one. Which images do is drawn three times; the radius is the largest of the three.
 """
 
 import math
@@ -34,6 +34,7 @@ _EPOCH_NS: Final = 1_700_000_000_000_000_000
 _GNSS_EVERY: Final = round(RATE_HZ / 5.0)  # samples
 _ROW_EVERY: Final = round(RATE_HZ)
 _ATTITUDE_PRIOR: Final = np.diag(np.deg2rad([2.0, 2.0, 4.0]) ** 2)
+_DRAWS: Final = 3  # of the images that give a fix
 _GROUP: Final = 3  # landmarks that make an arrangement
 _REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first that the map's density allows
 
@@ -72,7 +73,7 @@ class Stretch(msgspec.Struct, frozen=True):
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """fit: the radius stays below the limit everywhere."""
+    """fit: the radius stays below the limit everywhere. fixes: the fewest of the draws; longest_without_fix_s: the longest."""
 
     fit: bool
     limit_m: float
@@ -155,21 +156,25 @@ def forecast(
 ) -> Forecast:
     """Fly it. Raises MapError where the estimate does not begin, or the map is too dense to search for look-alikes."""
     place = Origin(*the_map.origin)
+    runs: list[list[Moment]] = []
+    for seed in range(_DRAWS):
+        runs.append([])
+        for moment in fly_along(the_map, flight, config, camera, Sensors(flight, place, camera.found, seed)):
+            runs[-1].append(moment)
+            if progress:
+                progress((seed + moment.k / len(flight.t_s)) / _DRAWS)
     rows: list[Row] = []
-    last_fix_s, longest_s, fixes = HOVER_S, 0.0, 0
-    for moment in fly_along(the_map, flight, config, camera, Sensors(flight, place, camera.found)):
-        k, t_s = moment.k, float(flight.t_s[moment.k])
-        if moment.fixed:
-            longest_s, last_fix_s, fixes = max(longest_s, t_s - last_fix_s), t_s, fixes + 1
-        if k % _ROW_EVERY == 0:
+    for several in zip(*runs, strict=True):
+        worst_of = max(several, key=lambda m: m.radius95_m)
+        if (k := worst_of.k) % _ROW_EVERY == 0:
             lat, lon, _ = place.to_geodetic(flight.p_n[k])
-            way = float(flight.s_m[k])
-            rows.append(Row(t_s - HOVER_S, way, lat, lon, moment.radius95_m, moment.in_view, moment.state))
-        if progress:
-            progress(k / len(flight.t_s))
+            way, t_s = float(flight.s_m[k]), float(flight.t_s[k]) - HOVER_S
+            rows.append(Row(t_s, way, lat, lon, worst_of.radius95_m, worst_of.in_view, worst_of.state))
+    fixed_s = [[HOVER_S, *(float(flight.t_s[m.k]) for m in run if m.fixed), float(flight.t_s[-1])] for run in runs]
+    longest_s = max(float(np.diff(times).max()) for times in fixed_s)
+    fixes = min(map(len, fixed_s)) - 2
     if not rows or not math.isfinite(rows[0].radius95_m):
         raise MapError("the estimate does not begin with this configuration; try the default one, without -c")
-    longest_s = max(longest_s, float(flight.t_s[-1]) - last_fix_s)
     unfit = _stretches(rows, limit_m)
     worst = max(row.radius95_m for row in rows)
     return Forecast(not unfit, limit_m, float(flight.s_m[-1]), worst, fixes, longest_s, tuple(unfit), tuple(rows))
