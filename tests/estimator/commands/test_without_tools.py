@@ -13,7 +13,7 @@ import pytest
 from estimator.tools.doctor.packages import EXTRA_OF
 from tests.estimator.service.flying import free_port, listening, toml, until
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 BLOCKED = f"""
 import sys
