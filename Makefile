@@ -68,12 +68,15 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 # Versions stay as they are; `make lock UPGRADE=--upgrade` takes the newest. Every platform and every Python >= 3.11; hashes, no addresses.
-lock: install  ## write requirements.lock anew from pyproject.toml
+lock: install  ## write the lock files anew from pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --extra dev $(UPGRADE) --output-file requirements.lock pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --extra site --constraint requirements.lock $(UPGRADE) \
 		--output-file requirements-site.lock pyproject.toml
+	echo "matplotlib ; python_version < '3'" | UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 \
+		--generate-hashes --no-emit-index-url --no-emit-find-links --overrides - --constraint requirements.lock $(UPGRADE) \
+		--output-file requirements-flight.lock pyproject.toml
 
 clean:  ## remove .venv and what tools left behind
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache

@@ -52,6 +52,11 @@ def one_line(error: Exception) -> str:
     """What a person reads: our own errors and the system's say what is wrong; anything else is a defect of ours."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, ImportError):
+        from estimator.tools.doctor import packages  # noqa: PLC0415  (when something is missing)
+
+        if reason := packages.explain(error):
+            return reason
     text = " ".join(str(error).split())
     if type(error).__module__.partition(".")[0] in _OURS:
         return text

@@ -68,7 +68,8 @@ def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
         )
     epsg = epsg or _epsg(tags)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
-        raise MapError(f"{path}: its coordinate system is not known: --picture-epsg or picture_epsg = 4326, 326xx, 327xx or 3857")
+        known = "--picture-epsg, picture_epsg: 4326, 326xx, 327xx or 3857"
+        raise MapError(f"{path}: its coordinate system is not known: give it ({known}) or convert it with gdalwarp")
     return affine, epsg
 
 

@@ -106,11 +106,11 @@ class _Finite(io.BufferedReader):
 
 
 def _open(source: Path) -> Any:
-    """The parsed file; needs the extra px4."""
+    """The parsed file; needs the extra tools."""
     try:
         from pyulog import ULog  # noqa: PLC0415 (an extra)
     except ModuleNotFoundError:
-        raise LogError("reading PX4 logs needs pyulog: pip install 'landfix[px4]'") from None
+        raise LogError("reading PX4 logs needs pyulog: pip install 'landfix[tools]'") from None
     try:
         file = _Finite(source)
     except OSError as error:

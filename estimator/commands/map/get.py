@@ -22,6 +22,14 @@ def command(
     sigma_m: Annotated[
         float | None, typer.Option(min=0, max=1000, help="Horizontal standard deviation, instead of the data set's.")
     ] = None,
+    terrain: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE|DIR", help="Height model for the ground below each landmark: .hgt tiles, GeoTIFF."),
+    ] = None,
+    terrain_sigma_m: Annotated[float, typer.Option(min=0, max=100, help="Standard deviation of its heights.")] = 2.0,
+    terrain_ellipsoid: Annotated[
+        bool, typer.Option("--terrain-ellipsoid", help="Its heights are above the ellipsoid, not above the sea.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Make a map of the building footprints around a place, from a local extract of a public data set.
@@ -33,17 +41,23 @@ def command(
     \b
     Examples:
       landfix map get 47.3977,8.5456 --km 3 --source zurich.osm.pbf -o map.geojson
+      landfix map get 47.3977,8.5456 --km 3 --source zurich.osm.pbf --terrain N47E008.hgt -o map.geojson
       landfix map get 47.3977,8.5456 --source extracts/ --ground-alt-m 488 -o map.geojson
     """
     from estimator.map_files.extract.footprint import Place
-    from estimator.map_files.extract.get import credited, get
+    from estimator.map_files.extract.get import Ground, credited, get
+    from estimator.map_files.terrain import Terrain
     from estimator.tools.maps.ambiguity import marked
     from models.maps.table import reasons
 
     lat_deg, lon_deg = _place(place)
     with progress(f"read {source.name}") as report:
-        read = lambda fraction: report(0.8 * fraction)  # noqa: E731
-        the_map, got = get(source, Place(lat_deg, lon_deg, 1000.0 * km), ground_alt_m, sigma_m, read)
+        read = lambda fraction: report(0.2 + 0.6 * fraction)  # noqa: E731
+        ground = None
+        if terrain is not None:
+            model = Terrain(terrain, above_ellipsoid=terrain_ellipsoid, progress=lambda fraction: report(0.2 * fraction))
+            ground = Ground(model, terrain_sigma_m)
+        the_map, got = get(source, Place(lat_deg, lon_deg, 1000.0 * km), ground_alt_m, sigma_m, read, ground)
         alike = marked(the_map)
         out.write_bytes(credited(the_map.to_geojson(alike), got.attribution))
     if json:

@@ -5,6 +5,7 @@ not say of its accuracy is taken from the table of sources.
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 
 from estimator.map_files.extract import tables, text
 from estimator.map_files.extract.footprint import Footprint, Place, wrapped
+from estimator.map_files.terrain import Terrain
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
 
@@ -46,6 +48,13 @@ _SOURCES: Final[dict[str, tuple[str, ...]]] = {  # the data set's own properties
 _KNOWN: Final = {"OVERTURE": OVERTURE, "MICROSOFT": MICROSOFT, "OSM": OSM}
 
 
+class Ground(NamedTuple):
+    """A height model, and the standard deviation of its heights from place to place [m]."""
+
+    terrain: Terrain
+    sigma_m: float = 2.0
+
+
 class Got(msgspec.Struct, frozen=True):
     """What the map is made from. read: polygons in the files, or near the place where the file has an index; sources: landmarks
     of each data set; attribution: what a publication of the map must say.
@@ -65,9 +74,11 @@ def get(
     ground_alt_m: float = 0.0,
     sigma_m: float | None = None,
     progress: Callable[[float], None] | None = None,
+    ground: Ground | None = None,
 ) -> tuple[LandmarkMap, Got]:
     """The map, and what was found. ground_alt_m: of the place above the ellipsoid; sigma_m: instead of the
-    sources', and of the shift that what is traced from one image has in common.
+    sources', and of the shift that what is traced from one image has in common. ground: height of each landmark's own ground,
+    and of the place, in place of ground_alt_m.
 
     Raises MapError where there is no footprint.
     """
@@ -76,18 +87,34 @@ def get(
     found: Counter[str] = Counter()
     attributions: dict[str, None] = {}
     ids: Counter[str] = Counter()
-    read = 0
+    read, beyond = 0, 0
+    spread_m: dict[str, float] = {}
+    if ground is not None:
+        ground_alt_m = round(float(ground.terrain.at(np.array([[place.lon_deg, place.lat_deg]]))[0]), 2)
+        if not np.isfinite(ground_alt_m):
+            raise MapError(f"the height model does not reach {place.lat_deg:g}, {place.lon_deg:g}, the middle of the map")
     for k, path in enumerate(files):
         for footprint in _footprints(path, place):
             read += 1
             if not place.holds(footprint.ring) or len(features) >= MOST:
                 continue
+            properties: dict[str, Any] = {}
+            if ground is not None:
+                heights = ground.terrain.at(footprint.ring)
+                if not np.isfinite(heights).all():
+                    beyond += 1
+                    continue
+                properties = {"ground_alt_m": round(float(heights.mean()), 2)}
             known = _source(footprint)
             found[known.name] += 1
             attributions |= {known.attribution: None} if known.attribution else {}
-            features.append(_feature(footprint, known, sigma_m, ids))
+            features.append(_feature(footprint, known, sigma_m, ids, properties))
+            if ground is not None:
+                spread_m[features[-1]["properties"]["id"]] = math.hypot(ground.sigma_m, float(heights.std()))
         if progress:
             progress((k + 1) / len(files))
+    if beyond and not features:
+        raise MapError(f"the height model reaches none of the {beyond} landmarks")
     if not features:
         where = f"within {place.radius_m / 1000:g} km of {place.lat_deg:g}, {place.lon_deg:g}"
         raise MapError(f"{source}: none of its {read} polygons lies {where}" if read else f"{source}: holds no polygon {where}")
@@ -95,12 +122,18 @@ def get(
     document = json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False).encode()
     origin = (round(place.lat_deg, 6), round(place.lon_deg, 6), ground_alt_m)
     common = (0.0, 0.0) if sigma_m is not None else _COMMON_M
+    if ground is not None:
+        common = (common[0], math.hypot(common[1], ground.sigma_m))
     the_map = LandmarkMap.from_geojson(document, Defaults(origin=origin, common_sigma_m=common))
     notes = [f"only the first {MOST} landmarks are taken: ask for fewer kilometres"] if len(features) >= MOST else []
     if UNKNOWN.name in found:
         notes.append("the data set does not say what it is: name it yourself where you publish the map, and give --sigma-m")
-    heights = len(the_map) - the_map.report.missing.get("height_m", 0)
-    return the_map, Got(len(the_map), read, heights, dict(found), credit, tuple(notes))
+    if ground is not None:
+        the_map = _uncertain(the_map, spread_m)
+    if beyond:
+        notes.append(f"{beyond} landmarks are left out: the height model does not reach them")
+    with_height = len(the_map) - the_map.report.missing.get("height_m", 0)
+    return the_map, Got(len(the_map), read, with_height, dict(found), credit, tuple(notes))
 
 
 def credited(data: bytes, attribution: str) -> bytes:
@@ -140,11 +173,21 @@ def _source(footprint: Footprint) -> Source:
     return next((_KNOWN[name] for name, own in _SOURCES.items() if names & set(own)), UNKNOWN)
 
 
-def _feature(footprint: Footprint, known: Source, sigma_m: float | None, ids: Counter[str]) -> dict[str, Any]:
+def _uncertain(the_map: LandmarkMap, spread_m: dict[str, float]) -> LandmarkMap:
+    """With the error of the ground below each landmark in the sigma of its roof."""
+    c = the_map.columns
+    sigma = np.hypot(c.height_sigma_m, [spread_m[name] for name in c.ids])
+    columns = msgspec.structs.replace(c, height_sigma_m=sigma)
+    return LandmarkMap(the_map.origin, columns, the_map.report, the_map.common_sigma_m, the_map.automatic)
+
+
+def _feature(
+    footprint: Footprint, known: Source, sigma_m: float | None, ids: Counter[str], more: dict[str, Any]
+) -> dict[str, Any]:
     """As the map's file has it; the parts of one feature are numbered."""
     name = footprint.id or f"{known.name.split()[0].lower()}/{sum(ids.values()) + 1}"
     ids[name] += 1
-    properties = dict(footprint.properties)
+    properties = {**footprint.properties, **more}
     properties["id"] = name if ids[name] == 1 else f"{name}/{ids[name]}"
     properties.setdefault("sigma_m", known.sigma_m)
     if sigma_m is not None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from estimator.config import Config, read, with_origin
 from estimator.strict_toml import ConfigError
+from estimator.tools.doctor.packages import clashes
 from models import so3
 
 _MIN_FREE_BYTES, _GOOD_FREE_BYTES = 5e8, 5e9
@@ -63,12 +64,13 @@ def failed(checks: Iterable[Check]) -> bool:
 
 
 def machine() -> list[Check]:
-    """Python, libraries, numba's cache, processors, disk, clock."""
+    """Python, libraries, clashing names, numba's cache, processors, disk, clock."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(Path.cwd()).free
     return [
         judge("python", platform.python_version(), fail=sys.version_info < (3, 11), advice="landfix needs Python 3.11 or newer"),
         judge("libraries", ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba", "mcap"))),
+        _names(),
         _numba_cache(),
         judge("processors", str(cpus), warn=cpus < 2, advice="vision and estimator want a core each"),
         judge("free disk", f"{free / 1e9:.1f} GB here", fail=free < _MIN_FREE_BYTES, warn=free < _GOOD_FREE_BYTES,
@@ -76,6 +78,13 @@ def machine() -> list[Check]:
         _clock(),
         _synchronised(),
     ]  # fmt: skip
+
+
+def _names() -> Check:
+    """Our top-level names belong to us alone."""
+    found = clashes()
+    advice = "rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"
+    return judge("package names", "; ".join(found) or "no other package has ours", fail=bool(found), advice=advice)
 
 
 def _numba_cache() -> Check:

@@ -7,11 +7,11 @@ all that is in view may be taken for something else within the 95 % radius of th
 
 The covariance of a fix is its measurement's, in proportion to the distance, and what each landmark's own error in the map moves
 it by. The radius that comes out is the filter's own. Fixes that fail for light, weather or season are in it by `found` only, the
-share of images that give one.
+share of images that give one. Which images do is drawn three times; the radius is the largest of the three.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import msgspec
@@ -28,13 +28,13 @@ from models.maps.landmarks import LandmarkMap
 from models.maps.table import Alike, MapError
 from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, LandmarkFix, Mode, vec3
 from models.radius import horizontal_radius
-from models.state import E
+from models.state import E, X
 
 _EPOCH_NS: Final = 1_700_000_000_000_000_000
 _GNSS_EVERY: Final = round(RATE_HZ / 5.0)  # samples
 _ROW_EVERY: Final = round(RATE_HZ)
-_PROGRESS_EVERY: Final = 500
 _ATTITUDE_PRIOR: Final = np.diag(np.deg2rad([2.0, 2.0, 4.0]) ** 2)
+_DRAWS: Final = 3  # of the images that give a fix
 _GROUP: Final = 3  # landmarks that make an arrangement
 _REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first that the map's density allows
 
@@ -73,7 +73,7 @@ class Stretch(msgspec.Struct, frozen=True):
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """fit: the radius stays below the limit everywhere."""
+    """fit: the radius stays below the limit everywhere. fixes: the fewest of the draws; longest_without_fix_s: the longest."""
 
     fit: bool
     limit_m: float
@@ -85,6 +85,67 @@ class Forecast(msgspec.Struct, frozen=True):
     rows: tuple[Row, ...]
 
 
+class Moment(msgspec.Struct, frozen=True):
+    """An image or a second of the flight. k: sample of the flight; p_n: the estimate [m]; fixed: this image gave a fix."""
+
+    k: int
+    radius95_m: float
+    p_n: tuple[float, float, float]
+    in_view: int
+    state: str
+    fixed: bool
+
+
+class Sensors:
+    """What the vehicle measures: without errors here, only the filter's error model decides. A benchmark adds errors."""
+
+    def __init__(self, flight: Flight, origin: Origin, found: float, seed: int = 0) -> None:
+        self._flight, self._origin, self._found, self._rng = flight, origin, found, np.random.default_rng(seed)
+        w, x, y, z = so3.from_euler(0.0, 0.0, flight.heading_rad).tolist()
+        self.quat = (w, x, y, z)
+
+    def gnss(self, k: int, t_ns: int) -> tuple[AttitudePrior, GnssFix, GnssVelocity]:
+        """Attitude, position and velocity of sample k."""
+        fix = GnssFix(t_ns, t_ns, *self._origin.to_geodetic(self._flight.p_n[k]), None)
+        velocity = GnssVelocity(t_ns, t_ns, vec3(self._flight.v_n[k]), None)
+        return AttitudePrior(t_ns, t_ns, self.quat, _ATTITUDE_PRIOR), fix, velocity
+
+    def imu(self, k: int, t_ns: int) -> ImuSample:
+        """Sample k."""
+        return ImuSample(t_ns, t_ns, (0.0, 0.0, 0.0), vec3(self._flight.accel_b[k]))
+
+    def fix(self, fix: LandmarkFix) -> LandmarkFix | None:
+        """What becomes of a fix that can be had; None: not found in this image."""
+        return fix if self._rng.random() < self._found else None
+
+
+def fly_along(the_map: LandmarkMap, flight: Flight, config: FusionConfig, camera: Camera, sensors: Sensors) -> Iterator[Moment]:
+    """The flight, from the moment where GPS ends. Raises MapError where the map is too dense to search for look-alikes."""
+    alike, reach_m = _alike(the_map)
+    fusion = Fusion(msgspec.structs.replace(config, origin=the_map.origin))
+    seen = _Seen(the_map, alike, reach_m, camera)
+    radius, state, in_view, place = math.inf, "none", 0, (math.nan, math.nan, math.nan)
+    every = max(1, round(RATE_HZ / camera.images_hz))
+    for k, t_s in enumerate(flight.t_s.tolist()):
+        t_ns, fixed = _EPOCH_NS + round(1e9 * t_s), False
+        if t_s < HOVER_S and k % _GNSS_EVERY == 0:
+            for message in sensors.gnss(k, t_ns):
+                fusion.handle(message)
+        if t_s >= HOVER_S and k % every == 0:
+            usable, in_view = seen.from_above(flight.p_n[k], radius)
+            state = "fix" if len(usable) else "alike" if in_view else "none"
+            fix = sensors.fix(seen.fix(t_ns, flight.p_n[k], sensors.quat, usable)) if len(usable) else None
+            if fix is not None:
+                fusion.handle(fix)
+                fixed = True
+        for output in fusion.handle(sensors.imu(k, t_ns)):
+            if isinstance(output, Estimate) and output.mode is not Mode.ALIGNING_HEADING:
+                radius = float(horizontal_radius(output.covariance[None, E.P, E.P][:, :2, :2])[0])
+                place = vec3(output.nav[X.P])
+        if t_s >= HOVER_S and (k % every == 0 or k % _ROW_EVERY == 0):
+            yield Moment(k, radius, place, in_view, state, fixed)
+
+
 def forecast(
     the_map: LandmarkMap,
     flight: Flight,
@@ -94,38 +155,26 @@ def forecast(
     progress: Callable[[float], None] | None = None,
 ) -> Forecast:
     """Fly it. Raises MapError where the estimate does not begin, or the map is too dense to search for look-alikes."""
-    alike, reach_m = _alike(the_map)
-    config = msgspec.structs.replace(config, origin=the_map.origin)
-    fusion, place, rng = Fusion(config), Origin(*the_map.origin), np.random.default_rng(0)
-    q = so3.from_euler(0.0, 0.0, flight.heading_rad)
-    quat = (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
-    seen = _Seen(the_map, alike, reach_m, camera)
+    place = Origin(*the_map.origin)
+    runs: list[list[Moment]] = []
+    for seed in range(_DRAWS):
+        runs.append([])
+        for moment in fly_along(the_map, flight, config, camera, Sensors(flight, place, camera.found, seed)):
+            runs[-1].append(moment)
+            if progress:
+                progress((seed + moment.k / len(flight.t_s)) / _DRAWS)
     rows: list[Row] = []
-    radius, state, in_view, last_fix_s, longest_s, fixes = math.inf, "none", 0, HOVER_S, 0.0, 0
-    every, n = max(1, round(RATE_HZ / camera.images_hz)), len(flight.t_s)
-    for k in range(n):
-        t_s, t_ns = float(flight.t_s[k]), _EPOCH_NS + round(1e9 * float(flight.t_s[k]))
-        if t_s < HOVER_S and k % _GNSS_EVERY == 0:
-            fusion.handle(AttitudePrior(t_ns, t_ns, quat, _ATTITUDE_PRIOR))
-            fusion.handle(GnssFix(t_ns, t_ns, *place.to_geodetic(flight.p_n[k]), None))
-            fusion.handle(GnssVelocity(t_ns, t_ns, vec3(flight.v_n[k]), None))
-        if t_s >= HOVER_S and k % every == 0:
-            usable, in_view = seen.from_above(flight.p_n[k], radius)
-            state = "fix" if len(usable) else "alike" if in_view else "none"
-            if len(usable) and rng.random() < camera.found:
-                fusion.handle(seen.fix(t_ns, flight.p_n[k], quat, usable))
-                longest_s, last_fix_s, fixes = max(longest_s, t_s - last_fix_s), t_s, fixes + 1
-        for output in fusion.handle(ImuSample(t_ns, t_ns, (0.0, 0.0, 0.0), vec3(flight.accel_b[k]))):
-            if isinstance(output, Estimate) and output.mode is not Mode.ALIGNING_HEADING:
-                radius = float(horizontal_radius(output.covariance[None, E.P, E.P][:, :2, :2])[0])
-        if t_s >= HOVER_S and k % _ROW_EVERY == 0:
+    for several in zip(*runs, strict=True):
+        worst_of = max(several, key=lambda m: m.radius95_m)
+        if (k := worst_of.k) % _ROW_EVERY == 0:
             lat, lon, _ = place.to_geodetic(flight.p_n[k])
-            rows.append(Row(t_s - HOVER_S, float(flight.s_m[k]), lat, lon, radius, in_view, state))
-        if progress and k % _PROGRESS_EVERY == 0:
-            progress(k / n)
+            way, t_s = float(flight.s_m[k]), float(flight.t_s[k]) - HOVER_S
+            rows.append(Row(t_s, way, lat, lon, worst_of.radius95_m, worst_of.in_view, worst_of.state))
+    fixed_s = [[HOVER_S, *(float(flight.t_s[m.k]) for m in run if m.fixed), float(flight.t_s[-1])] for run in runs]
+    longest_s = max(float(np.diff(times).max()) for times in fixed_s)
+    fixes = min(map(len, fixed_s)) - 2
     if not rows or not math.isfinite(rows[0].radius95_m):
         raise MapError("the estimate does not begin with this configuration; try the default one, without -c")
-    longest_s = max(longest_s, float(flight.t_s[-1]) - last_fix_s)
     unfit = _stretches(rows, limit_m)
     worst = max(row.radius95_m for row in rows)
     return Forecast(not unfit, limit_m, float(flight.s_m[-1]), worst, fixes, longest_s, tuple(unfit), tuple(rows))

@@ -50,7 +50,16 @@ def scaled_imu(gyro: float, accel: float) -> Change:
 
 def test_this_machine_can_run_it() -> None:
     checks = machine.machine()
-    assert {c.name for c in checks} == {"python", "libraries", "numba cache", "processors", "free disk", "clock", "system clock"}
+    assert {c.name for c in checks} == {
+        "python",
+        "libraries",
+        "package names",
+        "numba cache",
+        "processors",
+        "free disk",
+        "clock",
+        "system clock",
+    }
     assert named(checks, "python").state is State.OK
 
 
