@@ -25,6 +25,7 @@ from estimator.service.log.writer import LogConfig
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.zenoh.config import ZenohConfig
 from estimator.sources.aids import SourcesConfig
+from estimator.sources.imu.choice import ImusConfig
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
 from models import toml_text
@@ -54,7 +55,7 @@ class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     """[inputs]: which topics are read, one or a list each; of equal kind, each topic is a source of its own."""
 
-    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu")] = _TOPICS.imu
+    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads, see [imus]")] = _TOPICS.imu
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
@@ -117,6 +118,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """All sections."""
 
     imu: Imu = Imu()
+    imus: ImusConfig = ImusConfig()
     inputs: Inputs = Inputs()
     map: Map = Map()
     rig: Rig = Rig()
@@ -146,6 +148,8 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             estimator=self.estimator,
             bounds=self.bounds,
             integrity=self.integrity,
+            imus=self.imus,
+            imu_topics=self.inputs.imu,
             origin=self.map.origin,
         )
 
