@@ -86,7 +86,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
-    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU, 2 and 3 (mG, mrad/s); None: of another instance, or not both triads."""
+    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU, 2, 3 (mG, mrad/s); None: another instance, or not both triads."""
     gyro = message.xgyro, message.ygyro, message.zgyro
     accel = message.xacc, message.yacc, message.zacc
     if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message

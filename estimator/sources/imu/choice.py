@@ -9,10 +9,11 @@ The estimator integrates one stream. The choice stands before it and hands on th
 
 Two means over 0.2 s contradict each other where they differ by more than the threshold beyond the difference d of before:
 
-    |u_2 - u_1 - d| > threshold + 0.1 |u_1|            (gyroscope and accelerometer apart)
+    |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (gyroscope and accelerometer apart)
 
-The share is for scale, misalignment and the distance between the two. With two IMUs a contradiction shows that one is wrong, not
-which: it is reported, and nothing is changed.
+The share is for scale, misalignment and the distance between the two. s_12 is the standard error of the difference, as the
+samples scatter: vibration that a slow log aliases is another one in each IMU. With two IMUs a contradiction shows that one is
+wrong, but not which: it is reported, and nothing is changed.
 
 The new IMU has biases of its own. With d the mean difference of up to 20 s before the fault and s its standard deviation,
 
@@ -23,6 +24,7 @@ fault began are replaced by those of the new one. The choice depends on the orde
 replay makes the same one, and no measurement that comes late changes it.
 """
 
+import math
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -34,7 +36,8 @@ from estimator.sources.source import Aid, GateRules, order
 from models.messages import Array, ImuSample
 
 KIND = "imu"
-_SHARE = 0.1
+_SHARE, _ERRORS = 0.1, 5.0
+_GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _LEAST_BLOCKS = 15  # 3 s, from which the difference is known
 _BEFORE_BLOCKS = 5  # 1 s before the fault, which may have begun unseen
 _SLOW_BLOCKS = 10  # 2 s: in which what a motion makes of the difference stays the same
@@ -113,9 +116,9 @@ class Choice:
     def _state(self, topic: str, t_ns: int) -> str:
         if topic == self.leader:
             return "leading"
-        if self._again_ns.get(topic, 0) > t_ns:
-            return "failed"
-        return "standby" if self._is_heard(topic, t_ns) else "silent"
+        if not self._is_heard(topic, t_ns):
+            return "silent"
+        return "standby" if self._is_healthy(topic, t_ns) else "failed"
 
     def note(self, sample: ImuSample) -> TakeOver | None:
         """Take a usable sample of any IMU; the change, where its leader has failed."""
@@ -165,17 +168,20 @@ class Choice:
 
     def _contradict(self, one: str, other: str) -> bool:
         """Whether the last blocks of two IMUs differ by more than they did before."""
-        first = self._streams[one]
-        blocks, differences = first.blocks(self._streams[other])
+        first, second, config = self._streams[one], self._streams[other], self._config
+        blocks, differences = first.blocks(second)
         if len(blocks) < _AGAINST:
             return False
         before = differences[: -_AGAINST - _BEFORE_BLOCKS]
         usual = before.mean(axis=0) if len(before) >= _LEAST_BLOCKS else np.zeros(_AXES)
         for block, difference in zip(blocks[-_AGAINST:], differences[-_AGAINST:] - usual, strict=True):
-            u = first.mean(block)
-            is_turn = np.linalg.norm(difference[:3]) > self._config.gyro_threshold + _SHARE * np.linalg.norm(u[:3])
-            is_force = np.linalg.norm(difference[3:]) > self._config.accel_threshold + _SHARE * np.linalg.norm(u[3:])
-            if not (is_turn or is_force):
+            mean, variance = first.mean(block)
+            variance = variance + second.mean(block)[1]
+            for part, threshold in ((_GYRO, config.gyro_threshold), (_ACCEL, config.accel_threshold)):
+                expected = _SHARE * np.linalg.norm(mean[part]) + _ERRORS * math.sqrt(variance[part].sum())
+                if np.linalg.norm(difference[part]) > threshold + expected:
+                    break
+            else:
                 return False
         return True
 

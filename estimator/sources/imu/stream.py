@@ -22,7 +22,8 @@ class Stream:
         self._last: tuple[float, ...] = ()
         self._same_since_ns = [0] * 6
         self._means: dict[int, Array] = {}
-        self._block, self._sum, self._count = -1, np.zeros(6), 0
+        self._variances: dict[int, Array] = {}  # of the means, as the samples scatter
+        self._block, self._in_block = -1, list[tuple[float, ...]]()
 
     def add(self, sample: ImuSample) -> None:
         """Take the next sample."""
@@ -41,9 +42,8 @@ class Stream:
             self._samples.popleft()
         if (block := sample.t_ns // BLOCK_NS) != self._block:
             self._close()
-            self._block, self._sum, self._count = block, np.zeros(6), 0
-        self._sum += u
-        self._count += 1
+            self._block = block
+        self._in_block.append(u)
 
     def after(self, t_ns: int) -> list[ImuSample]:
         """The samples later than t_ns that are kept."""
@@ -62,12 +62,15 @@ class Stream:
         both = [b for b in self._means if b in other._means]
         return both, np.array([other._means[b] - self._means[b] for b in both]).reshape(-1, 6)
 
-    def mean(self, block: int) -> Array:
-        """The mean over a block, (6,)."""
-        return self._means[block]
+    def mean(self, block: int) -> tuple[Array, Array]:
+        """The mean over a block, and its variance where what the samples scatter is noise, (6,) each."""
+        return self._means[block], self._variances[block]
 
     def _close(self) -> None:
-        if self._count:
-            self._means[self._block] = self._sum / self._count
+        if self._in_block:
+            u = np.array(self._in_block)
+            self._means[self._block], self._variances[self._block] = u.mean(axis=0), u.var(axis=0) / len(u)
+            self._in_block.clear()
         if len(self._means) > _BLOCKS:
-            del self._means[next(iter(self._means))]
+            oldest = next(iter(self._means))
+            del self._means[oldest], self._variances[oldest]
