@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.fusion import Fusion, FusionConfig
+from estimator.replay.smooth_log import of_one_imu
 from models.messages import Estimate, GnssFix, GnssVelocity, ImuSample, Input, Vec3, vec3
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES
@@ -157,3 +158,10 @@ def test_given_fixes_come_late_then_the_end_is_that_of_fixes_in_time_to_the_bit(
     punctual, delayed = _run(messages, config), _run(late, config)
     assert np.array_equal(punctual.estimates[-1].nav, delayed.estimates[-1].nav)
     assert np.array_equal(punctual.estimates[-1].covariance, delayed.estimates[-1].covariance)
+
+
+def test_given_a_change_then_the_smoother_has_the_samples_of_the_imu_that_led_longest(journey: Ride) -> None:
+    messages = FAULTS["stuck"].of(by_arrival([*journey.messages, *_other(journey, "/imu2", 1)]))
+    used = [m for m in of_one_imu(messages, _config("/imu", "/imu2")) if isinstance(m, ImuSample)]
+    assert {m.topic for m in used} == {"/imu"}
+    assert FAULT_S - 0.1 < _seconds(used[-1].t_ns) < FAULT_S
