@@ -50,6 +50,10 @@ class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
     mounting_rpy_deg: Annotated[
         tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the IMU in the body, both taken as FRD")
     ] = (0.0, 0.0, 0.0)
+    others_rpy_deg: Annotated[
+        tuple[tuple[_Degrees, _Degrees, _Degrees], ...],
+        Meta(description="deg: the same of the second topic of [inputs] imu and those that follow; none: as the first"),
+    ] = ()
 
 
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
@@ -167,7 +171,8 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def mounting(self) -> ImuMounting:
         """How the IMU sits in the vehicle."""
-        return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg)
+        others = dict(zip(self.inputs.imu[1:], self.imu.others_rpy_deg, strict=False))
+        return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg, others)
 
     def files(self) -> dict[str, str]:
         """Files that belong to the configuration, where given: what they are, and where, seen from its folder."""

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from estimator.config import parse
 from estimator.fusion import Fusion, FusionConfig
 from estimator.replay.smooth_log import of_one_imu
+from logs.wire.codec import encode_input
 from models.messages import Estimate, GnssFix, GnssVelocity, ImuSample, Input, Vec3, vec3
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES
@@ -165,3 +167,15 @@ def test_given_a_change_then_the_smoother_has_the_samples_of_the_imu_that_led_lo
     used = [m for m in of_one_imu(messages, _config("/imu", "/imu2")) if isinstance(m, ImuSample)]
     assert {m.topic for m in used} == {"/imu"}
     assert FAULT_S - 0.1 < _seconds(used[-1].t_ns) < FAULT_S
+
+
+def test_given_imus_that_are_mounted_apart_then_each_is_turned_into_the_body() -> None:
+    config = parse('[inputs]\nimu = ["/imu", "/imu2"]\n[imu]\nothers_rpy_deg = [[0, 0, 90]]\n')
+    sample = ImuSample(1, 1, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0), "/imu2")
+    encoded = encode_input(sample, config.mounting())
+    decoded = config.decoder().decode(*encoded, 1)
+    assert isinstance(decoded, ImuSample)
+    np.testing.assert_allclose(decoded.gyro_b, sample.gyro_b, atol=1e-12)
+    as_first = config.decoder().decode("/imu", encoded[1], encoded[2], 1)
+    assert isinstance(as_first, ImuSample)
+    np.testing.assert_allclose(as_first.gyro_b, (0.2, -0.1, 0.3), atol=1e-12)
