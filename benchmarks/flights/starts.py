@@ -129,7 +129,10 @@ def main() -> None:
     jobs = list(product(SCENES, SENSES, SEEDS))
     rows = []
     with ProcessPoolExecutor(2) as pool:
-        found = dict(zip(jobs, pool.map(start, jobs), strict=True))
+        found: dict[tuple[str, str, int], _Start] = {}
+        for job, result in zip(jobs, pool.map(start, jobs), strict=True):
+            found[job] = result
+            print(*job, *map(number, result), sep="  ", flush=True)
     for scene, sense in product(SCENES, SENSES):
         runs = np.array([found[scene, sense, seed] for seed in SEEDS])
         worst = runs[:, :2].max(axis=0).tolist()
