@@ -25,6 +25,7 @@ from estimator.service.log.writer import LogConfig
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.zenoh.config import ZenohConfig
 from estimator.sources.aids import SourcesConfig
+from estimator.sources.imu.choice import ImusConfig
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
 from models import toml_text
@@ -49,12 +50,16 @@ class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
     mounting_rpy_deg: Annotated[
         tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the IMU in the body, both taken as FRD")
     ] = (0.0, 0.0, 0.0)
+    others_rpy_deg: Annotated[
+        tuple[tuple[_Degrees, _Degrees, _Degrees], ...],
+        Meta(description="deg: the same of the second topic of [inputs] imu and those that follow; none: as the first"),
+    ] = ()
 
 
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     """[inputs]: which topics are read, one or a list each; of equal kind, each topic is a source of its own."""
 
-    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu")] = _TOPICS.imu
+    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads, see [imus]")] = _TOPICS.imu
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
@@ -117,6 +122,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """All sections."""
 
     imu: Imu = Imu()
+    imus: ImusConfig = ImusConfig()
     inputs: Inputs = Inputs()
     map: Map = Map()
     rig: Rig = Rig()
@@ -146,6 +152,8 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             estimator=self.estimator,
             bounds=self.bounds,
             integrity=self.integrity,
+            imus=self.imus,
+            imu_topics=self.inputs.imu,
             origin=self.map.origin,
         )
 
@@ -163,7 +171,8 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def mounting(self) -> ImuMounting:
         """How the IMU sits in the vehicle."""
-        return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg)
+        others = dict(zip(self.inputs.imu[1:], self.imu.others_rpy_deg, strict=False))
+        return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg, others)
 
     def files(self) -> dict[str, str]:
         """Files that belong to the configuration, where given: what they are, and where, seen from its folder."""

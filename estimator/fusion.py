@@ -10,6 +10,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 
 from estimator.filter.alignment import FilterConfig, TrackerConfig
 from estimator.filter.bounds import BoundsConfig
@@ -21,7 +22,8 @@ from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
 from estimator.sources.air.drag import drag_aid
 from estimator.sources.air.wind import WIND
-from estimator.sources.imu import sample_refusal
+from estimator.sources.imu.choice import Choice, ImusConfig, imu_aid
+from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.rest import rest_aid
 from estimator.sources.source import Aid, Refusal
 from models import so3, state
@@ -72,6 +74,8 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()
     integrity: IntegrityConfig = IntegrityConfig()
+    imus: ImusConfig = ImusConfig()
+    imu_topics: tuple[str, ...] = ()
 
 
 class Fusion:
@@ -80,6 +84,7 @@ class Fusion:
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._history = self._begin()
+        self._imus = Choice(config.imus, config.imu_topics)
         self._counts: dict[str, int] = {}
         self._integrity = Monitor(config.integrity)
         self._detail = ""
@@ -152,11 +157,32 @@ class Fusion:
 
     def _imu(self, sample: ImuSample) -> list[Output]:
         refusal = sample_refusal(sample) or self._future(sample)
+        if refusal is None and self._imus.is_used:
+            changed = self._change_imu(sample)
+            if not self._imus.leads(sample):
+                return []
+            if changed:
+                return self._advance(sample)
         if refusal is None and (reason := self._history.insert_sample(sample)) is not None:
             refusal = Refusal(reason)
         if refusal is not None:
             return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
         self._out_of_sync = None
+        return self._advance(sample)
+
+    def _change_imu(self, sample: ImuSample) -> bool:
+        """Note the sample of one of several IMUs; whether another IMU leads because of it, which has then taken over."""
+        change = self._imus.note(sample)
+        if change is None:
+            return False
+        since_ns = self._history.change_imu(change.since_ns, change.samples)
+        initial = self._config.initialise
+        unknown = initial.gyro_bias_sigma, initial.accel_bias_sigma
+        self._history.insert_aid(imu_aid(change, since_ns, sample.arrived_ns, unknown))
+        return True
+
+    def _advance(self, sample: ImuSample) -> list[Output]:
+        """Publish at the newest sample."""
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
@@ -221,6 +247,11 @@ class Fusion:
             refusal = Refusal(Reason.NO_ORIGIN, "the map had another origin")
         if refusal is not None:
             return [self._refuse(checkpoint, refusal)]
+        if self._imus.is_used:  # it does not say which of them led
+            initial = self._config.initialise
+            sigma = np.repeat([initial.gyro_bias_sigma, initial.accel_bias_sigma], 3)
+            covariance = checkpoint.covariance + np.diag(np.concatenate([np.zeros(E.BG.start), 2.0 * sigma**2]))
+            checkpoint = replace(checkpoint, covariance=covariance)
         self._history = self._begin(checkpoint)
         self._reset_counter = checkpoint.reset_counter
         return []
@@ -313,6 +344,7 @@ class Fusion:
         if count < _OUT_OF_SYNC_SAMPLES or sample.arrived_ns - since_ns < _OUT_OF_SYNC_NS:
             return []
         self._out_of_sync = self._lead = self._next_health_ns = None
+        self._imus.forget()
         return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 
     def _restart(self, tracker: Tracker | None, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
@@ -371,6 +403,7 @@ class Fusion:
     def _say(self, tracker: Tracker) -> str:
         """What went wrong, else what keeps it from an estimate; what makes that less certain, and what had to be assumed."""
         said = self._detail or (tracker.detail if not tracker.is_aligned else "")
+        said = "; ".join(filter(None, (said, self._imus.remark(self._history.samples.newest_ns))))
         return "; ".join(
             filter(None, (said, *tracker.remarks, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items()))))
         )
@@ -394,7 +427,7 @@ class Fusion:
             radius,
             attitude,
             self._reset_counter,
-            {topic: source.phase_at(t_ns).value for topic, source in sorted(tracker.sources.items())},
+            {topic: source.phase_at(t_ns).value for topic, source in sorted(tracker.sources.items())} | self._imus.states(t_ns),
             dict(sorted(self._counts.items())),
             len(hypotheses.members) if hypotheses is not None else 0,
             tracker.anchor.at(t_ns) if tracker.anchor else None,

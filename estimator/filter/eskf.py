@@ -30,7 +30,7 @@ from models import cholesky, imu, so3
 from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.relative_pose import POSE_ERROR, moved, pose_of
-from models.state import E, retract, sound
+from models.state import E, X, retract, sound
 
 _WIDEST = 1.0  # rad: of the attitude after widen()
 _XYZ = 3
@@ -152,6 +152,13 @@ class Eskf:
         self.cov[:_G, :_G] *= turned
         if turned < factor**2:
             self.cov[:_T, :_T] *= factor**2 / turned
+
+    def change_imu(self, shift: Array, sigma: Array) -> None:
+        """Another IMU: b <- b + d, P_bb <- P_bb + diag(sigma^2); shift d, sigma: (6,), gyroscope then accelerometer."""
+        self.x[X.BG] += shift[:3]
+        self.x[X.BA] += shift[3:]
+        self.cov[E.BG, E.BG] += np.diag(sigma[:3] ** 2)
+        self.cov[E.BA, E.BA] += np.diag(sigma[3:] ** 2)
 
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""

@@ -93,6 +93,16 @@ class History:
         self._rewind_to(before_ns + 1)
         return None
 
+    def change_imu(self, since_ns: int, samples: list[ImuSample]) -> int:
+        """Samples of another IMU in place of those after since_ns; from when on, which is later where that is too long ago."""
+        since_ns = max(since_ns, self._checkpoint_times[0] + 1, self.samples.newest_ns - self._span_ns)
+        self.samples.cut(since_ns)
+        for sample in samples:
+            if sample.t_ns > since_ns:
+                self.samples.insert(sample)
+        self._rewind_to(since_ns + 1)
+        return since_ns
+
     def insert_aid(self, aid: Aid) -> Reason | None:
         """Put an aid in its place; the reason where it is not taken."""
         since_ns = aid.begin.t_ns if aid.begin is not None else aid.t_ns

@@ -50,6 +50,12 @@ class ImuBuffer:
         self.count = end
         return True
 
+    def cut(self, after_ns: int) -> None:
+        """Drop the samples later than after_ns."""
+        self.count = k = self.first_after(after_ns)
+        newest = [-(2**62)] * 2 + self.t_ns[max(k - 2, 0) : k].tolist()
+        self.previous_ns, self.newest_ns = newest[-2:]
+
     def first_after(self, t_ns: int) -> int:
         """Index of the first sample later than t_ns (count where there is none)."""
         if self.previous_ns <= t_ns:

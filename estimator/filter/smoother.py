@@ -27,7 +27,7 @@ from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.sources.aids import aid_of
-from estimator.sources.imu import sample_refusal
+from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.odometry import OdometryAid
 from estimator.sources.source import Aid
 from models import imu, so3

@@ -21,6 +21,7 @@ from estimator.filter.variance_factor import NO_EXCESS
 from estimator.sources import rest
 from estimator.sources.air import drag
 from estimator.sources.air.through_air import AirVelocity, DragForce
+from estimator.sources.imu.choice import ImuAid
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
@@ -185,6 +186,8 @@ class Tracker(Alignment):
             self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
+        if isinstance(aid, ImuAid):
+            return self._change_imu(aid)
         if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
             return Decision(refusal.reason, detail=refusal.detail)
         aid, z = self._felt(aid, samples) if aid.kind in _FELT else (aid, aid.measurement(self.origin))
@@ -264,6 +267,16 @@ class Tracker(Alignment):
             self.last_odometry_ns = aid.t_ns
         nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
         return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
+
+    def _change_imu(self, aid: ImuAid) -> Decision:
+        """The samples that follow are those of another IMU, with biases of its own; no run goes across the change."""
+        beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
+        for member in (*(self.bank.members if self.bank is not None else ()), *beside):
+            member.filter.change_imu(aid.shift, aid.sigma)
+        if self.without_sensor is not None:
+            self.without_sensor.stretch = None
+        self.stretch = None
+        return Decision(Reason.FUSED, detail=aid.detail)
 
     def _felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
         """What the IMU itself shows: rest, or the drag of a multirotor."""

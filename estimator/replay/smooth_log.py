@@ -10,6 +10,8 @@ import numpy as np
 
 from estimator.filter.smoother import Smoothed, smooth
 from estimator.fusion import FusionConfig
+from estimator.sources.imu.choice import Choice
+from estimator.sources.imu.plausibility import sample_refusal
 from estimator.version import version
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import Recorder
@@ -58,7 +60,8 @@ def write_smoothed(
     if source.exists() and out.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     tell = progress or (lambda _: None)
-    messages = _read(source, config.decoder(), lambda fraction: tell(_READ * fraction))
+    read = _read(source, config.decoder(), lambda fraction: tell(_READ * fraction))
+    messages = of_one_imu(read, config.fusion())
     smoothed = smooth(messages, config.fusion(), lambda fraction: tell(_READ + (_SMOOTHED - _READ) * fraction))
     arrivals = _arrivals(smoothed, messages)
     text = config.toml().encode()
@@ -94,6 +97,24 @@ def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list
             if k % _PROGRESS_EVERY == 0:
                 tell(reader.fraction)
     return messages
+
+
+def of_one_imu(messages: list[Input], config: FusionConfig) -> list[Input]:
+    """Of several IMUs the samples of that which led longest, while it led: the smoother does not go across a change."""
+    choice = Choice(config.imus, config.imu_topics)
+    if not choice.is_used:
+        return messages
+    spans: list[tuple[int, int, str]] = []  # begin, end, topic
+    begin_ns, newest_ns = -(2**62), 0
+    for m in messages:
+        if isinstance(m, ImuSample) and sample_refusal(m) is None:
+            begin_ns = max(begin_ns, m.t_ns) if begin_ns < 0 else begin_ns
+            leader, newest_ns = choice.leader, max(newest_ns, m.t_ns)
+            if (change := choice.note(m)) is not None:
+                spans.append((begin_ns, change.since_ns, leader))
+                begin_ns = change.since_ns
+    begin_ns, end_ns, topic = max([*spans, (begin_ns, newest_ns, choice.leader)], key=lambda span: span[1] - span[0])
+    return [m for m in messages if not isinstance(m, ImuSample) or (m.topic == topic and begin_ns <= m.t_ns <= end_ns)]
 
 
 def _arrivals(smoothed: Smoothed, messages: list[Input]) -> list[int]:

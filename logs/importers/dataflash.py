@@ -1,6 +1,6 @@
 """ArduPilot's on-board logs (.bin), by pymavlink.
 
-    IMU, or IMU2, IMU3 by option    ->  /imu                             BARO  ->  /baro        MAG  ->  /mag
+    IMU (one of IMU2, IMU3 by option)   ->  /imu                         BARO  ->  /baro        MAG  ->  /mag
     ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
@@ -65,14 +65,16 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     options.refuse_but("dataflash", "imu")
     name = options.imu.upper() or "IMU"
     with contextlib.closing(_open(source)) as log:
-        tables = _tables(source, log, name, progress)
+        tables = _tables(source, log, options.imu.upper(), progress)
         timebase_us = round(1e6 * getattr(log.clock, "timebase", 0.0))
         parameters: dict[str, float] = dict(log.params)
     notes: list[str] = []
     if timebase_us <= 0:
         timebase_us = EPOCH_NS // 1000
         notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
-    imu = _imu(source, tables, name, timebase_us, notes)
+    imus = [_imu(source, tables, name, timebase_us, notes)]
+    if not options.imu:
+        imus += [_imu(source, tables, n, timebase_us, [], f"/imu{n[3:]}") for n in ("IMU2", "IMU3") if n in tables]
     gnss = [s for suffix in ("", "2") for s in _gnss(source, tables, suffix, timebase_us)]
     truth = _truth(tables, timebase_us, notes)
     origin, delay_s = None, 0.0
@@ -83,7 +85,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level", airspeed={"indicated": True})
     own = [_attitude(truth), truth] if truth else []
     aids = (*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes))
-    return Recording.of((*aids, imu, *own), settings, notes, recording.AUTOPILOT if truth else "")
+    return Recording.of((*aids, *imus, *own), settings, notes, recording.AUTOPILOT if truth else "")
 
 
 def _open(source: Path) -> Any:
@@ -128,8 +130,8 @@ class _Layout:
 
 
 def _tables(source: Path, log: Any, imu: str, progress: Progress | None) -> Tables:
-    """All messages that are of use, those of other IMUs than `imu` left out."""
-    wanted = [n for n in (*_FIELDS, *_ALIASES) if not n.startswith("IMU") or n in ("IMU", imu)]
+    """All messages that are of use; where `imu` names one, those of other IMUs left out."""
+    wanted = [n for n in (*_FIELDS, *_ALIASES) if not imu or not n.startswith("IMU") or n in ("IMU", imu)]
     layouts: dict[str, _Layout] = {}
     rows: dict[str, tuple[_Layout, list[list[float]]]] = {}
     count = 0
@@ -151,7 +153,7 @@ def _vector(table: Mapping[str, Array], *fields: str) -> Array:
     return np.stack([table[field] for field in fields], axis=1)
 
 
-def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[str]) -> Stream:
+def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[str], topic: str = "/imu") -> Stream:
     table = tables.get(name)
     if table is None:
         remedy = "try --imu IMU" if name != "IMU" else "in ArduPilot tick IMU, or Fast IMU, in LOG_BITMASK and fly again"
@@ -159,7 +161,7 @@ def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[
     gyro_b, accel_b = _vector(table, "GyrX", "GyrY", "GyrZ"), _vector(table, "AccX", "AccY", "AccZ")
     t_ns = _t_ns(table[_TIME], timebase_us)
     notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)
-    return recording.imu(t_ns, recording.arrival(t_ns), gyro_b, accel_b)
+    return recording.imu(t_ns, recording.arrival(t_ns), gyro_b, accel_b, topic)
 
 
 def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[Stream]:

@@ -82,12 +82,19 @@ class ImuMounting(msgspec.Struct, frozen=True):
     """How the IMU sits in the vehicle: the axes its driver uses, and its attitude in the body.
 
     roll_deg, pitch_deg, yaw_deg turn the body's axes into the IMU's: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, both in FRD.
+    others: roll, pitch, yaw of further IMUs, by topic.
     """
 
     axes: Literal["flu", "frd"] = "flu"
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
+    others: dict[str, Vec3] = {}
+
+    def of(self, topic: str) -> "ImuMounting":
+        """That of one of several IMUs."""
+        other = self.others.get(topic)
+        return self if other is None else ImuMounting(self.axes, *other)
 
     def matrix(self) -> Array:
         """R with x_b (FRD) = R x (as the driver writes it), (3, 3)."""

@@ -92,8 +92,8 @@ class Decoder:
 
     def __init__(self, topics: Topics | None = None, mounting: ImuMounting | None = None) -> None:
         topics, mounting = topics or Topics(), mounting or ImuMounting()
-        self._turned = mounting.is_turned
-        self._mounting = mounting.matrix()
+        mountings = {topic: mounting.of(topic) for topic in topics.imu}
+        self._turned = {topic: each.matrix() for topic, each in mountings.items() if each.is_turned}
         self._yz_sign = -1.0 if mounting.axes == "flu" else 1.0
         self._known: dict[str, tuple[str, _Convert]] = {}
         self._route(topics.imu, schemas.IMU, self._general_imu)
@@ -137,8 +137,8 @@ class Decoder:
             self._known[topic] = schema, convert
 
     def _imu(self, topic: str, arrived_ns: int, t_ns: int, gyro: Vec3, accel: Vec3) -> ImuSample:
-        if self._turned:
-            return ImuSample(t_ns, arrived_ns, vec3(self._mounting @ gyro), vec3(self._mounting @ accel), topic)
+        if (turned := self._turned.get(topic)) is not None:
+            return ImuSample(t_ns, arrived_ns, vec3(turned @ gyro), vec3(turned @ accel), topic)
         s = self._yz_sign
         gyro_b, accel_b = (gyro[0], s * gyro[1], s * gyro[2]), (accel[0], s * accel[1], s * accel[2])
         return ImuSample(t_ns, arrived_ns, gyro_b, accel_b, topic)

@@ -129,7 +129,7 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
     """
     match message:
         case ImuSample():
-            return packed(message.topic, schemas.IMU, **_imu(message, mounting or ImuMounting()))
+            return packed(message.topic, schemas.IMU, **_imu(message, (mounting or ImuMounting()).of(message.topic)))
         case GnssFix():
             lla = message.lat_deg, message.lon_deg, message.alt_m
             return _nav_sat_fix(message.topic, message.t_ns, "gnss", lla, message.covariance_n, message.status)

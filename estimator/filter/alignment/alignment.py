@@ -23,7 +23,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import LARGEST, NO_EXCESS
 from estimator.sources.gating import gate
-from estimator.sources.imu import Plausibility, stream_plausibility
+from estimator.sources.imu.plausibility import Plausibility, stream_plausibility
 from estimator.sources.source import Aid, Phase
 from models import imu, so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity

@@ -25,7 +25,7 @@ from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
 ARDUPILOT: Final = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-COARSE: Final = frozenset({"RAW_IMU", "SCALED_IMU"})
+COARSE: Final = frozenset({"RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"})
 
 _US_NS, _MS_NS = 1_000, 1_000_000
 _MILLI_G: Final = GRAVITY * 1e-3
@@ -86,7 +86,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
-    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU (mG, mrad/s); None: not of the first IMU, or without both triads."""
+    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU, 2, 3 (mG, mrad/s); None: another instance, or not both triads."""
     gyro = message.xgyro, message.ygyro, message.zgyro
     accel = message.xacc, message.yacc, message.zacc
     if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message

@@ -1,7 +1,7 @@
 """Which messages of the autopilot are measurements, on which topics, and which have to be asked for.
 
 HIGHRES_IMU is the IMU. Where it does not come, RAW_IMU (ArduPilot) or SCALED_IMU stands in, in steps of 0.01 m/s^2 and
-0.001 rad/s; the status says so.
+0.001 rad/s; the status says so. The second and third topic of [inputs] imu are SCALED_IMU2 and SCALED_IMU3.
 """
 
 from collections.abc import Iterator
@@ -29,6 +29,7 @@ _IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
 _RAW: Final[int] = mavlink.MAVLINK_MSG_ID_RAW_IMU
 _SCALED: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _IMUS: Final = {"HIGHRES_IMU": _IMU, "RAW_IMU": _RAW, "SCALED_IMU": _SCALED}
+_OTHERS: Final = (mavlink.MAVLINK_MSG_ID_SCALED_IMU2, mavlink.MAVLINK_MSG_ID_SCALED_IMU3)
 _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
 _PRESSURES: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE
 _DISTANCE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
@@ -53,6 +54,7 @@ class Inputs:
         self._geoid_m = geoid_m
         self._needs_origin = config.odometry  # ArduPilot's: ODOMETRY counts from there
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
+        self._other_imus = dict(zip(_OTHERS, topics.imu[1:] if config.imu else (), strict=False))
         kinds = {kind for sensors in codec.SENSORS.values() for kind in sensors if getattr(config, kind)}
         self._sensor_topics = {kind: named[0] for kind in sorted(kinds) if (named := getattr(topics, kind))}
         self._readings: dict[str, tuple[float, ...]] = {}  # the last of each kind
@@ -74,7 +76,7 @@ class Inputs:
         self._pose_topic = topics.odometry[0] if topics.odometry and self.companions else None
         odometries = frozenset({VISION_POSITION_DELTA} if self._steps else ()) | ({_ODOMETRY} if self._pose_topic else set())
         self.wanted = imus | attitudes | self._carriers | self._range_finders | odometries
-        self.wanted |= self._positions.keys() | self._velocities.keys()
+        self.wanted |= self._other_imus.keys() | self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -106,6 +108,8 @@ class Inputs:
             if sample is not None:
                 self.imu_kind = kind
                 yield sample
+        if number in self._other_imus and (sample := codec.imu(message, t_ns, self._other_imus[number])) is not None:
+            yield sample
         if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
             yield from self._sensors(message, kind, t_ns)
         if number == _ATTITUDE and self._attitude_topic:
@@ -151,6 +155,7 @@ class Inputs:
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
         if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
+        wanted |= dict.fromkeys(self._other_imus, self._imu_us)
         wanted |= dict.fromkeys(self._carriers - {_RAW, _SCALED}, self._gnss_us)
         wanted |= dict.fromkeys(self._range_finders, round(_MICRO / _FLOW_HZ))
         coarse = _coarse_of(autopilot)

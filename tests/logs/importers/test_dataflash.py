@@ -36,7 +36,7 @@ def rows(flown: Path) -> dict[str, list[DFReader.DFMessage]]:
 
 
 def test_every_imu_sample(recording: Recording, rows: dict[str, list[DFReader.DFMessage]]) -> None:
-    got = [m for m in recording if isinstance(m, ImuSample)]
+    got = [m for m in recording if isinstance(m, ImuSample) and m.topic == "/imu"]
     assert len(got) == 11916
     assert [m.gyro_b for m in got] == [(r.GyrX, r.GyrY, r.GyrZ) for r in rows["IMU"]]
     assert [m.accel_b for m in got] == [(r.AccX, r.AccY, r.AccZ) for r in rows["IMU"]]
@@ -196,7 +196,9 @@ def test_instances_are_distinguished(newer: Path) -> None:
     np.testing.assert_allclose(b.columns[0][:, 0], 0.1, rtol=1e-6)
     assert np.diff(a.t_ns).tolist() == [2_500_000] * 399
     topics = [s.topic for s in first.streams]
-    assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/attitude", "/truth"]
+    assert topics == ["/gnss", "/gnss/velocity", "/gnss2", "/gnss2/velocity", "/imu", "/imu2", "/attitude", "/truth"]
+    np.testing.assert_allclose((first.stream("/imu2") or b).columns[0], b.columns[0])
+    assert second.stream("/imu2") is None
     assert len(first.stream("/truth") or ()) == 4  # of the first core only
 
 

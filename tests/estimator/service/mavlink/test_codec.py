@@ -131,6 +131,21 @@ def test_a_pressure_is_in_pascal_and_reported_once() -> None:
         assert not any(isinstance(m, Reading) and m.kind == "baro" for m in off.measured(highres(950.25), T0, T0, codec.PX4))
 
 
+def test_further_imus_have_topics_of_their_own_and_are_asked_for() -> None:
+    second = _over_the_wire(mavlink.MAVLink_scaled_imu2_message(5, 0, 0, -1000, 100, 200, 300, 0, 0, 0))
+    third = _over_the_wire(mavlink.MAVLink_scaled_imu3_message(5, 0, 0, -1000, 100, 200, 300, 0, 0, 0))
+    inputs = Inputs(MavlinkConfig(), Topics(imu=("/imu", "/imu2")), 0.0)
+    asked = dict(inputs.requests(T0, codec.ARDUPILOT))
+    assert mavlink.MAVLINK_MSG_ID_SCALED_IMU2 in asked
+    assert mavlink.MAVLINK_MSG_ID_SCALED_IMU3 not in asked
+    (sample,) = inputs.measured(second, T0, T0, codec.ARDUPILOT)
+    assert isinstance(sample, ImuSample)
+    assert sample.topic == "/imu2"
+    np.testing.assert_allclose(sample.gyro_b, (0.1, 0.2, 0.3))
+    np.testing.assert_allclose(sample.accel_b, (0.0, 0.0, -9.80665))
+    assert list(inputs.measured(third, T0, T0, codec.ARDUPILOT)) == []
+
+
 def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
     highres = _over_the_wire(
         mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0.2, -0.1, 0.4, 0, 0, 0, 20.0, 63 | 448, id=0)

@@ -1,0 +1,220 @@
+"""Several IMUs: one leads, and another takes over when it fails.
+
+The estimator integrates one stream. The choice stands before it and hands on the samples of the leading IMU. An IMU fails when
+
+    silent         it sends nothing usable for silent_s while another one does (samples that are not finite are not usable)
+    stuck          all of its axes read the same for stuck_s while another one changes
+    held           one axis reads the same for stuck_s, as at the end of its range, and another IMU contradicts it
+    contradicted   two others agree with each other, and not with it
+
+Two means over 0.2 s contradict each other where they differ by more than the threshold beyond the difference d of before:
+
+    |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (gyroscope and accelerometer apart)
+
+The share is for scale, misalignment and the distance between the two. s_12 is the standard error of the difference, as the
+samples scatter: vibration that a slow log aliases is another one in each IMU. With two IMUs a contradiction shows that one is
+wrong, but not which: it is reported, and nothing is changed.
+
+The new IMU has biases of its own. With d the mean difference of up to 20 s before the fault and s its standard deviation,
+
+    b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)
+
+Where too little is known, d = 0 and s is sqrt(2) times the sigma of biases at the start. The samples of the failed IMU since the
+fault began are replaced by those of the new one. The choice depends on the order of arrival of the IMUs' samples alone, so a
+replay makes the same one, and no measurement that comes late changes it.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from estimator.sources.imu.stream import BLOCK_NS, Stream
+from estimator.sources.source import Aid, GateRules, order
+from models.messages import Array, ImuSample
+
+KIND = "imu"
+_SHARE, _ERRORS = 0.1, 5.0
+_GYRO, _ACCEL = slice(0, 3), slice(3, 6)
+_LEAST_BLOCKS = 15  # 3 s, from which the difference is known
+_BEFORE_BLOCKS = 5  # 1 s before the fault, which may have begun unseen
+_SLOW_BLOCKS = 10  # 2 s: in which what a motion makes of the difference stays the same
+_AGAINST = 2  # blocks in a row that contradict: no jolt does
+_AXES = 6
+_DOUBT_NS = 60_000_000_000  # a contradiction is reported for so long
+_RULES = GateRules()
+_AGAIN_NS = 10_000_000_000  # an IMU that has failed is not chosen again for so long
+
+
+class ImusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[imus]: when another IMU takes over; used where [inputs] imu names several, the first of which leads."""
+
+    silent_s: Annotated[float, Meta(ge=0.02, le=10, description="s: an IMU that sends nothing for longer has failed")] = 0.1
+    stuck_s: Annotated[float, Meta(ge=0.05, le=2, description="s: one that reads the same for longer has failed")] = 0.5
+    gyro_threshold: Annotated[float, Meta(ge=1e-3, le=10, description="rad/s: two IMUs contradict each other beyond")] = 0.1
+    accel_threshold: Annotated[float, Meta(ge=1e-2, le=100, description="m/s^2: two IMUs contradict each other beyond")] = 2.0
+    gyro_sigma: Annotated[float, Meta(ge=0, le=1, description="rad/s: of the new IMU's bias, at least")] = 5e-4
+    accel_sigma: Annotated[float, Meta(ge=0, le=10, description="m/s^2: of the new IMU's bias, at least")] = 0.02
+
+
+class TakeOver(NamedTuple):
+    """Another IMU leads: from since_ns on its samples count. shift, sigma: of the biases, (6,); shift None: nothing is known."""
+
+    topic: str
+    since_ns: int
+    samples: list[ImuSample]
+    why: str
+    shift: Array | None
+    sigma: Array
+
+
+class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
+    """The change of the IMU, in its place among the measurements."""
+
+    shift: Array
+    sigma: Array
+
+
+class Choice:
+    """Which IMU leads. topics: those of [inputs] imu; with fewer than two every sample is used."""
+
+    def __init__(self, config: ImusConfig, topics: tuple[str, ...]) -> None:
+        self._config, self._topics = config, topics
+        self.leader = topics[0] if topics else ""
+        self.why = ""
+        self._again_ns: dict[str, int] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """The clock has stepped: what was seen counts no more; the leader stays."""
+        self._streams = {topic: Stream() for topic in self._topics}
+        self._first_ns: int | None = None
+        self._checked_block = -1
+        self._again_ns.clear()
+        self._doubt: tuple[int, str] = -_DOUBT_NS, ""
+
+    def remark(self, t_ns: int) -> str:
+        """For Health: why another IMU than the first leads, and which contradict each other."""
+        since_ns, doubt = self._doubt
+        return "; ".join(filter(None, (self.why, doubt if t_ns - since_ns < _DOUBT_NS else "")))
+
+    @property
+    def is_used(self) -> bool:
+        """There are several IMUs."""
+        return len(self._topics) > 1
+
+    def leads(self, sample: ImuSample) -> bool:
+        """Whether the estimator is to have the sample."""
+        return not self.is_used or sample.topic == self.leader or sample.topic not in self._streams
+
+    def states(self, t_ns: int) -> dict[str, str]:
+        """For Health: leading, standby, failed or silent, by topic."""
+        return {topic: self._state(topic, t_ns) for topic in self._topics} if self.is_used else {}
+
+    def _state(self, topic: str, t_ns: int) -> str:
+        if topic == self.leader:
+            return "leading"
+        if not self._is_heard(topic, t_ns):
+            return "silent"
+        return "standby" if self._is_healthy(topic, t_ns) else "failed"
+
+    def note(self, sample: ImuSample) -> TakeOver | None:
+        """Take a usable sample of any IMU; the change, where its leader has failed."""
+        stream = self._streams.get(sample.topic)
+        if not self.is_used or stream is None:
+            return None
+        self._first_ns = sample.t_ns if self._first_ns is None else self._first_ns
+        stream.add(sample)
+        if sample.topic == self.leader:
+            return None
+        return self._check(sample.t_ns)
+
+    def _check(self, t_ns: int) -> TakeOver | None:
+        lead, config = self._streams[self.leader], self._config
+        others = [x for x in self._topics if x != self.leader and self._is_healthy(x, t_ns)]
+        if not others or self._first_ns is None:
+            return None
+        heard_ns = max(lead.newest_ns, self._first_ns)
+        if t_ns - heard_ns > config.silent_s * 1e9:
+            return self._take_over(others[0], heard_ns, f"{self.leader} is silent", t_ns)
+        held = lead.held(round(config.stuck_s * 1e9))
+        if len(held) == _AXES:
+            return self._take_over(others[0], lead.held_since_ns(held), f"{self.leader} reads the same all the time: stuck", t_ns)
+        if (block := t_ns // BLOCK_NS) == self._checked_block:
+            return None
+        self._checked_block = block
+        against = [x for x in others if self._contradict(self.leader, x)]
+        if held and against:
+            return self._take_over(
+                against[0], lead.held_since_ns(held), f"{self.leader} holds a value: stuck or out of range", t_ns
+            )
+        agreed = [x for x in against if any(x != y and not self._contradict(x, y) for y in against)]
+        if agreed:
+            since_ns = (block - _AGAINST - 1) * BLOCK_NS
+            return self._take_over(agreed[0], since_ns, f"{self.leader} contradicts the others", t_ns)
+        if against:
+            self._doubt = t_ns, f"{self.leader} and {against[0]} contradict each other: one of them is wrong"
+        return None
+
+    def _is_healthy(self, topic: str, t_ns: int) -> bool:
+        stream = self._streams[topic]
+        is_held = len(stream.held(round(self._config.stuck_s * 1e9))) == _AXES
+        return self._is_heard(topic, t_ns) and not is_held and self._again_ns.get(topic, 0) <= t_ns
+
+    def _is_heard(self, topic: str, t_ns: int) -> bool:
+        return t_ns - self._streams[topic].newest_ns <= self._config.silent_s * 1e9
+
+    def _contradict(self, one: str, other: str) -> bool:
+        """Whether the last blocks of two IMUs differ by more than they did before."""
+        first, second, config = self._streams[one], self._streams[other], self._config
+        blocks, differences = first.blocks(second)
+        if len(blocks) < _AGAINST:
+            return False
+        before = differences[: -_AGAINST - _BEFORE_BLOCKS]
+        usual = before.mean(axis=0) if len(before) >= _LEAST_BLOCKS else np.zeros(_AXES)
+        for block, difference in zip(blocks[-_AGAINST:], differences[-_AGAINST:] - usual, strict=True):
+            mean, variance = first.mean(block)
+            variance = variance + second.mean(block)[1]
+            for part, threshold in ((_GYRO, config.gyro_threshold), (_ACCEL, config.accel_threshold)):
+                expected = _SHARE * np.linalg.norm(mean[part]) + _ERRORS * math.sqrt(variance[part].sum())
+                if np.linalg.norm(difference[part]) > threshold + expected:
+                    break
+            else:
+                return False
+        return True
+
+    def _take_over(self, topic: str, since_ns: int, why: str, t_ns: int) -> TakeOver:
+        stream = self._streams[topic]
+        blocks, differences = self._streams[self.leader].blocks(stream)
+        known = differences[[b < since_ns // BLOCK_NS - _BEFORE_BLOCKS for b in blocks]]
+        shift, sigma = None, np.zeros(_AXES)
+        if (n := len(known)) >= _LEAST_BLOCKS:
+            floor = np.repeat([self._config.gyro_sigma, self._config.accel_sigma], 3)
+            shift = known.mean(axis=0)
+            sigma = np.maximum(floor, known.std(axis=0) * np.sqrt(_SLOW_BLOCKS / n))
+        self._again_ns[self.leader] = t_ns + _AGAIN_NS
+        self.leader, self.why = topic, f"{why}; {topic} leads"
+        return TakeOver(topic, since_ns, stream.after(since_ns), self.why, shift, sigma)
+
+
+def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float]) -> ImuAid:
+    """The change as what the tracker goes through at t_ns. unknown: sigma of gyro and accelerometer bias at the start."""
+    shift, sigma = change.shift, change.sigma
+    if shift is None:
+        shift, sigma = np.zeros(_AXES), np.sqrt(2.0) * np.repeat(unknown, 3)
+    return ImuAid(
+        t_ns=t_ns,
+        arrived_ns=arrived_ns,
+        topic=change.topic,
+        kind=KIND,
+        order=order(t_ns, KIND, change.topic),
+        rules=_RULES,
+        absolute=False,
+        log_false=0.0,
+        measurement=lambda _: None,
+        detail=change.why,
+        shift=shift,
+        sigma=sigma,
+    )

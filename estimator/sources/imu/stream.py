@@ -1,0 +1,76 @@
+"""What one of several IMUs has sent lately: its samples, since when each axis reads the same, and means over short blocks."""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.messages import Array, ImuSample
+
+BLOCK_NS = 200_000_000  # of the means that are compared: longer than a vibration, shorter than a manoeuvre
+_BLOCKS = 100  # kept: 20 s
+_KEPT_NS = 3_000_000_000  # of samples
+
+
+class Stream:
+    """The samples of one IMU, as they arrive; one that is older than the last is passed over."""
+
+    def __init__(self) -> None:
+        self.newest_ns = -(2**62)
+        self.began_ns = 0
+        self._samples: deque[ImuSample] = deque()
+        self._last: tuple[float, ...] = ()
+        self._same_since_ns = [0] * 6
+        self._means: dict[int, Array] = {}
+        self._variances: dict[int, Array] = {}  # of the means, as the samples scatter
+        self._block, self._in_block = -1, list[tuple[float, ...]]()
+
+    def add(self, sample: ImuSample) -> None:
+        """Take the next sample."""
+        if sample.t_ns <= self.newest_ns:
+            return
+        u = sample.gyro_b + sample.accel_b
+        if not self._last:
+            self.began_ns, self._last = sample.t_ns, u
+            self._same_since_ns = [sample.t_ns] * 6
+        for axis, (before, now) in enumerate(zip(self._last, u, strict=True)):
+            if before != now:
+                self._same_since_ns[axis] = sample.t_ns
+        self._last, self.newest_ns = u, sample.t_ns
+        self._samples.append(sample)
+        while self._samples[0].t_ns < sample.t_ns - _KEPT_NS:
+            self._samples.popleft()
+        if (block := sample.t_ns // BLOCK_NS) != self._block:
+            self._close()
+            self._block = block
+        self._in_block.append(u)
+
+    def after(self, t_ns: int) -> list[ImuSample]:
+        """The samples later than t_ns that are kept."""
+        return [s for s in self._samples if s.t_ns > t_ns]
+
+    def held(self, stuck_ns: int) -> Sequence[int]:
+        """The axes that have read the same for stuck_ns, of the six."""
+        return [axis for axis, since_ns in enumerate(self._same_since_ns) if self.newest_ns - since_ns >= stuck_ns]
+
+    def held_since_ns(self, axes: Sequence[int]) -> int:
+        """Since when the first of these axes reads the same."""
+        return min(self._same_since_ns[axis] for axis in axes)
+
+    def blocks(self, other: "Stream") -> tuple[list[int], Array]:
+        """Numbers of the blocks that both have, in order, and the means of the other less those of this one, (k, 6)."""
+        both = [b for b in self._means if b in other._means]
+        return both, np.array([other._means[b] - self._means[b] for b in both]).reshape(-1, 6)
+
+    def mean(self, block: int) -> tuple[Array, Array]:
+        """The mean over a block, and its variance where what the samples scatter is noise, (6,) each."""
+        return self._means[block], self._variances[block]
+
+    def _close(self) -> None:
+        if self._in_block:
+            u = np.array(self._in_block)
+            self._means[self._block], self._variances[self._block] = u.mean(axis=0), u.var(axis=0) / len(u)
+            self._in_block.clear()
+        if len(self._means) > _BLOCKS:
+            oldest = next(iter(self._means))
+            del self._means[oldest], self._variances[oldest]
