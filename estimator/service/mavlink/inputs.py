@@ -51,7 +51,7 @@ class Inputs:
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
-        self._needs_origin = config.odometry  # ArduPilot's: ODOMETRY counts from there
+        self._needs_origin = config.odometry or self._attitude_topic is not None  # ArduPilot's
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
         kinds = {kind for sensors in codec.SENSORS.values() for kind in sensors if getattr(config, kind)}
         self._sensor_topics = {kind: named[0] for kind in sorted(kinds) if (named := getattr(topics, kind))}
@@ -108,7 +108,7 @@ class Inputs:
                 yield sample
         if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
             yield from self._sensors(message, kind, t_ns)
-        if number == _ATTITUDE and self._attitude_topic:
+        if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
             yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
@@ -165,6 +165,10 @@ class Inputs:
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
         """One kind at a time: the coarse one, in physical units, only while the good one does not come."""
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
+
+    def _is_true_heading(self, autopilot: int | None) -> bool:
+        """ArduPilot's heading is from magnetic north until EKF3 has an origin, and with it the declination."""
+        return autopilot != codec.ARDUPILOT or _ORIGIN in self._heard
 
     def _is_gone(self, number: int, now_ns: int) -> bool:
         """Asked for in vain for a while."""

@@ -183,13 +183,24 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
     inputs = Inputs(config, topics, 0.0)
-    (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+    (read,) = inputs.measured(message, T0, T0, codec.PX4)
     assert isinstance(read, AttitudePrior)
     np.testing.assert_allclose(so3.to_euler(np.array(read.q_nb_wxyz)), [0.1, -0.2, 2.5], rtol=1e-6)
     np.testing.assert_allclose(np.degrees(np.sqrt(np.diag(read.covariance))), [2.0, 2.0, 10.0])
     assert (read.t_ns, read.topic, codec.stamp_ns(message)) == (T0, "/attitude", 7_000_000_000)
     assert dict(inputs.requests(T0, codec.ARDUPILOT))[30] == 500_000
     assert 30 in inputs.wanted
+
+
+def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> None:
+    message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
+    inputs = Inputs(MavlinkConfig(odometry=False), Topics(attitude=("/attitude",)), 0.0)
+    assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
+    assert mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN in dict(inputs.requests(T0, codec.ARDUPILOT))
+    inputs.hear(_over_the_wire(mavlink.MAVLink_gps_global_origin_message(473_977_000, 85_456_000, 488_000)), T0)
+    assert len(list(inputs.measured(message, T0, T0, codec.ARDUPILOT))) == 1
+    inputs.ask_again()  # it was booted again
+    assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
 
 
 def test_an_attitude_is_asked_for_unless_it_has_no_topic() -> None:
