@@ -258,8 +258,9 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
 def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
     """The magnetic field of the best IMU message that has one; a row that repeats the last one is no reading."""
     for name in _usable(tables, autopilot):
-        table, unit = tables[name], sensors.GAUSS_T if name == "HIGHRES_IMU" else 1e-3 * sensors.GAUSS_T
-        field_b = unit * table.vector("xmag", "ymag", "zmag")
+        table = tables[name]
+        field_b = table.vector("xmag", "ymag", "zmag")
+        field_b = sensors.highres_field(field_b) if name == "HIGHRES_IMU" else 1e-3 * sensors.GAUSS_T * field_b
         new = np.flatnonzero(np.any(np.diff(field_b, axis=0, prepend=0.0) != 0.0, axis=1))
         if field_b.any():
             return [recording.sensor("magnetometer", table.t_ns[new], table.arrived_ns[new], field_b[new])]

@@ -107,7 +107,7 @@ class Inputs:
                 self.imu_kind = kind
                 yield sample
         if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
-            yield from self._sensors(message, kind, t_ns)
+            yield from self._sensors(message, kind, t_ns, autopilot)
         if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
@@ -130,9 +130,11 @@ class Inputs:
         elif number == _ODOMETRY and self._pose_topic and (measured := pose(message, t_ns, self._pose_topic)) is not None:
             yield measured
 
-    def _sensors(self, message: Any, name: str, t_ns: int) -> Iterator[Input]:
+    def _sensors(self, message: Any, name: str, t_ns: int, autopilot: int | None) -> Iterator[Input]:
         """A reading that is repeated with every IMU sample is one reading."""
         for kind, read in codec.SENSORS[name].items():
+            if (name, kind, autopilot) == ("HIGHRES_IMU", "airspeed", codec.ARDUPILOT):
+                continue
             topic, values = self._sensor_topics.get(kind), read(message)
             if topic is not None and values is not None and values != self._readings.get(kind):
                 self._readings[kind] = values

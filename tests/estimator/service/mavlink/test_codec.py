@@ -131,10 +131,10 @@ def test_a_pressure_is_in_pascal_and_reported_once() -> None:
         assert not any(isinstance(m, Reading) and m.kind == "baro" for m in off.measured(highres(950.25), T0, T0, codec.PX4))
 
 
-def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
-    highres = _over_the_wire(
-        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0.2, -0.1, 0.4, 0, 0, 0, 20.0, 63 | 448, id=0)
-    )
+@pytest.mark.parametrize("unit", [1.0, 1e6])  # gauss; ArduPilot 4.7.0-dev sends microgauss
+def test_a_magnetic_field_is_in_tesla_whichever_message_has_it(unit: float) -> None:
+    field = 0.2 * unit, -0.1 * unit, 0.4 * unit
+    highres = _over_the_wire(mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, *field, 0, 0, 0, 20.0, 63 | 448, id=0))
     coarse = _over_the_wire(mavlink.MAVLink_raw_imu_message(5, 0, 0, -1000, 0, 0, 0, 200, -100, 400))
     none = _over_the_wire(mavlink.MAVLink_raw_imu_message(6, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
     inputs = Inputs(MavlinkConfig(imu=False), Topics(magnetometer=("/mag",)), 0.0)
@@ -161,11 +161,24 @@ def test_a_dynamic_pressure_is_an_indicated_airspeed() -> None:
     none = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(6, 950.0, 0.0, 2000))
     for message in (highres, scaled):
         inputs = Inputs(MavlinkConfig(imu=False), Topics(airspeed=("/airspeed",)), 0.0)
-        assert mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE in dict(inputs.requests(T0, codec.ARDUPILOT))
-        (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+        assert mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE in dict(inputs.requests(T0, codec.PX4))
+        (read,) = inputs.measured(message, T0, T0, codec.PX4)
         assert isinstance(read, Reading)
         np.testing.assert_allclose(read.values, [20.0], rtol=1e-6)  # 245 Pa = 1.225 / 2 * 20^2
-        assert list(inputs.measured(none, T0, T0, codec.ARDUPILOT)) == []
+        assert list(inputs.measured(none, T0, T0, codec.PX4)) == []
+
+
+def test_ardupilots_airspeed_is_not_in_highres_imu() -> None:
+    """Its diff_pressure is the static pressure less that on the ground: 70 hPa below in a simulator, 106 m/s backwards."""
+    highres = _over_the_wire(
+        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 944.0, -69.4, 0, 20.0, 63 | 1024, id=0)
+    )
+    scaled = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(5, 950.0, 2.45, 2000))
+    inputs = Inputs(MavlinkConfig(imu=False), Topics(airspeed=("/airspeed",)), 0.0)
+    assert list(inputs.measured(highres, T0, T0, codec.ARDUPILOT)) == []
+    assert [m.values for m in inputs.measured(scaled, T0, T0, codec.ARDUPILOT) if isinstance(m, Reading)] == [
+        pytest.approx((20.0,))
+    ]
 
 
 @pytest.mark.parametrize(("yaw", "degrees"), [(0, None), (65535, None), (36000, 360.0), (4500, 45.0)])
