@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 
 from estimator.cli import app
 from logs.importers import dataflash
-from logs.importers.recording import OdometryPose, Truth
+from logs.importers.recording import Truth
 from models.frames import Origin
+from models.messages import OdometryPose
 
 DATA = Path(__file__).parent / "data"
 MAP = Origin(-35.366, 149.167, 590.0)  # of sitl.toml

@@ -21,6 +21,7 @@ from models.messages import Input, Reading
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
 _SYSTEM_TIME_HZ: Final = 1.0
+_SLOWEST_US: Final = 40_000  # of an IMU to navigate by
 _ATTITUDE_HZ: Final = 2.0
 _ORIGIN_HZ: Final = 1.0
 _ORIGIN: Final[int] = mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
@@ -58,7 +59,8 @@ class Inputs:
         self._readings: dict[str, tuple[float, ...]] = {}  # the last of each kind
         self._positions = dict(zip(_RECEIVERS, topics.gnss if config.gnss else (), strict=False))
         self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
-        self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
+        self._fastest_us = self._imu_us = round(_MICRO / config.imu_hz)
+        self._gnss_us, self._denied = round(_MICRO / config.gnss_hz), False
         imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset()
         attitudes = frozenset({_ATTITUDE} if self._attitude_topic else ())
         self._carriers = frozenset(
@@ -84,10 +86,15 @@ class Inputs:
         """The autopilot may have forgotten what it was asked for."""
         self._asked.clear()
         self._heard.clear()
-        self._began_ns = None
+        self._began_ns, self._imu_us, self._denied = None, self._fastest_us, False
+
+    def deny(self) -> None:
+        """The autopilot will not send a message as often as it was asked to; which one it does not say."""
+        self._denied = True
 
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
         """Id and period in us of each message that is to be asked for now."""
+        self._slow_down(now_ns)
         for number, period_us in self._missing(now_ns, autopilot).items():
             asked_ns = self._asked.get(number)  # once in any case: it may come by itself, but too seldom
             if asked_ns is None or now_ns - max(asked_ns, self._heard.get(number, _NEVER)) > _MISSING_NS:
@@ -167,6 +174,12 @@ class Inputs:
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
         """One kind at a time: the coarse one, in physical units, only while the good one does not come."""
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
+
+    def _slow_down(self, now_ns: int) -> None:
+        """ArduPilot denies a rate above that of its loop, 50 Hz in a rover: the IMU is then asked for half as often."""
+        asked_ns = self._asked.get(_IMU, now_ns)
+        if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
+            self._imu_us, self._denied = min(2 * self._imu_us, max(_SLOWEST_US, self._fastest_us)), False
 
     def _is_true_heading(self, autopilot: int | None) -> bool:
         """ArduPilot's heading is from magnetic north until EKF3 has an origin, and with it the declination."""

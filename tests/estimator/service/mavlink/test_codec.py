@@ -205,6 +205,23 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     assert 30 in inputs.wanted
 
 
+def test_an_imu_that_is_denied_is_asked_for_half_as_often() -> None:
+    """ArduRover answers 200 Hz with MAV_RESULT_DENIED: its loop has 50."""
+    inputs, period_us = Inputs(MavlinkConfig(imu_hz=200.0), Topics(), 0.0), list[int]()
+    for second in range(0, 40, 4):
+        asked = dict(inputs.requests(T0 + second * 10**9, codec.ARDUPILOT))
+        if 105 in asked:
+            period_us.append(asked[105])
+            if asked[105] < 16_000:
+                inputs.deny()
+            else:
+                inputs.hear(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *[0.0] * 13, 63)), T0 + second * 10**9 + 1)
+    assert period_us[:3] == [5_000, 10_000, 20_000]
+    assert set(period_us[3:]) <= {20_000}
+    inputs.ask_again()  # another autopilot, or the same with another rate of its loop
+    assert dict(inputs.requests(T0 + 50 * 10**9, codec.ARDUPILOT))[105] == 5_000
+
+
 def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     inputs = Inputs(MavlinkConfig(odometry=False), Topics(attitude=("/attitude",)), 0.0)
