@@ -21,7 +21,7 @@ from models.messages import Input, Reading
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
 _SYSTEM_TIME_HZ: Final = 1.0
-_SLOWEST_US: Final = 40_000  # of an IMU to navigate by
+_SLOWER_US: Final = 3_125, 6_250, 12_500, 25_000, 40_000  # 80 % of a loop of 400, 200, 100, 50 Hz; what still navigates
 _ATTITUDE_HZ: Final = 2.0
 _ORIGIN_HZ: Final = 1.0
 _ORIGIN: Final[int] = mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
@@ -176,10 +176,10 @@ class Inputs:
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:
-        """ArduPilot denies a rate above that of its loop, 50 Hz in a rover: the IMU is then asked for half as often."""
+        """ArduPilot denies more than 80 % of the rate of its loop, 50 Hz in a rover: the IMU is then asked for less often."""
         asked_ns = self._asked.get(_IMU, now_ns)
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
-            self._imu_us, self._denied = min(2 * self._imu_us, max(_SLOWEST_US, self._fastest_us)), False
+            self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
 
     def _is_true_heading(self, autopilot: int | None) -> bool:
         """ArduPilot's heading is from magnetic north until EKF3 has an origin, and with it the declination."""

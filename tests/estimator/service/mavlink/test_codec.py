@@ -205,19 +205,19 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     assert 30 in inputs.wanted
 
 
-def test_an_imu_that_is_denied_is_asked_for_half_as_often() -> None:
-    """ArduRover answers 200 Hz with MAV_RESULT_DENIED: its loop has 50."""
+def test_an_imu_that_is_denied_is_asked_for_less_often() -> None:
+    """ArduRover answers 200 Hz with MAV_RESULT_DENIED: its loop has 50, and it sends at most 40."""
     inputs, period_us = Inputs(MavlinkConfig(imu_hz=200.0), Topics(), 0.0), list[int]()
     for second in range(0, 40, 4):
         asked = dict(inputs.requests(T0 + second * 10**9, codec.ARDUPILOT))
         if 105 in asked:
             period_us.append(asked[105])
-            if asked[105] < 16_000:
+            if asked[105] < 25_000:
                 inputs.deny()
             else:
                 inputs.hear(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *[0.0] * 13, 63)), T0 + second * 10**9 + 1)
-    assert period_us[:3] == [5_000, 10_000, 20_000]
-    assert set(period_us[3:]) <= {20_000}
+    assert period_us[:4] == [5_000, 6_250, 12_500, 25_000]
+    assert set(period_us[4:]) <= {25_000}
     inputs.ask_again()  # another autopilot, or the same with another rate of its loop
     assert dict(inputs.requests(T0 + 50 * 10**9, codec.ARDUPILOT))[105] == 5_000
 
