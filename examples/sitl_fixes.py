@@ -6,6 +6,7 @@ Listens on a second MAVLink port of PX4 SITL (HIL_STATE_QUATERNION) or ArduPilot
 """
 
 import argparse
+import contextlib
 import secrets
 import time
 from collections import deque
@@ -76,6 +77,22 @@ class Truth:
         return None
 
 
+def session_with(endpoint: str) -> zenoh.Session:
+    """A session with landfix; waits until it listens, because it loads for seconds."""
+    settings = zenoh.Config()
+    settings.insert_json5("mode", '"client"')
+    settings.insert_json5("connect/endpoints", f'["{endpoint}"]')
+    said = False
+    while True:
+        try:
+            return zenoh.open(settings)
+        except zenoh.ZError:
+            if not said:
+                print(f"waiting for landfix run at {endpoint}", flush=True)
+            said = True
+            time.sleep(1.0)
+
+
 def main() -> None:
     """Send fixes until somebody presses Ctrl-C."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
@@ -88,10 +105,7 @@ def main() -> None:
     if config.map.origin is None:
         parser.error(f"{given.config}: [map] origin is missing")
     truth = Truth(given.endpoint)
-    settings = zenoh.Config()
-    settings.insert_json5("mode", '"client"')
-    settings.insert_json5("connect/endpoints", f'["{config.zenoh.listen[0]}"]')
-    with zenoh.open(settings) as session:
+    with session_with(config.zenoh.listen[0]) as session:
         schema, gid, sent = "geometry_msgs/msg/PoseWithCovarianceStamped", secrets.token_bytes(16), 0
         publisher = session.declare_publisher(zenoh_keys.rmw_key(config.zenoh.domain, "/pose_fix", schema, type_hash(schema)))
         print(f"fixes go to {config.zenoh.listen[0]}, one every {given.every:g} s", flush=True)
@@ -107,4 +121,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with contextlib.suppress(KeyboardInterrupt):
+        main()

@@ -4,7 +4,9 @@
     ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
-    XKF1, NKF1 or EKF1              ->  /truth: the autopilot's own estimate, for reference only; its attitude  ->  /attitude
+    SIM with SIM2                   ->  /truth: of ArduPilot's simulator
+    XKF1, NKF1 or EKF1              ->  /truth where there is no SIM: the autopilot's own estimate, for reference only;
+                                        its attitude  ->  /attitude
 
 ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
 A GPS row is written when the fix arrives. Its week time gives its delay: t_ns is the receiver's time
@@ -17,10 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink import DFReader
 from scipy.ndimage import minimum_filter1d
 
-from logs.importers import frames, recording, sensors
+from logs.importers import frames, recording, sensors, simulator
 from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
@@ -39,6 +42,8 @@ _FIELDS = {
     "MAG": ("MagX", "MagY", "MagZ"),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
     "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Rst"),
+    "SIM": ("Lat", "Lng", "Alt", "Q1", "Q2", "Q3", "Q4"),
+    "SIM2": ("VN", "VE", "VD"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
 _SENSORS = (  # message, kind, its unit in SI
@@ -76,16 +81,19 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if not options.imu:
         imus += [_imu(source, tables, n, timebase_us, [], f"/imu{n[3:]}") for n in ("IMU2", "IMU3") if n in tables]
     gnss = [s for suffix in ("", "2") for s in _gnss(source, tables, suffix, timebase_us)]
-    truth = _truth(tables, timebase_us, notes)
-    origin, delay_s = None, 0.0
+    own, simulated = _own_estimate(tables, timebase_us), _simulated(tables, timebase_us)
+    truth, origin = simulated or (own, None)
+    notes.append(simulator.about(truth, own, ", ".join(_FILTERS)))
+    delay_s = 0.0
     if gnss:
         notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         delay_s = _delay_s(parameters, gnss[0])
-        origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
+        if truth and not origin:
+            origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level", airspeed={"indicated": True})
-    own = [_attitude(truth), truth] if truth else []
     aids = (*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes))
-    return Recording.of((*aids, *imus, *own), settings, notes, recording.AUTOPILOT if truth else "")
+    known = (*([_attitude(own, tables, timebase_us)] if own else []), *([truth] if truth else []))
+    return Recording.of((*aids, *imus, *known), settings, notes, recording.AUTOPILOT if truth and truth is own else "")
 
 
 def _open(source: Path) -> Any:
@@ -256,28 +264,48 @@ def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream
     return [recording.odometry(t_ns, recording.arrival(t_ns), _vector(table, "PX", "PY", "PZ"), q, run)]
 
 
-def _truth(tables: Tables, timebase_us: int, notes: list[str]) -> Stream | None:
+def _simulated(tables: Tables, timebase_us: int) -> tuple[Stream, Vec3] | None:
+    """Truth and origin of a simulated flight; velocities are those nearest in time."""
+    table, fast = tables.get("SIM"), tables.get("SIM2")
+    if table is None:
+        return None
+    lla, q_nb = _vector(table, "Lat", "Lng", "Alt"), _vector(table, "Q1", "Q2", "Q3", "Q4")
+    v_n = np.full_like(lla, np.nan)
+    if fast is not None:
+        between = 0.5 * (fast[_TIME][1:] + fast[_TIME][:-1])
+        v_n = _vector(fast, "VN", "VE", "VD")[np.searchsorted(between, table[_TIME])]
+    return simulator.truth(_t_ns(table[_TIME], timebase_us), lla, v_n, q_nb, _known_origin(tables))
+
+
+def _own_estimate(tables: Tables, timebase_us: int) -> Stream | None:
+    """The state of the autopilot's own filter."""
     table = next((tables[name] for name in _FILTERS if name in tables), None)
     if table is None:
-        notes.append(f"no reference in it ({', '.join(_FILTERS)})")
         return None
-    notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     q_nb = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in ("Roll", "Pitch", "Yaw")))
     return recording.truth(
         _t_ns(table[_TIME], timebase_us), _vector(table, "PN", "PE", "PD"), _vector(table, "VN", "VE", "VD"), q_nb
     )
 
 
-def _attitude(truth: Stream) -> Stream:
-    *_, q_nb = truth.columns
-    return recording.attitude(truth.t_ns, truth.arrived_ns, q_nb)
+def _attitude(own: Stream, tables: Tables, timebase_us: int) -> Stream:
+    """From the filter's first origin on, where the log has one: before it the heading is from magnetic north."""
+    *_, q_nb = own.columns
+    first = _origin_rows(tables)[:1]
+    since_ns = _t_ns(tables["ORGN"][_TIME][first], timebase_us)[0] if len(first) else 0
+    return recording.attitude(own.t_ns, own.arrived_ns, np.where((own.t_ns >= since_ns)[:, np.newaxis], q_nb, np.nan))
+
+
+def _origin_rows(tables: Tables) -> NDArray[np.intp]:
+    """Rows of ORGN with an origin of the EKF (type 0)."""
+    table = tables.get("ORGN")
+    return np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
 
 
 def _known_origin(tables: Tables) -> Vec3 | None:
     """The last origin of the EKF (ORGN, type 0) in the log."""
-    table = tables.get("ORGN")
-    rows = np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
-    if table is None or len(rows) == 0:
+    rows = _origin_rows(tables)
+    if len(rows) == 0:
         return None
-    lat, lon, alt = (float(table[field][rows[-1]]) for field in ("Lat", "Lng", "Alt"))
+    lat, lon, alt = (float(tables["ORGN"][field][rows[-1]]) for field in ("Lat", "Lng", "Alt"))
     return lat, lon, alt

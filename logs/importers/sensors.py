@@ -11,6 +11,7 @@ GAUSS_T = 1e-4
 UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
 VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
 _TRUTH_GAP_NS = 1_500_000_000  # a truth with larger gaps is not interpolated
+_NO_FIELD_GAUSS = 1e3  # Earth's is below 0.7
 _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes are right
 
 
@@ -67,6 +68,12 @@ def variance_from_dop(hdop: Array, vdop: Array) -> Array:
     horizontal = 0.5 * (hdop * UERE_M) ** 2
     vertical = (np.where(np.isnan(vdop), VDOP_OVER_HDOP * hdop, vdop) * UERE_M) ** 2
     return np.stack([horizontal, horizontal, vertical], axis=1)
+
+
+def highres_field(field_b: Array) -> Array:
+    """Tesla (n, 3) of the magnetic field in HIGHRES_IMU: gauss, but microgauss from ArduPilot (4.7.0-dev)."""
+    is_micro = np.linalg.norm(field_b, axis=1, keepdims=True) > _NO_FIELD_GAUSS
+    return GAUSS_T * np.where(is_micro, 1e-6, 1.0) * field_b
 
 
 def standard_pressure(height_m: Array) -> Array:

@@ -2,7 +2,9 @@
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
-    LOCAL_POSITION_NED, ATTITUDE  ->  /truth: the autopilot's own estimate, for reference only; ATTITUDE  ->  /attitude
+    SIM_STATE                     ->  /truth: of ArduPilot's simulator
+    LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
+                                      ATTITUDE  ->  /attitude
 
 Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
 message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
@@ -18,7 +20,7 @@ from typing import Any
 import numpy as np
 from pymavlink import mavutil
 
-from logs.importers import frames, recording, sensors
+from logs.importers import frames, recording, sensors, simulator
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
@@ -34,6 +36,7 @@ _FIELDS = {
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
     "SCALED_PRESSURE": ("press_abs",),
     "ATTITUDE": ("roll", "pitch", "yaw"),
+    "SIM_STATE": ("lat_int", "lon_int", "alt", "vn", "ve", "vd", "q1", "q2", "q3", "q4"),
     "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
 }  # fmt: skip
@@ -78,12 +81,15 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     tables = _dated(messages, notes)
     imu = _imu(source, tables, options.imu.upper(), autopilot, notes)
     gnss = [stream for name, topic in _RECEIVERS.items() for stream in _gnss(source, tables.get(name), topic)]
-    truth = _truth(tables, notes)
-    origin, delay_s = None, _DELAY_S.get(autopilot, 0.0)
+    own = _own_estimate(tables)
+    truth, origin = _simulated(tables) or (own, None)
+    notes.append(simulator.about(truth, own, "LOCAL_POSITION_NED with ATTITUDE"))
+    delay_s = _DELAY_S.get(autopilot, 0.0)
     if gnss:
         if not any(_has_ellipsoid(tables[name]).any() for name in _RECEIVERS if name in tables):
             notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
-        origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables)) if truth else None
+        if truth and not origin:
+            origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
     altitude = "above the ellipsoid where the log holds it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
     return Recording.of(
@@ -98,7 +104,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         ),
         settings,
         notes,
-        recording.AUTOPILOT if truth else "",
+        recording.AUTOPILOT if truth and truth is own else "",
     )
 
 
@@ -252,8 +258,9 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
 def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
     """The magnetic field of the best IMU message that has one; a row that repeats the last one is no reading."""
     for name in _usable(tables, autopilot):
-        table, unit = tables[name], sensors.GAUSS_T if name == "HIGHRES_IMU" else 1e-3 * sensors.GAUSS_T
-        field_b = unit * table.vector("xmag", "ymag", "zmag")
+        table = tables[name]
+        field_b = table.vector("xmag", "ymag", "zmag")
+        field_b = sensors.highres_field(field_b) if name == "HIGHRES_IMU" else 1e-3 * sensors.GAUSS_T * field_b
         new = np.flatnonzero(np.any(np.diff(field_b, axis=0, prepend=0.0) != 0.0, axis=1))
         if field_b.any():
             return [recording.sensor("magnetometer", table.t_ns[new], table.arrived_ns[new], field_b[new])]
@@ -275,12 +282,21 @@ def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:
     return [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]
 
 
-def _truth(tables: Mapping[str, _Table], notes: list[str]) -> Stream | None:
+def _simulated(tables: Mapping[str, _Table]) -> tuple[Stream, Vec3] | None:
+    """Truth and origin of a simulated flight. SIM_STATE has no stamp: it was valid when it arrived."""
+    table = tables.get("SIM_STATE")
+    if table is None:
+        return None
+    lla = table.vector("lat_int", "lon_int", "alt") * (1e-7, 1e-7, 1.0)
+    q_nb = table.vector("q1", "q2", "q3", "q4")
+    return simulator.truth(table.t_ns, lla, table.vector("vn", "ve", "vd"), q_nb, _known_origin(tables))
+
+
+def _own_estimate(tables: Mapping[str, _Table]) -> Stream | None:
+    """The state of the autopilot's own filter."""
     position, attitude = tables.get("LOCAL_POSITION_NED"), tables.get("ATTITUDE")
     if position is None or attitude is None:
-        notes.append("no reference in it (LOCAL_POSITION_NED with ATTITUDE)")
         return None
-    notes.append(f"/truth is {recording.AUTOPILOT}, of the same sensors: a reference, no ground truth")
     order = np.argsort(attitude.t_ns, kind="stable")
     q_nb = frames.attitude_at(position.t_ns, attitude.t_ns[order], _q_nb(attitude)[order], _GAP_NS)
     return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)

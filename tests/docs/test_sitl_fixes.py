@@ -2,6 +2,7 @@
 
 import os
 import runpy
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -84,6 +85,27 @@ def test_fixes_arrive_over_zenoh(tmp_path: Path) -> None:
     fix = Decoder().decode("/pose_fix", SCHEMA, heard[-1], 0)
     assert isinstance(fix, PoseFix)
     assert np.linalg.norm(np.array(fix.p_n) - (0.0, 0.0, -30.0)) < 3.0  # ten standard deviations
+
+
+def test_it_waits_for_landfix_and_ends_with_ctrl_c_without_a_traceback(tmp_path: Path) -> None:
+    port, mavlink_port = free_port(), free_port()
+    text = (EXAMPLES / "ardupilot_sitl.toml").read_text().replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{port}")
+    (tmp_path / "sitl.toml").write_text(text)
+    settings = zenoh.Config()
+    settings.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    settings.insert_json5("scouting/multicast/enabled", "false")
+    options = ["-c", str(tmp_path / "sitl.toml"), "--from", f"udpin:127.0.0.1:{mavlink_port}"]
+    environment = os.environ | {"PYTHONPATH": str(EXAMPLES.parent)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, str(SCRIPT), *options], env=environment, **pipes) as script:  # type: ignore[call-overload]
+        try:
+            assert script.stdout.readline() == f"waiting for landfix run at tcp/127.0.0.1:{port}\n"
+            with zenoh.open(settings):
+                assert "fixes go to" in script.stdout.readline()
+                script.send_signal(signal.SIGINT)
+                assert script.communicate(timeout=60.0) == ("", "")
+        finally:
+            script.kill()
 
 
 def test_a_simulator_that_refuses_is_not_asked_again(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
 from estimator.sources.air.through_air import SEA_LEVEL_KG_M3
-from logs.importers.sensors import navsat_status, variance_from_dop
+from logs.importers.sensors import highres_field, navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
 from models.messages import Alert, Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Integrity, Vec3, vec3
@@ -235,10 +235,10 @@ def _pressure(message: Any) -> tuple[float, ...] | None:
 
 
 def _field(message: Any) -> tuple[float, ...] | None:
-    """Of a HIGHRES_IMU, gauss."""
+    """Of a HIGHRES_IMU."""
     if message.id != 0 or message.fields_updated & _FIELD != _FIELD:
         return None
-    return _GAUSS_T * message.xmag, _GAUSS_T * message.ymag, _GAUSS_T * message.zmag
+    return vec3(highres_field(np.array([[message.xmag, message.ymag, message.zmag]]))[0])
 
 
 def _coarse_field(message: Any) -> tuple[float, ...] | None:
@@ -266,7 +266,7 @@ def _indicated(hectopascal: float) -> tuple[float, ...]:
 
 
 def _airspeed(message: Any) -> tuple[float, ...] | None:
-    """Of a HIGHRES_IMU."""
+    """Of a HIGHRES_IMU; not of ArduPilot's: there it is how much the static pressure is below that on the ground."""
     return _indicated(message.diff_pressure) if message.id == 0 and message.fields_updated & _DIFF_PRESSURE else None
 
 

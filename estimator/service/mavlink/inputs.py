@@ -21,6 +21,7 @@ from models.messages import Input, Reading
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
 _SYSTEM_TIME_HZ: Final = 1.0
+_SLOWER_US: Final = 3_125, 6_250, 12_500, 25_000, 40_000  # 80 % of a loop of 400, 200, 100, 50 Hz; what still navigates
 _ATTITUDE_HZ: Final = 2.0
 _ORIGIN_HZ: Final = 1.0
 _ORIGIN: Final[int] = mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
@@ -52,7 +53,7 @@ class Inputs:
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
-        self._needs_origin = config.odometry  # ArduPilot's: ODOMETRY counts from there
+        self._needs_origin = config.odometry or self._attitude_topic is not None  # ArduPilot's
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
         self._other_imus = dict(zip(_OTHERS, topics.imu[1:] if config.imu else (), strict=False))
         kinds = {kind for sensors in codec.SENSORS.values() for kind in sensors if getattr(config, kind)}
@@ -60,7 +61,8 @@ class Inputs:
         self._readings: dict[str, tuple[float, ...]] = {}  # the last of each kind
         self._positions = dict(zip(_RECEIVERS, topics.gnss if config.gnss else (), strict=False))
         self._velocities = dict(zip(_RECEIVERS, topics.gnss_velocity if config.gnss else (), strict=False))
-        self._imu_us, self._gnss_us = round(_MICRO / config.imu_hz), round(_MICRO / config.gnss_hz)
+        self._fastest_us = self._imu_us = round(_MICRO / config.imu_hz)
+        self._gnss_us, self._denied = round(_MICRO / config.gnss_hz), False
         imus = frozenset(_IMUS.values()) if self._imu_topic else frozenset()
         attitudes = frozenset({_ATTITUDE} if self._attitude_topic else ())
         self._carriers = frozenset(
@@ -86,10 +88,15 @@ class Inputs:
         """The autopilot may have forgotten what it was asked for."""
         self._asked.clear()
         self._heard.clear()
-        self._began_ns = None
+        self._began_ns, self._imu_us, self._denied = None, self._fastest_us, False
+
+    def deny(self) -> None:
+        """The autopilot will not send a message as often as it was asked to; which one it does not say."""
+        self._denied = True
 
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
         """Id and period in us of each message that is to be asked for now."""
+        self._slow_down(now_ns)
         for number, period_us in self._missing(now_ns, autopilot).items():
             asked_ns = self._asked.get(number)  # once in any case: it may come by itself, but too seldom
             if asked_ns is None or now_ns - max(asked_ns, self._heard.get(number, _NEVER)) > _MISSING_NS:
@@ -111,8 +118,8 @@ class Inputs:
         if number in self._other_imus and (sample := codec.imu(message, t_ns, self._other_imus[number])) is not None:
             yield sample
         if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
-            yield from self._sensors(message, kind, t_ns)
-        if number == _ATTITUDE and self._attitude_topic:
+            yield from self._sensors(message, kind, t_ns, autopilot)
+        if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
             yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
@@ -134,9 +141,11 @@ class Inputs:
         elif number == _ODOMETRY and self._pose_topic and (measured := pose(message, t_ns, self._pose_topic)) is not None:
             yield measured
 
-    def _sensors(self, message: Any, name: str, t_ns: int) -> Iterator[Input]:
+    def _sensors(self, message: Any, name: str, t_ns: int, autopilot: int | None) -> Iterator[Input]:
         """A reading that is repeated with every IMU sample is one reading."""
         for kind, read in codec.SENSORS[name].items():
+            if (name, kind, autopilot) == ("HIGHRES_IMU", "airspeed", codec.ARDUPILOT):
+                continue
             topic, values = self._sensor_topics.get(kind), read(message)
             if topic is not None and values is not None and values != self._readings.get(kind):
                 self._readings[kind] = values
@@ -170,6 +179,16 @@ class Inputs:
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
         """One kind at a time: the coarse one, in physical units, only while the good one does not come."""
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
+
+    def _slow_down(self, now_ns: int) -> None:
+        """ArduPilot denies more than 80 % of the rate of its loop, 50 Hz in a rover: the IMU is then asked for less often."""
+        asked_ns = self._asked.get(_IMU, now_ns)
+        if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
+            self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
+
+    def _is_true_heading(self, autopilot: int | None) -> bool:
+        """ArduPilot's heading is from magnetic north until EKF3 has an origin, and with it the declination."""
+        return autopilot != codec.ARDUPILOT or _ORIGIN in self._heard
 
     def _is_gone(self, number: int, now_ns: int) -> bool:
         """Asked for in vain for a while."""

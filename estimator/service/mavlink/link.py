@@ -271,7 +271,10 @@ class MavlinkLink:
             self._ekf3.hear(message)
         elif kind == "COMMAND_ACK":
             asked = message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-            self.commands_refused += asked and message.result not in _IN_PROGRESS
+            refused = asked and message.result not in _IN_PROGRESS
+            self.commands_refused += refused
+            if refused:
+                self._inputs.deny()
         else:
             before = self._boot.reboots
             t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)

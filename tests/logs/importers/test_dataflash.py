@@ -142,6 +142,8 @@ FORMATS = {  # name: type, format, columns
     "ORGN": (133, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
     "VISP": (135, "QffffffB", "TimeUS,PX,PY,PZ,R,P,Y,Rst"),
     "PARM": (134, "QNff", "TimeUS,Name,Value,Default"),
+    "SIM": (136, "QccCfLLffff", "TimeUS,Roll,Pitch,Yaw,Alt,Lat,Lng,Q1,Q2,Q3,Q4"),
+    "SIM2": (137, "Qfff", "TimeUS,VN,VE,VD"),
 }
 STRUCT = {"Q": "Q", "B": "B", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
 
@@ -251,6 +253,36 @@ def test_the_origin_is_the_logs_own(newer: Path) -> None:
     assert truth is not None
     place = Origin(*recording.settings.origin).to_ned(*stream.columns[0][1].tolist())
     np.testing.assert_allclose(place, [4.0, 5.0, -6.0], atol=0.3)
+
+
+def test_of_a_simulated_flight_the_truth_is_that_of_the_simulator(newer: Path) -> None:
+    q = so3.from_euler(0.1, -0.2, 1.5)
+    log = newer.read_bytes() + row("SIM", 1_500_000, 0, 0, 0, 488.0, 473977490, 85455900, *(2.0 * q))
+    log += row("SIM2", 1_499_000, 1.0, 2.0, 3.0) + row("SIM2", 1_502_000, 4.0, 5.0, 6.0)
+    log += row("SIM", 1_600_000, 0, 0, 0, 487.0, 473977400, 85455900, *q)
+    newer.write_bytes(log)
+    recording = dataflash.read(newer)
+    first, second = (m for m in recording if isinstance(m, Truth))
+    np.testing.assert_allclose(first.p_n, [1.0, 0.0, -1.0], atol=2e-3)  # 9e-6 degrees north of ORGN
+    np.testing.assert_allclose(second.p_n, [0.0, 0.0, 0.0], atol=1e-6)
+    assert (first.v_n, second.v_n) == ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    np.testing.assert_allclose(first.q_nb_wxyz, q, atol=1e-6)
+    assert recording.reference == ""
+    np.testing.assert_allclose(np.array(recording.settings.origin), [47.39774, 8.54559, 487.0])
+    assert "/truth is the state of the simulator" in recording.notes
+    (attitude,) = {m.q_nb_wxyz for m in recording if isinstance(m, AttitudePrior)}  # still the autopilot's own
+    np.testing.assert_allclose(np.rad2deg(so3.to_euler(np.array(attitude))), [1.0, -2.0, 90.0], atol=1e-9)
+
+
+def test_a_heading_of_magnetic_north_is_not_taken(newer: Path) -> None:
+    """GIVEN an origin of the filter at 1.4 s THEN no attitude from before it: ArduPilot has no declination until then."""
+    before = next(m.t_ns for m in dataflash.read(newer) if isinstance(m, AttitudePrior))
+    data = newer.read_bytes()
+    first = row("ORGN", 950_000, 0, 473977400, 85455900, 48700)
+    assert data.count(first) == 1
+    newer.write_bytes(data.replace(first, row("ORGN", 1_400_000, 0, 473977400, 85455900, 48700)))
+    after = next(m.t_ns for m in dataflash.read(newer) if isinstance(m, AttitudePrior))
+    assert after - before == 1_545_000_000 - 1_130_000_000
 
 
 def test_a_log_without_gnss_has_no_date(tmp_path: Path) -> None:

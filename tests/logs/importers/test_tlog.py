@@ -196,6 +196,26 @@ def test_an_ellipsoid_height_that_is_that_above_the_sea_is_none(tmp_path: Path) 
     assert any("above sea level" in note for note in recording.notes)
 
 
+def test_of_a_simulated_flight_the_truth_is_that_of_the_simulator(tmp_path: Path) -> None:
+    ground, q = Ground(), so3.from_euler(0.1, -0.2, 1.5)
+    ground.hear(10_000, mavlink2.MAVLink_gps_global_origin_message(473977400, 85455900, 487_000))
+    for k in range(2):
+        ground.imu(20_000 + k * 10_000, 5_000_000 + k * 10_000)
+        ground.hear(25_000 + k * 10_000, mavlink2.MAVLink_attitude_message(5000 + k * 10, 0.0, 0.0, 1.4, 0.0, 0.0, 0.0))
+        ground.hear(26_000 + k * 10_000, mavlink2.MAVLink_local_position_ned_message(5000 + k * 10, 7.0, 7.0, 7.0, 0.0, 0.0, 0.0))
+    coarse = 473977490.0, 85455900.0  # float32: not to be used
+    rest = *q.tolist(), *[0.0] * 9, *coarse, 488.0, 0.0, 0.0, 1.0, 2.0, 3.0, 473977490, 85455900
+    ground.hear(40_000, mavlink2.MAVLink_sim_state_message(*rest))
+    recording = tlog.read(ground.write(tmp_path))
+    (truth,) = (m for m in recording if isinstance(m, Truth))
+    np.testing.assert_allclose(truth.p_n, [1.0, 0.0, -1.0], atol=2e-3)  # 9e-6 degrees north of the origin
+    assert truth.v_n == (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(truth.q_nb_wxyz, q, atol=1e-6)
+    assert recording.reference == ""
+    np.testing.assert_allclose(np.array(recording.settings.origin), [47.39774, 8.54559, 487.0])
+    assert "/truth is the state of the simulator" in recording.notes
+
+
 def test_stamps_that_count_from_1970_are_taken_as_they_are(tmp_path: Path) -> None:
     ground = Ground()
     ground.imu(80_000, START_US + 10_000)

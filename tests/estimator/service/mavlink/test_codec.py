@@ -146,10 +146,10 @@ def test_further_imus_have_topics_of_their_own_and_are_asked_for() -> None:
     assert list(inputs.measured(third, T0, T0, codec.ARDUPILOT)) == []
 
 
-def test_a_magnetic_field_is_in_tesla_whichever_message_has_it() -> None:
-    highres = _over_the_wire(
-        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0.2, -0.1, 0.4, 0, 0, 0, 20.0, 63 | 448, id=0)
-    )
+@pytest.mark.parametrize("unit", [1.0, 1e6])  # gauss; ArduPilot 4.7.0-dev sends microgauss
+def test_a_magnetic_field_is_in_tesla_whichever_message_has_it(unit: float) -> None:
+    field = 0.2 * unit, -0.1 * unit, 0.4 * unit
+    highres = _over_the_wire(mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, *field, 0, 0, 0, 20.0, 63 | 448, id=0))
     coarse = _over_the_wire(mavlink.MAVLink_raw_imu_message(5, 0, 0, -1000, 0, 0, 0, 200, -100, 400))
     none = _over_the_wire(mavlink.MAVLink_raw_imu_message(6, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
     inputs = Inputs(MavlinkConfig(imu=False), Topics(magnetometer=("/mag",)), 0.0)
@@ -176,11 +176,24 @@ def test_a_dynamic_pressure_is_an_indicated_airspeed() -> None:
     none = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(6, 950.0, 0.0, 2000))
     for message in (highres, scaled):
         inputs = Inputs(MavlinkConfig(imu=False), Topics(airspeed=("/airspeed",)), 0.0)
-        assert mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE in dict(inputs.requests(T0, codec.ARDUPILOT))
-        (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+        assert mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE in dict(inputs.requests(T0, codec.PX4))
+        (read,) = inputs.measured(message, T0, T0, codec.PX4)
         assert isinstance(read, Reading)
         np.testing.assert_allclose(read.values, [20.0], rtol=1e-6)  # 245 Pa = 1.225 / 2 * 20^2
-        assert list(inputs.measured(none, T0, T0, codec.ARDUPILOT)) == []
+        assert list(inputs.measured(none, T0, T0, codec.PX4)) == []
+
+
+def test_ardupilots_airspeed_is_not_in_highres_imu() -> None:
+    """Its diff_pressure is the static pressure less that on the ground: 70 hPa below in a simulator, 106 m/s backwards."""
+    highres = _over_the_wire(
+        mavlink.MAVLink_highres_imu_message(5, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 944.0, -69.4, 0, 20.0, 63 | 1024, id=0)
+    )
+    scaled = _over_the_wire(mavlink.MAVLink_scaled_pressure_message(5, 950.0, 2.45, 2000))
+    inputs = Inputs(MavlinkConfig(imu=False), Topics(airspeed=("/airspeed",)), 0.0)
+    assert list(inputs.measured(highres, T0, T0, codec.ARDUPILOT)) == []
+    assert [m.values for m in inputs.measured(scaled, T0, T0, codec.ARDUPILOT) if isinstance(m, Reading)] == [
+        pytest.approx((20.0,))
+    ]
 
 
 @pytest.mark.parametrize(("yaw", "degrees"), [(0, None), (65535, None), (36000, 360.0), (4500, 45.0)])
@@ -198,13 +211,41 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
     inputs = Inputs(config, topics, 0.0)
-    (read,) = inputs.measured(message, T0, T0, codec.ARDUPILOT)
+    (read,) = inputs.measured(message, T0, T0, codec.PX4)
     assert isinstance(read, AttitudePrior)
     np.testing.assert_allclose(so3.to_euler(np.array(read.q_nb_wxyz)), [0.1, -0.2, 2.5], rtol=1e-6)
     np.testing.assert_allclose(np.degrees(np.sqrt(np.diag(read.covariance))), [2.0, 2.0, 10.0])
     assert (read.t_ns, read.topic, codec.stamp_ns(message)) == (T0, "/attitude", 7_000_000_000)
     assert dict(inputs.requests(T0, codec.ARDUPILOT))[30] == 500_000
     assert 30 in inputs.wanted
+
+
+def test_an_imu_that_is_denied_is_asked_for_less_often() -> None:
+    """ArduRover answers 200 Hz with MAV_RESULT_DENIED: its loop has 50, and it sends at most 40."""
+    inputs, period_us = Inputs(MavlinkConfig(imu_hz=200.0), Topics(), 0.0), list[int]()
+    for second in range(0, 40, 4):
+        asked = dict(inputs.requests(T0 + second * 10**9, codec.ARDUPILOT))
+        if 105 in asked:
+            period_us.append(asked[105])
+            if asked[105] < 25_000:
+                inputs.deny()
+            else:
+                inputs.hear(_over_the_wire(mavlink.MAVLink_highres_imu_message(5, *[0.0] * 13, 63)), T0 + second * 10**9 + 1)
+    assert period_us[:4] == [5_000, 6_250, 12_500, 25_000]
+    assert set(period_us[4:]) <= {25_000}
+    inputs.ask_again()  # another autopilot, or the same with another rate of its loop
+    assert dict(inputs.requests(T0 + 50 * 10**9, codec.ARDUPILOT))[105] == 5_000
+
+
+def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> None:
+    message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
+    inputs = Inputs(MavlinkConfig(odometry=False), Topics(attitude=("/attitude",)), 0.0)
+    assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
+    assert mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN in dict(inputs.requests(T0, codec.ARDUPILOT))
+    inputs.hear(_over_the_wire(mavlink.MAVLink_gps_global_origin_message(473_977_000, 85_456_000, 488_000)), T0)
+    assert len(list(inputs.measured(message, T0, T0, codec.ARDUPILOT))) == 1
+    inputs.ask_again()  # it was booted again
+    assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
 
 
 def test_an_attitude_is_asked_for_unless_it_has_no_topic() -> None:
