@@ -290,5 +290,5 @@ def test_options_are_refused(tmp_path: Path) -> None:
 
 def test_without_pyulog_the_user_learns_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    with pytest.raises(LogError, match=r"pip install 'landfix\[px4\]'"):
+    with pytest.raises(LogError, match=r"pip install 'landfix\[tools\]'"):
         ulog.read(tmp_path / "log.ulg")
