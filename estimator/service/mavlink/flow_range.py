@@ -4,25 +4,17 @@ r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) 
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from models import so3
+from models.increments import FINDER_SHARE, Range
 from models.messages import Estimate
 from models.state import E, X
 
 _OLD_NS: Final = 500_000_000
-_FINDER_SHARE: Final = 0.02
 _MOST_TILTED: Final = 0.5  # cos of 60 degrees
 _LEAST_M: Final = 0.05
 _LARGEST_SHARE: Final = 0.3  # an error of scale beyond it is not one that is estimated
-
-
-class Range(NamedTuple):
-    """Along the body's down axis, and its 1-sigma, m; kind: whose."""
-
-    metres: float
-    sigma_m: float
-    kind: str
 
 
 class FlowRange:
@@ -44,9 +36,9 @@ class FlowRange:
     def at(self, message: Any, t_ns: int) -> Range | None:
         """Of an OPTICAL_FLOW_RAD of t_ns; None: nothing knows it."""
         if math.isfinite(message.distance) and message.distance > _LEAST_M:
-            return Range(message.distance, _FINDER_SHARE * message.distance, "flow")
+            return Range(message.distance, FINDER_SHARE * message.distance, "flow")
         if (finder := self._finder) is not None and abs(t_ns - finder[0]) <= _OLD_NS and _LEAST_M < finder[1] < math.inf:
-            return Range(finder[1], _FINDER_SHARE * finder[1], "finder")
+            return Range(finder[1], FINDER_SHARE * finder[1], "finder")
         return self._of_filter(t_ns)
 
     def _of_filter(self, t_ns: int) -> Range | None:

@@ -12,11 +12,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
-from estimator.service.mavlink.flow_range import FlowRange, Range
+from estimator.service.mavlink.flow_range import FlowRange
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Decoder, Topics, encode_input
 from models import so3
+from models.increments import Range
 from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import between
 from models.sim.scenario import EPOCH_NS, Simulation
