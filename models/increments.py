@@ -4,8 +4,8 @@ A camera's step is seen in the body as it is at its end; an increment is seen in
 
     dp = dR p
 
-Flow f and the turn g that a gyroscope saw over the same time, rad about x and y of a camera that looks down along the body's z. At
-the range r, half a turn later than where the step begins:
+Flow f and the turn g that a gyroscope saw over the same time, rad about x and y of a camera that looks down along the body's z.
+At the range r, half a turn later than where the step begins:
 
     dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)
 
@@ -27,13 +27,14 @@ import numpy as np
 from models import so3
 from models.messages import Array, OdometryDelta, Reading, vec3
 
-_GAP_NS: Final = 5_000_000  # between two steps that are one after the other
+_GAP_NS, _JITTER_NS = 5_000_000, 20_000_000  # between steps that follow each other: half a step, within these
 _CAMERA_NS, _FLOW_NS = 475_000_000, 190_000_000  # an increment lasts at least so long
 _LONGEST_NS: Final = 2_000_000_000
 _SCALE_SHARE: Final = 0.03  # of a flow: its lens, and the slope of the ground
 _FLOW_RAD_S: Final = 0.15  # white, of one message (EKF2_OF_N_MIN of PX4, EK3_FLOW_M_NSE of ArduPilot)
 _NOT_GIVEN: Final = -1.0
-FINDER_SHARE: Final = 0.02  # 1-sigma of a range finder
+_FINDER_SHARE: Final = 0.02  # 1-sigma of a range finder
+LEAST_RANGE_M: Final = 0.05
 _WHEEL_NS: Final = 95_000_000  # of a speed, at least: a step of an encoder is some millimetres
 _WHEEL_SIGMA_M_S: Final = 0.1
 _UNKNOWN_M2_S2: Final = 1e6  # of a velocity's component that wheels do not measure
@@ -45,6 +46,14 @@ class Range(NamedTuple):
     metres: float
     sigma_m: float
     kind: str
+
+
+def measured_range(own_m: float, finder_m: float) -> Range | None:
+    """Of the flow's own message, else of a range finder at that time; nan, infinite, too close: none."""
+    for metres, kind in ((own_m, "flow"), (finder_m, "finder")):
+        if LEAST_RANGE_M < metres < math.inf:
+            return Range(metres, _FINDER_SHARE * metres, kind)
+    return None
 
 
 class Step(NamedTuple):
@@ -67,7 +76,8 @@ class Chain:
     def add(self, step: Step) -> list[Step]:
         """The increments that have come to their end with this step."""
         before, done = self._open, list[Step]()
-        if before is not None and abs(step.t0_ns - before.t_ns) > _GAP_NS:
+        jitter_ns = min(max(_GAP_NS, (step.t_ns - step.t0_ns) // 2), _JITTER_NS)
+        if before is not None and abs(step.t0_ns - before.t_ns) > jitter_ns:
             done, before = ([before] if step.t0_ns > before.t_ns else []), None
         joined = step if before is None else _joined(before, step)
         self._open = None if joined.t_ns - joined.t0_ns >= self._least_ns else joined
