@@ -7,7 +7,7 @@
     airspeed_validated, else airspeed: true airspeed     ->  /airspeed         distance_sensor, downwards  ->  /range
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
-    vehicle_optical_flow                                 ->  /optical_flow: increments over its range, else over the range finder's
+    vehicle_optical_flow                                 ->  /optical_flow: over its range or the range finder's
 
 PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
 receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.

@@ -132,6 +132,29 @@ def test_flow_over_a_range_is_motion_over_the_ground(climbs: bool) -> None:
     assert (read.dp_b, read.topic, read.epoch) == (delta.dp_b, "/flow", 1)
 
 
+def test_wheels_are_a_velocity_forward_and_not_sideways() -> None:
+    """Two wheels at 20 Hz, one of which has 10 % more way: the mean, at the middle; a pause begins anew; infinity is refused."""
+    inputs = Inputs(MavlinkConfig(imu=False), Topics(velocity_body=("/wheels",)), 0.0)
+    assert mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE in dict(inputs.requests(T0, codec.ARDUPILOT))
+    wire = Wire(1, 197, frozenset({1}), inputs.wanted, None, 0)
+
+    def hear(t_ns: int, *ways: float) -> list[Any]:
+        message = mavlink.MAVLink_wheel_distance_message(t_ns // 1000, len(ways), [*ways, *[0.0] * (16 - len(ways))])
+        (read,) = wire.messages(bytes(message.pack(mavlink.MAVLink(None, 1, 1))), whole=True)
+        return list(inputs.measured(read, t_ns, t_ns, codec.ARDUPILOT))
+
+    got = [reading for k in range(5) for reading in hear(T0 + 50 * k * MS, 0.1 * k, 0.11 * k)]
+    got += [reading for k in range(3) for reading in hear(T0 + 10 * SECOND + 50 * k * MS, 50.0 - 0.1 * k, 50.0 - 0.1 * k)]
+    assert [(m.t_ns - T0, m.arrived_ns - m.t_ns, m.topic) for m in got] == [
+        (50 * MS, 50 * MS, "/wheels"), (150 * MS, 50 * MS, "/wheels"), (10_050 * MS, 50 * MS, "/wheels"),
+    ]  # fmt: skip
+    np.testing.assert_allclose([m.values for m in got], [(2.1, 0, 0), (2.1, 0, 0), (-2.0, 0, 0)], atol=1e-4)
+    assert Decoder(Topics(velocity_body=("/wheels",))).decode(*encode_input(got[0]), got[0].t_ns).values == got[0].values
+    with pytest.raises(ValueError, match="not finite"):
+        hear(T0 + 11 * SECOND, math.inf, 1.0)
+    assert not hear(T0 + 12 * SECOND)
+
+
 def test_a_flow_takes_the_range_of_the_message_of_a_finder_or_of_the_filter() -> None:
     nav = np.zeros(16)
     nav[X.P], nav[X.Q] = (0.0, 0.0, -22.0), so3.from_euler(math.radians(20.0), 0.0, 1.0)
