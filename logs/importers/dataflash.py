@@ -276,7 +276,7 @@ def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
     if table is None:
         return []
     rows = np.flatnonzero((table["conf"] > 0.0) & np.isfinite(table["dt"]))
-    t_ns, dt_ns = _t_ns(table[_TIME], timebase_us)[rows], np.rint(table["dt"][rows] * 1e9).astype(np.int64)
+    t_ns, dt_ns = _t_ns(table[_TIME], timebase_us)[rows], np.rint(table["dt"][rows] * 1e6).astype(np.int64) * 1000
     turn, moved = _vector(table, "AngDX", "AngDY", "AngDZ")[rows], _vector(table, "PosDX", "PosDY", "PosDZ")[rows]
     return steps.camera(t_ns, recording.arrival(t_ns), dt_ns, turn, moved)
 

@@ -74,10 +74,10 @@ def _stream(topic: str, made: list[tuple[int, OdometryDelta]] | list[tuple[int, 
         return []
     t_ns, arrived_ns = np.array([m.t_ns for _, m in made]), np.array([arrived for arrived, _ in made])
 
-    def make(_: int, arrived: int, k: int) -> OdometryDelta | Reading:
-        return replace(made[k][1], arrived_ns=arrived)
+    def make(_: int, arrived: int, k: float) -> OdometryDelta | Reading:
+        return replace(made[int(k)][1], arrived_ns=arrived)
 
-    return [Stream(topic, t_ns, arrived_ns, (np.arange(len(made)),), make)]
+    return [Stream(topic, t_ns, arrived_ns, (np.arange(len(made), dtype=float),), make)]
 
 
 def _turned(imu: Stream, t0_ns: Times, t_ns: Times) -> Array:
