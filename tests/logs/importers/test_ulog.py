@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pyulog", reason="the extra px4 is not installed")
+pytest.importorskip("pyulog", reason="the extra tools is not installed")
 
 from pyulog import ULog
 
@@ -218,7 +218,7 @@ def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(tmp_path
 
 @pytest.mark.parametrize("own", [True, False])
 def test_flow_over_its_range_or_the_range_finders_is_motion_over_the_ground(tmp_path: Path, own: bool) -> None:
-    """3 m/s forward, 1 m/s to the right, 10 m above ground, pitching at 0.2 rad/s and turning at 0.5: its gyroscope or the IMU."""
+    """3 m/s forward, 1 to the right, 10 m above ground, pitching at 0.2 rad/s and turning at 0.5: its gyroscope or the IMU."""
     imu = [{"timestamp": 5000 * k, "timestamp_sample": 5000 * k, "x": 0.0, "y": 0.2, "z": 0.5} for k in range(1, 100)]
     accel = [{**row, "y": 0.0, "z": -9.8} for row in imu]
     turn = np.array([0.0, 0.01, 0.025])
@@ -334,5 +334,5 @@ def test_options_are_refused(tmp_path: Path) -> None:
 
 def test_without_pyulog_the_user_learns_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    with pytest.raises(LogError, match=r"pip install 'landfix\[px4\]'"):
+    with pytest.raises(LogError, match=r"pip install 'landfix\[tools\]'"):
         ulog.read(tmp_path / "log.ulg")
