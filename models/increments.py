@@ -35,7 +35,8 @@ _FLOW_RAD_S: Final = 0.15  # white, of one message (EKF2_OF_N_MIN of PX4, EK3_FL
 _NOT_GIVEN: Final = -1.0
 _FINDER_SHARE: Final = 0.02  # 1-sigma of a range finder
 LEAST_RANGE_M: Final = 0.05
-_WHEEL_NS: Final = 95_000_000  # of a speed, at least: a step of an encoder is some millimetres
+_WHEEL_NS: Final = 100_000_000  # of a speed, at least: a step of an encoder is some millimetres
+_FARTHEST_M: Final = 1e9
 _WHEEL_SIGMA_M_S: Final = 0.1
 _UNKNOWN_M2_S2: Final = 1e6  # of a velocity's component that wheels do not measure
 
@@ -146,8 +147,8 @@ class Wheels:
     def add(self, t_ns: int, metres: Sequence[float]) -> list[Reading]:
         """metres: the way of each wheel since its start, at t_ns; nan or no wheel: lost. Raises ValueError for what is no way."""
         now = tuple(metres)
-        if any(map(math.isinf, now)):
-            raise ValueError("a wheel's distance is not finite")
+        if any(abs(way) > _FARTHEST_M for way in now):
+            raise ValueError("a wheel's distance is none")
         if not now or any(map(math.isnan, now)):
             self._before = None
             return []

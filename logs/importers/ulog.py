@@ -38,6 +38,10 @@ _WANTED = (
     "vehicle_optical_flow",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
+_FLOW = (
+    "pixel_flow[0]", "pixel_flow[1]", "delta_angle[0]", "delta_angle[1]", "delta_angle[2]",
+    "distance_m", "integration_timespan_us", "quality",
+)  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
 _FIX_3D = 3  # fix_type
 _SYNTHETIC = 4  # AirspeedValidated.airspeed_source: no sensor; below 1: ground speed less wind, none
@@ -162,15 +166,12 @@ def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> l
 def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
     """Flow and turn accumulated over a time, rad; nan: no turn of a gyroscope of its own, or no range."""
     topic = topics.get("vehicle_optical_flow")
-    if topic is None or "pixel_flow[0]" not in topic or "delta_angle[0]" not in topic:
+    if topic is None or any(name not in topic for name in _FLOW):
         return []
     rows = np.flatnonzero(topic["quality"] > 0)
     t_ns, arrived_ns = (times[rows] for times in _times(topic, clock_us))
     dt_ns = topic["integration_timespan_us"][rows].astype(np.int64) * 1000
-    seen, turn = (
-        _vector(topic, "pixel_flow[0]", "pixel_flow[1]")[rows],
-        _vector(topic, *(f"delta_angle[{k}]" for k in range(3)))[rows],
-    )
+    seen, turn = _vector(topic, *_FLOW[:2])[rows], _vector(topic, *_FLOW[2:5])[rows]
     return steps.flow(t_ns, arrived_ns, dt_ns, seen, turn, topic["distance_m"][rows].astype(float), streams, notes)
 
 

@@ -218,7 +218,7 @@ def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(tmp_path
 
 @pytest.mark.parametrize("own", [True, False])
 def test_flow_over_its_range_or_the_range_finders_is_motion_over_the_ground(tmp_path: Path, own: bool) -> None:
-    """3 m/s forward, 1 to the right, 10 m above ground, pitching at 0.2 rad/s and turning at 0.5: its gyroscope or the IMU."""
+    """3 m/s forward, 1 to the right, 10 m above ground; pitching at 0.2 and turning at 0.5 rad/s: its gyroscope or the IMU."""
     imu = [{"timestamp": 5000 * k, "timestamp_sample": 5000 * k, "x": 0.0, "y": 0.2, "z": 0.5} for k in range(1, 100)]
     accel = [{**row, "y": 0.0, "z": -9.8} for row in imu]
     turn = np.array([0.0, 0.01, 0.025])

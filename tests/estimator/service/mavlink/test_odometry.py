@@ -18,7 +18,7 @@ from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Decoder, Topics, encode_input
 from models import so3
 from models.increments import Range
-from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reason
+from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reading, Reason
 from models.relative_pose import between
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
@@ -133,7 +133,7 @@ def test_flow_over_a_range_is_motion_over_the_ground(climbs: bool) -> None:
 
 
 def test_wheels_are_a_velocity_forward_and_not_sideways() -> None:
-    """Two wheels at 20 Hz, one of which has 10 % more way: the mean, at the middle; a pause begins anew; infinity is refused."""
+    """Two wheels at 20 Hz, one of which has 10 % more way: the mean, at the middle; a pause begins anew; what is no distance is refused."""
     inputs = Inputs(MavlinkConfig(imu=False), Topics(velocity_body=("/wheels",)), 0.0)
     assert mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE in dict(inputs.requests(T0, codec.ARDUPILOT))
     wire = Wire(1, 197, frozenset({1}), inputs.wanted, None, 0)
@@ -149,9 +149,13 @@ def test_wheels_are_a_velocity_forward_and_not_sideways() -> None:
         (50 * MS, 50 * MS, "/wheels"), (150 * MS, 50 * MS, "/wheels"), (10_050 * MS, 50 * MS, "/wheels"),
     ]  # fmt: skip
     np.testing.assert_allclose([m.values for m in got], [(2.1, 0, 0), (2.1, 0, 0), (-2.0, 0, 0)], atol=1e-4)
-    assert Decoder(Topics(velocity_body=("/wheels",))).decode(*encode_input(got[0]), got[0].t_ns).values == got[0].values
-    with pytest.raises(ValueError, match="not finite"):
+    read = Decoder(Topics(velocity_body=("/wheels",))).decode(*encode_input(got[0]), got[0].arrived_ns)
+    assert isinstance(read, Reading)
+    assert read.values == got[0].values
+    with pytest.raises(ValueError, match="distance is none"):
         hear(T0 + 11 * SECOND, math.inf, 1.0)
+    with pytest.raises(ValueError, match="distance is none"):
+        hear(T0 + 11 * SECOND, 1e308, 1e308)
     assert not hear(T0 + 12 * SECOND)
 
 
