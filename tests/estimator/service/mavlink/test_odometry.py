@@ -133,7 +133,7 @@ def test_flow_over_a_range_is_motion_over_the_ground(climbs: bool) -> None:
 
 
 def test_wheels_are_a_velocity_forward_and_not_sideways() -> None:
-    """Two wheels at 20 Hz, one with 10 % more way: the mean, at the middle; a pause begins anew; what is no distance is refused."""
+    """Two wheels at 20 Hz, one with 10 % more way: the mean, at the middle; a pause begins anew; nonsense is refused."""
     inputs = Inputs(MavlinkConfig(imu=False), Topics(velocity_body=("/wheels",)), 0.0)
     assert mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE in dict(inputs.requests(T0, codec.ARDUPILOT))
     wire = Wire(1, 197, frozenset({1}), inputs.wanted, None, 0)
