@@ -1,4 +1,4 @@
-"""What importers make of a log's steps of odometry: increments of cameras and flow, velocities of wheels (models/increments.py).
+"""What importers make of a log's steps of odometry: increments of cameras and flow, velocities of wheels (logs/wire/increments.py).
 
 A flow without a turn takes that of the IMU; without a range, that of the log's range finder.
 """
@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from logs.importers.recording import Stream, Times
 from logs.importers.settings import DELTA_TOPIC, FLOW_TOPIC
+from logs.wire.increments import CameraSteps, FlowSteps, Wheels, measured_range
 from logs.wire.sensors import SENSORS
-from models.increments import CameraSteps, FlowSteps, Wheels, measured_range
 from models.messages import Array, OdometryDelta, Reading
 
 _OLD_NS = 500_000_000  # of a range

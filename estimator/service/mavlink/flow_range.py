@@ -6,8 +6,8 @@ r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) 
 import math
 from typing import Any, Final
 
+from logs.wire.increments import LEAST_RANGE_M, Range, measured_range
 from models import so3
-from models.increments import LEAST_RANGE_M, Range, measured_range
 from models.messages import Estimate
 from models.state import E, X
 

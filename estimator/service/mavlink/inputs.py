@@ -16,7 +16,7 @@ from estimator.service.mavlink.flow_range import FlowRange
 from estimator.service.mavlink.odometry import camera, flow, pose, wheels
 from estimator.service.mavlink.wire import VISION_POSITION_DELTA
 from logs.wire.codec import Topics
-from models.increments import CameraSteps, FlowSteps, Wheels
+from logs.wire.increments import CameraSteps, FlowSteps, Wheels
 from models.messages import Input, Reading
 
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)

@@ -1,4 +1,4 @@
-"""Odometry over MAVLink: poses (ODOMETRY), and what models/increments.py makes of steps, flow and wheels.
+"""Odometry over MAVLink: poses (ODOMETRY), and what logs/wire/increments.py makes of steps, flow and wheels.
 
 ODOMETRY: a pose in a frame of its own, which ends where reset_counter moves. VISION_POSITION_DELTA: a camera's steps.
 OPTICAL_FLOW_RAD: flow over a range (flow_range.py). WHEEL_DISTANCE: the way of each wheel.
@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from models.increments import CameraSteps, FlowSteps, Range, Wheels
+from logs.wire.increments import CameraSteps, FlowSteps, Range, Wheels
 from models.messages import OdometryDelta, OdometryPose, Reading
 
 _US_NS: Final = 1_000

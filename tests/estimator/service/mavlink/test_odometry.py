@@ -16,8 +16,8 @@ from estimator.service.mavlink.flow_range import FlowRange
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Decoder, Topics, encode_input
+from logs.wire.increments import Range
 from models import so3
-from models.increments import Range
 from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reading, Reason
 from models.relative_pose import between
 from models.sim.scenario import EPOCH_NS, Simulation
