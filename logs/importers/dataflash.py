@@ -4,6 +4,8 @@
     ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
+    VISO                            ->  /odometry_delta: a camera's steps    OF  ->  /optical_flow, over the range finder's range
+    WENC                            ->  /velocity_body: forward, of the wheels
     SIM with SIM2                   ->  /truth: of ArduPilot's simulator
     XKF1, NKF1 or EKF1              ->  /truth where there is no SIM: the autopilot's own estimate, for reference only;
                                         its attitude  ->  /attitude
@@ -14,7 +16,7 @@ on the log's clock, set so that the fastest fix took no time, and what all fixes
 """
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from numpy.typing import NDArray
 from pymavlink import DFReader
 from scipy.ndimage import minimum_filter1d
 
-from logs.importers import frames, recording, sensors, simulator
+from logs.importers import frames, recording, sensors, simulator, steps
 from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
@@ -41,9 +43,12 @@ _FIELDS = {
     "RFND": ("Dist", "Stat", "Orient"),
     "MAG": ("MagX", "MagY", "MagZ"),
     "XKF1": ("Roll", "Pitch", "Yaw", "VN", "VE", "VD", "PN", "PE", "PD"),
-    "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Rst"),
+    "VISP": ("PX", "PY", "PZ", "R", "P", "Y", "Roll", "Pitch", "Yaw", "Rst"),
     "SIM": ("Lat", "Lng", "Alt", "Q1", "Q2", "Q3", "Q4"),
     "SIM2": ("VN", "VE", "VD"),
+    "VISO": ("dt", "AngDX", "AngDY", "AngDZ", "PosDX", "PosDY", "PosDZ", "conf"),
+    "OF": ("Qual", "flowX", "flowY", "bodyX", "bodyY"),
+    "WENC": ("Dist0", "Qual0", "Dist1", "Qual1"),
     "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
 _SENSORS = (  # message, kind, its unit in SI
@@ -60,6 +65,7 @@ _DOWNWARDS, _GOOD = 25, 4  # ROTATION_PITCH_270; RangeFinder::Status::Good
 _WEEK_MS = 7 * 86_400_000
 _DRIFT_WINDOW = 601  # fixes (2 min at 5 Hz) over which the autopilot's clock keeps step with GPS time
 _FAR_US = 4e15  # beyond any date; a damaged stamp may be
+_MISSING = 1.5  # usual periods between two rows of flow: one is missing
 _LATE_US = 2_000_000  # a fix later than this has a wrong week time
 
 Tables = Mapping[str, Mapping[str, Array]]  # message -> field -> column
@@ -90,8 +96,15 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         delay_s = _delay_s(parameters, gnss[0])
         if truth and not origin:
             origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
-    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude="above mean sea level", airspeed={"indicated": True})
-    aids = (*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes))
+    settings = Settings(
+        gnss_delay_s=delay_s,
+        origin=origin,
+        altitude="above mean sea level",
+        airspeed={"indicated": True},
+        wheels="WENC" in tables,
+    )
+    aids = [*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes)]
+    aids += [*_camera(tables, timebase_us), *_flow(tables, timebase_us, [*imus, *aids], notes), *_wheels(tables, timebase_us)]
     known = (*([_attitude(own, tables, timebase_us)] if own else []), *([truth] if truth else []))
     return Recording.of((*aids, *imus, *known), settings, notes, recording.AUTOPILOT if truth and truth is own else "")
 
@@ -258,10 +271,49 @@ def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream
     if table is None:
         return []
     t_ns = _t_ns(table[_TIME], timebase_us)
-    q = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in ("R", "P", "Y")))
+    angles = ("R", "P", "Y") if np.isfinite(table["R"]).any() else ("Roll", "Pitch", "Yaw")  # by version
+    q = frames.attitude_from_euler(*(np.deg2rad(table[angle]) for angle in angles))
     notes.append("poses from outside (VISP) are /odometry; the configuration says how to use them")
     run = np.nan_to_num(table["Rst"])
     return [recording.odometry(t_ns, recording.arrival(t_ns), _vector(table, "PX", "PY", "PZ"), q, run)]
+
+
+def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
+    """A camera's steps; a confidence of 0 is none."""
+    table = tables.get("VISO")
+    if table is None:
+        return []
+    rows = np.flatnonzero((table["conf"] > 0.0) & np.isfinite(table["dt"]))
+    t_ns, dt_ns = _t_ns(table[_TIME], timebase_us)[rows], np.rint(table["dt"][rows] * 1e6).astype(np.int64) * 1000
+    turn, moved = _vector(table, "AngDX", "AngDY", "AngDZ")[rows], _vector(table, "PosDX", "PosDY", "PosDZ")[rows]
+    return steps.camera(t_ns, recording.arrival(t_ns), dt_ns, turn, moved)
+
+
+def _flow(tables: Tables, timebase_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
+    """Rates [rad/s] since the row before, where none is missing between; the turn about z is the IMU's."""
+    table = tables.get("OF")
+    if table is None or len(table[_TIME]) <= 1:
+        return []
+    t_ns = _t_ns(table[_TIME], timebase_us)
+    dt_ns = np.diff(t_ns)
+    rows = 1 + np.flatnonzero((table["Qual"][1:] > 0) & (dt_ns > 0) & (dt_ns < _MISSING * np.median(dt_ns)))
+    dt_ns, nothing = dt_ns[rows - 1], np.full(len(rows), np.nan)
+    seen, turn = (
+        _vector(table, *names)[rows] * dt_ns[:, np.newaxis] * 1e-9 for names in (("flowX", "flowY"), ("bodyX", "bodyY"))
+    )
+    turn = np.column_stack([turn, nothing])
+    return steps.flow(t_ns[rows], recording.arrival(t_ns)[rows], dt_ns, seen, turn, nothing, streams, notes)
+
+
+def _wheels(tables: Tables, timebase_us: int) -> list[Stream]:
+    """Of each wheel its way [m] and quality; one whose quality is 0 all the time is not there."""
+    table = tables.get("WENC")
+    if table is None:
+        return []
+    there = [k for k in (0, 1) if (table[f"Qual{k}"] > 0).any()]
+    ways = [np.where(table[f"Qual{k}"] > 0, table[f"Dist{k}"], np.nan) for k in there]
+    t_ns = _t_ns(table[_TIME], timebase_us)
+    return steps.wheels(t_ns, recording.arrival(t_ns), np.stack(ways, axis=1)) if there else []
 
 
 def _simulated(tables: Tables, timebase_us: int) -> tuple[Stream, Vec3] | None:

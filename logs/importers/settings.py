@@ -13,7 +13,7 @@ from logs.wire.sensors import SENSORS
 from models.imu import ImuNoise
 from models.messages import ATTITUDE_TOPIC, Vec3
 
-ODOMETRY_TOPIC = "/odometry"
+ODOMETRY_TOPIC, DELTA_TOPIC, FLOW_TOPIC = "/odometry", "/odometry_delta", "/optical_flow"
 
 MULTIROTOR = ImuNoise(gyro_noise=5e-3, accel_noise=0.3, gyro_walk=1e-4, accel_walk=5e-3)
 FIXED_WING = ImuNoise(gyro_noise=3e-3, accel_noise=0.15, gyro_walk=1e-4, accel_walk=3e-3)
@@ -40,6 +40,7 @@ class Settings(msgspec.Struct, frozen=True):
     altitude: str = ""  # what the heights of GNSS refer to
     hard_iron_ut: Vec3 | None = None
     airspeed: Mapping[str, float | bool] = {}
+    wheels: bool = False  # velocities in the body are those of wheels
 
     def toml(self, kind: str, source: Path, topics: tuple[str, ...]) -> str:
         """The text; topics: those of the log that are inputs."""
@@ -50,6 +51,8 @@ class Settings(msgspec.Struct, frozen=True):
             "pose_fix": [t for t in topics if t.startswith("/pose_fix")],
             **{kind: [t for t in topics if t == sensor.topic] for kind, sensor in SENSORS.items()},
             "odometry": [t for t in topics if t == ODOMETRY_TOPIC and kind == "csv"],  # elsewhere it may be our own
+            "odometry_delta": [t for t in topics if t == DELTA_TOPIC],
+            "optical_flow": [t for t in topics if t == FLOW_TOPIC],
             "attitude": [t for t in topics if t == ATTITUDE_TOPIC],  # the autopilot's, to begin with
         }
         offered = [_AVAILABLE] if ODOMETRY_TOPIC in topics and not inputs.get("odometry") else []
@@ -83,6 +86,8 @@ class Settings(msgspec.Struct, frozen=True):
             lines += ["", "[magnetometer]", f"offset_ut = {list(self.hard_iron_ut)}"]
         if inputs.get("airspeed") and self.airspeed:
             lines += ["", "[airspeed]", *(f"{name} = {str(value).lower()}" for name, value in self.airspeed.items())]
+        if self.wheels and inputs.get("velocity_body"):
+            lines += ["", "[velocity_body]", "across_sigma_m_s = 0.1  # wheels roll forward: neither sideways nor up"]
         if self.origin is not None:
             lat, lon, alt = self.origin
             lines += ["", "[map]", f"origin = [{lat:.10f}, {lon:.10f}, {alt:.4f}]"]

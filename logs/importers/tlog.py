@@ -5,6 +5,7 @@
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
                                       ATTITUDE  ->  /attitude
+    WHEEL_DISTANCE                ->  /velocity_body: forward, of all wheels
 
 Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
 message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 from pymavlink import mavutil
 
-from logs.importers import frames, recording, sensors, simulator
+from logs.importers import frames, recording, sensors, simulator, steps
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
@@ -31,6 +32,7 @@ _MILLI_G = GRAVITY * 1e-3
 _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
 _SAME_HEIGHT_MM = 10  # ArduPilot counts in cm
 _GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "yaw")
+_WHEELS = 16
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
@@ -38,6 +40,7 @@ _FIELDS = {
     "ATTITUDE": ("roll", "pitch", "yaw"),
     "SIM_STATE": ("lat_int", "lon_int", "alt", "vn", "ve", "vd", "q1", "q2", "q3", "q4"),
     "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
+    "WHEEL_DISTANCE": ("count", *(f"distance{k}" for k in range(_WHEELS))),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
 }  # fmt: skip
 _RECEIVERS = {"GPS_RAW_INT": "/gnss", "GPS2_RAW": "/gnss2"}
@@ -91,7 +94,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         if truth and not origin:
             origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
     altitude = "above the ellipsoid where the log holds it, else above mean sea level"
-    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude)
+    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude, wheels="WHEEL_DISTANCE" in tables)
     return Recording.of(
         (
             *gnss,
@@ -99,6 +102,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             *_field(tables, autopilot),
             *_heading(tables),
             *_attitude(tables),
+            *_wheels(tables),
             imu,
             *([truth] if truth else []),
         ),
@@ -121,7 +125,7 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
             elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
                 autopilots[message.get_srcSystem()] = message.get_srcComponent(), message.autopilot
             elif name in _FIELDS:
-                fields = (getattr(message, f, 0) for f in _FIELDS[name])
+                fields = _values(message)
                 row = [round(message._timestamp * 1e6), _stamp_us(message), total, *fields]
                 components = rows.setdefault(message.get_srcSystem(), {}).setdefault(name, {})
                 components.setdefault(message.get_srcComponent(), []).append(row)
@@ -134,6 +138,13 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
     system = max(rows, key=lambda s: sum(len(r) for components in rows[s].values() for r in components.values()))
     component, autopilot = autopilots.get(system, (_AUTOPILOT, _NOT_A_VEHICLE))
     return {name: np.array(_of(component, r), float) for name, r in rows[system].items()}, autopilot, damaged
+
+
+def _values(message: Any) -> list[float]:
+    """The fields of _FIELDS; 0 for those that this dialect lacks."""
+    if message.get_type() == "WHEEL_DISTANCE":
+        return [message.count, *message.distance]
+    return [getattr(message, f, 0) for f in _FIELDS[message.get_type()]]
 
 
 def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[float]]:
@@ -275,6 +286,15 @@ def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
             azimuth = np.deg2rad(np.remainder(1e-2 * table["yaw"] + 180.0, 360.0) - 180.0)[rows]
             return [recording.sensor("heading", table.t_ns[rows], table.arrived_ns[rows], azimuth[:, np.newaxis])]
     return []
+
+
+def _wheels(tables: Mapping[str, _Table]) -> list[Stream]:
+    """Of as many wheels as the first message counts."""
+    table = tables.get("WHEEL_DISTANCE")
+    if table is None:
+        return []
+    names = _FIELDS["WHEEL_DISTANCE"][1 : 1 + int(table["count"][0])]
+    return steps.wheels(table.t_ns, table.arrived_ns, table.vector(*names)) if names else []
 
 
 def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:

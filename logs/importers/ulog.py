@@ -7,6 +7,7 @@
     airspeed_validated, else airspeed: true airspeed     ->  /airspeed         distance_sensor, downwards  ->  /range
     vehicle_attitude                                     ->  /attitude, to begin the alignment with
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
+    vehicle_optical_flow                                 ->  /optical_flow: over its range or the range finder's
 
 PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
 receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
@@ -19,7 +20,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from logs.importers import frames, recording, sensors
+from logs.importers import frames, recording, sensors, steps
 from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
@@ -34,7 +35,12 @@ _WANTED = (
     "vehicle_gps_position", "sensor_gps",
     "airspeed_validated", "airspeed", "distance_sensor",
     "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
+    "vehicle_optical_flow",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
+)  # fmt: skip
+_FLOW = (
+    "pixel_flow[0]", "pixel_flow[1]", "delta_angle[0]", "delta_angle[1]", "delta_angle[2]",
+    "distance_m", "integration_timespan_us", "quality",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
 _FIX_3D = 3  # fix_type
@@ -58,6 +64,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
     aids += [*_airspeed(topics, clock), *_range(log.data_list, clock)]
     aids += [*_attitude(topics, clock), *_odometry(topics, clock, notes)]
+    aids += _flow(topics, clock, [imu, *aids], notes)
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -154,6 +161,18 @@ def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> l
     if len(stream):
         notes.append("poses from outside (vehicle_visual_odometry) are /odometry; the configuration says how to use them")
     return [stream] if len(stream) else []
+
+
+def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
+    """Flow and turn accumulated over a time, rad; nan: no turn of a gyroscope of its own, or no range."""
+    topic = topics.get("vehicle_optical_flow")
+    if topic is None or any(name not in topic for name in _FLOW):
+        return []
+    rows = np.flatnonzero(topic["quality"] > 0)
+    t_ns, arrived_ns = (times[rows] for times in _times(topic, clock_us))
+    dt_ns = topic["integration_timespan_us"][rows].astype(np.int64) * 1000
+    seen, turn = _vector(topic, *_FLOW[:2])[rows], _vector(topic, *_FLOW[2:5])[rows]
+    return steps.flow(t_ns, arrived_ns, dt_ns, seen, turn, topic["distance_m"][rows].astype(float), streams, notes)
 
 
 def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:

@@ -47,6 +47,9 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     optical_flow: Annotated[
         bool, Meta(description="whether its OPTICAL_FLOW_RAD is the first topic of [inputs] optical_flow")
     ] = True
+    velocity_body: Annotated[
+        bool, Meta(description="whether its WHEEL_DISTANCE is the first topic of [inputs] velocity_body")
+    ] = True
     odometry_from: Annotated[
         tuple[_Id, ...],
         Meta(

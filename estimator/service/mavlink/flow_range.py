@@ -4,25 +4,16 @@ r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) 
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+from logs.wire.increments import LEAST_RANGE_M, Range, measured_range
 from models import so3
 from models.messages import Estimate
 from models.state import E, X
 
 _OLD_NS: Final = 500_000_000
-_FINDER_SHARE: Final = 0.02
 _MOST_TILTED: Final = 0.5  # cos of 60 degrees
-_LEAST_M: Final = 0.05
 _LARGEST_SHARE: Final = 0.3  # an error of scale beyond it is not one that is estimated
-
-
-class Range(NamedTuple):
-    """Along the body's down axis, and its 1-sigma, m; kind: whose."""
-
-    metres: float
-    sigma_m: float
-    kind: str
 
 
 class FlowRange:
@@ -43,11 +34,9 @@ class FlowRange:
 
     def at(self, message: Any, t_ns: int) -> Range | None:
         """Of an OPTICAL_FLOW_RAD of t_ns; None: nothing knows it."""
-        if math.isfinite(message.distance) and message.distance > _LEAST_M:
-            return Range(message.distance, _FINDER_SHARE * message.distance, "flow")
-        if (finder := self._finder) is not None and abs(t_ns - finder[0]) <= _OLD_NS and _LEAST_M < finder[1] < math.inf:
-            return Range(finder[1], _FINDER_SHARE * finder[1], "finder")
-        return self._of_filter(t_ns)
+        finder = self._finder
+        finder_m = finder[1] if finder is not None and abs(t_ns - finder[0]) <= _OLD_NS else math.nan
+        return measured_range(message.distance, finder_m) or self._of_filter(t_ns)
 
     def _of_filter(self, t_ns: int) -> Range | None:
         estimate = self._estimate
@@ -56,7 +45,7 @@ class FlowRange:
         cosine = float(so3.matrix(so3.normalise(estimate.nav[X.Q]))[2, 2])
         ground_m, ground_sigma_m = self._level
         height_m = -float(estimate.nav[X.P][2]) - ground_m
-        if cosine < _MOST_TILTED or height_m <= _LEAST_M:
+        if cosine < _MOST_TILTED or height_m <= LEAST_RANGE_M:
             return None
         sigma_m = math.hypot(ground_sigma_m, math.sqrt(estimate.covariance[E.P, E.P][2, 2]))
         return Range(height_m / cosine, sigma_m / cosine, "filter") if sigma_m <= _LARGEST_SHARE * height_m else None

@@ -13,9 +13,10 @@ from estimator.service.base.clock import SECOND_NS
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.flow_range import FlowRange
-from estimator.service.mavlink.odometry import Increments, pose
+from estimator.service.mavlink.odometry import camera, flow, pose, wheels
 from estimator.service.mavlink.wire import VISION_POSITION_DELTA
 from logs.wire.codec import Topics
+from logs.wire.increments import CameraSteps, FlowSteps, Wheels
 from models.messages import Input, Reading
 
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
@@ -35,7 +36,8 @@ _RECEIVERS: Final = (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_
 _PRESSURES: Final[int] = mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE
 _DISTANCE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 _FLOW: Final[int] = mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD
-_FLOW_HZ: Final = 20.0
+_WHEELS: Final[int] = mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE
+_STEPS_HZ: Final = 20.0  # of flow, of its range, and of wheels
 _ODOMETRY: Final[int] = mavlink.MAVLINK_MSG_ID_ODOMETRY
 _NUMBERS: Final = (
     _IMUS
@@ -70,14 +72,16 @@ class Inputs:
         )
         self.flow_range = FlowRange(level)
         flows = topics.optical_flow if config.optical_flow else ()
-        self._flow = Increments("OPTICAL_FLOW_RAD", flows[0]) if flows else None
-        self._range_finders = frozenset({_FLOW, _DISTANCE} if self._flow else ())
+        self._flow = FlowSteps(flows[0]) if flows else None
+        rolling = topics.velocity_body if config.velocity_body else ()
+        self._wheels = Wheels(rolling[0]) if rolling else None
+        self._steppers = frozenset({_FLOW, _DISTANCE} if self._flow else ()) | ({_WHEELS} if self._wheels else set())
         self.companions = frozenset(config.odometry_from)
         named = topics.odometry_delta if self.companions else ()
-        self._steps = Increments("VISION_POSITION_DELTA", named[0]) if named else None
+        self._steps = CameraSteps(named[0]) if named else None
         self._pose_topic = topics.odometry[0] if topics.odometry and self.companions else None
         odometries = frozenset({VISION_POSITION_DELTA} if self._steps else ()) | ({_ODOMETRY} if self._pose_topic else set())
-        self.wanted = imus | attitudes | self._carriers | self._range_finders | odometries
+        self.wanted = imus | attitudes | self._carriers | self._steppers | odometries
         self.wanted |= self._other_imus.keys() | self._positions.keys() | self._velocities.keys()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
@@ -131,13 +135,15 @@ class Inputs:
         if number == _DISTANCE and (values := codec.SENSORS[kind]["range"](message)) is not None:
             self.flow_range.note_finder(t_ns, values[0])
         if number == _FLOW and self._flow is not None:
-            yield from self._flow.flow(message, t_ns, self.flow_range.at(message, t_ns))
+            yield from flow(self._flow, message, t_ns, self.flow_range.at(message, t_ns))
+        if number == _WHEELS and self._wheels is not None:
+            yield from wheels(self._wheels, message, t_ns)
 
     def odometry(self, message: Any, t_ns: int) -> Iterator[Input]:
         """The measurements in a message of one of the companions."""
         number = message.get_msgId()
         if number == VISION_POSITION_DELTA and self._steps is not None:
-            yield from self._steps.vision(message, t_ns)
+            yield from camera(self._steps, message, t_ns)
         elif number == _ODOMETRY and self._pose_topic and (measured := pose(message, t_ns, self._pose_topic)) is not None:
             yield measured
 
@@ -166,7 +172,7 @@ class Inputs:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
         wanted |= dict.fromkeys(self._other_imus, self._imu_us)
         wanted |= dict.fromkeys(self._carriers - {_RAW, _SCALED}, self._gnss_us)
-        wanted |= dict.fromkeys(self._range_finders, round(_MICRO / _FLOW_HZ))
+        wanted |= dict.fromkeys(self._steppers, round(_MICRO / _STEPS_HZ))
         coarse = _coarse_of(autopilot)
         if self._imu_topic:
             wanted[_IMU] = self._imu_us

@@ -12,7 +12,7 @@ from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
 from models.frames import Origin
-from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryPose, Reading
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading
 
 
 @pytest.fixture(scope="module")
@@ -141,11 +141,15 @@ FORMATS = {  # name: type, format, columns
     "XKF1": (132, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH"),
     "ORGN": (133, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
     "VISP": (135, "QffffffB", "TimeUS,PX,PY,PZ,R,P,Y,Rst"),
+    "VISO": (136, "Qffffffff", "TimeUS,dt,AngDX,AngDY,AngDZ,PosDX,PosDY,PosDZ,conf"),
+    "OF": (137, "QBffff", "TimeUS,Qual,flowX,flowY,bodyX,bodyY"),
+    "WENC": (138, "Qfbfb", "TimeUS,Dist0,Qual0,Dist1,Qual1"),
+    "RFND": (139, "QBCBB", "TimeUS,Instance,Dist,Stat,Orient"),
     "PARM": (134, "QNff", "TimeUS,Name,Value,Default"),
-    "SIM": (136, "QccCfLLffff", "TimeUS,Roll,Pitch,Yaw,Alt,Lat,Lng,Q1,Q2,Q3,Q4"),
-    "SIM2": (137, "Qfff", "TimeUS,VN,VE,VD"),
+    "SIM": (150, "QccCfLLffff", "TimeUS,Roll,Pitch,Yaw,Alt,Lat,Lng,Q1,Q2,Q3,Q4"),
+    "SIM2": (151, "Qfff", "TimeUS,VN,VE,VD"),
 }
-STRUCT = {"Q": "Q", "B": "B", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
+STRUCT = {"Q": "Q", "B": "B", "b": "b", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
 
 
 def row(name: str, *values: float | bytes) -> bytes:
@@ -153,11 +157,12 @@ def row(name: str, *values: float | bytes) -> bytes:
     return struct.pack("<BBB" + "".join(STRUCT[c] for c in form), 0xA3, 0x95, kind, *values)
 
 
-def header() -> bytes:
+def header(**columns: str) -> bytes:
     fmt = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
     for name, (kind, form, fields) in FORMATS.items():
         length = 3 + struct.calcsize("<" + "".join(STRUCT[c] for c in form))
-        fmt += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, name.encode(), form.encode(), fields.encode())
+        written = columns.get(name, fields).encode()
+        fmt += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, name.encode(), form.encode(), written)
     return fmt
 
 
@@ -204,7 +209,9 @@ def test_instances_are_distinguished(newer: Path) -> None:
     assert len(first.stream("/truth") or ()) == 4  # of the first core only
 
 
-def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(newer: Path) -> None:
+@pytest.mark.parametrize("names", ["R,P,Y", "Roll,Pitch,Yaw"])
+def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(newer: Path, names: str) -> None:
+    newer.write_bytes(newer.read_bytes().replace(header(), header(VISP=f"TimeUS,PX,PY,PZ,{names},Rst")))
     newer.write_bytes(
         newer.read_bytes()
         + row("VISP", 1_200_000, 1.0, 2.0, -3.0, 0.0, 0.0, 90.0, 0)
@@ -217,6 +224,71 @@ def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(newer: P
     assert first.frame != second.frame
     assert second.t_ns - first.t_ns == 100_000_000
     assert '# odometry = "/odometry"' in recording.settings.toml("dataflash", newer, ("/imu", "/odometry"))
+
+
+def test_a_cameras_steps_are_joined_though_their_stamps_jitter(newer: Path) -> None:
+    """Ten steps of 50 ms, 0.1 m forward and 0.01 rad to the right each, written up to 8 ms late; then one without confidence."""
+    late_us = [0, 8000, 1000, 0, 5000, 8000, 0, 3000, 7000, 2000]
+    rows = [row("VISO", 1_200_000 + 50_000 * k + late, 0.05, 0, 0, 0.01, 0.1, 0, 0, 90.0) for k, late in enumerate(late_us)]
+    newer.write_bytes(newer.read_bytes() + b"".join(rows) + row("VISO", 1_700_000, 0.05, 0, 0, 0, 5.0, 0, 0, 0.0))
+    recording = dataflash.read(newer)
+    (delta,) = (m for m in recording if isinstance(m, OdometryDelta))
+    imu = recording.stream("/imu")
+    assert imu is not None
+    assert [(t - imu.t_ns[0]) // 1000 for t in (delta.t0_ns, delta.t_ns)] == [150_000, 652_000]
+    headings = 0.01 * np.arange(1, 11)  # a step is seen in the body at its end
+    np.testing.assert_allclose(delta.dp_b, [0.1 * np.cos(headings).sum(), 0.1 * np.sin(headings).sum(), 0.0], atol=1e-6)
+    np.testing.assert_allclose(so3.quat_log(np.array(delta.dq_wxyz)), [0.0, 0.0, 0.1], atol=1e-6)
+    assert 'odometry_delta = ["/odometry_delta"]' in recording.settings.toml("dataflash", newer, ("/imu", "/odometry_delta"))
+
+
+def test_flow_over_the_range_finder_turns_about_z_with_the_gyroscope(newer: Path) -> None:
+    """2 m/s forward, 1 m/s to the right, 8 m above ground, rolling at 0.4 rad/s; the IMU turns at 0.3 rad/s; a row is missing."""
+    seen = -1.0 / 8.0 + 0.4, 2.0 / 8.0
+    times = [1_200_000 + 50_000 * k for k in range(12) if k != 5]
+    flows = b"".join(row("OF", t, 200, *seen, 0.4, 0.0) for t in times)
+    newer.write_bytes(newer.read_bytes() + b"".join(row("RFND", t, 0, 800, 4, 25) for t in times) + flows)
+    recording = dataflash.read(newer)
+    first, second = (m for m in recording if isinstance(m, OdometryDelta))
+    assert [m.t_ns - m.t0_ns for m in (first, second)] == [200_000_000] * 2
+    assert second.t0_ns - first.t_ns == 100_000_000
+    turn = np.array([0.02, 0.0, 0.015])
+    dp, R = np.zeros(3), np.eye(3)
+    for _ in range(4):
+        dp += R @ so3.matrix(so3.quat_exp(0.5 * turn)) @ np.array([0.1, 0.05, 0.0])
+        R = R @ so3.matrix(so3.quat_exp(turn))
+    np.testing.assert_allclose(first.dp_b, dp, atol=1e-5)
+    np.testing.assert_allclose(so3.matrix(np.array(first.dq_wxyz)), R, atol=1e-5)
+    assert first.topic == "/optical_flow"
+    assert 'optical_flow = ["/optical_flow"]' in recording.settings.toml("dataflash", newer, ("/imu", "/optical_flow"))
+
+
+def test_flow_without_a_range_is_left_out_and_a_note_counts_it(newer: Path) -> None:
+    newer.write_bytes(newer.read_bytes() + b"".join(row("OF", 1_200_000 + 50_000 * k, 200, 0, 0.1, 0, 0) for k in range(6)))
+    recording = dataflash.read(newer)
+    assert not [m for m in recording if isinstance(m, OdometryDelta)]
+    assert "5 of 5 messages of optical flow left out: no range to the ground at that time" in recording.notes
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_wheels_are_a_velocity_forward_in_the_middle_between_two_counts(newer: Path, both: bool) -> None:
+    """Left 1.8, right 2.2 m/s, every 20 ms; a second wheel that is not there counts 0 at quality 0; 0.1 s are lost."""
+    rows = [
+        row("WENC", 1_200_000 + 20_000 * k, 0.036 * k, 0 if 12 <= k < 17 else 100, 0.044 * k * both, 100 * both)
+        for k in range(30)
+    ]
+    newer.write_bytes(newer.read_bytes() + b"".join(rows))
+    recording = dataflash.read(newer)
+    got, imu = [m for m in recording if isinstance(m, Reading) and m.kind == "velocity_body"], recording.stream("/imu")
+    assert imu is not None
+    assert [(m.t_ns - imu.t_ns[0]) // 1000 for m in got] == [250_000, 350_000, 590_000, 690_000]
+    assert [m.arrived_ns - m.t_ns for m in got] == [50_000_000] * 4
+    np.testing.assert_allclose([m.values for m in got], [(2.0 if both else 1.8, 0.0, 0.0)] * 4, atol=1e-5)
+    assert got[0].covariance is not None
+    np.testing.assert_allclose(np.diag(got[0].covariance), [0.01, 1e6, 1e6])
+    text = recording.settings.toml("dataflash", newer, ("/imu", "/velocity_body"))
+    assert "across_sigma_m_s = 0.1" in text
+    assert 'velocity_body = ["/velocity_body"]' in text
 
 
 def test_the_receivers_own_accuracy_goes_before_dop(newer: Path) -> None:

@@ -256,6 +256,21 @@ def test_a_reboot_in_flight_starts_a_new_clock(tmp_path: Path) -> None:
     assert stamps == [(START_US + after * 10_000) * 1000 for after in (*range(10), *range(2000, 2010))]
 
 
+def test_wheels_are_a_velocity_forward(tmp_path: Path) -> None:
+    """Two of sixteen wheels count: 1.5 m/s, every 50 ms."""
+    ground = Ground(autopilot=3)
+    for k in range(5):
+        ground.imu(k * 50_000, 1_000_000 + k * 50_000)
+        way = [0.07 * k, 0.08 * k, *[0.0] * 14]
+        ground.hear(k * 50_000 + 5_000, mavlink2.MAVLink_wheel_distance_message(1_000_000 + k * 50_000, 2, way))
+    recording = tlog.read(ground.write(tmp_path))
+    got = [m for m in recording if isinstance(m, Reading) and m.kind == "velocity_body"]
+    assert [m.t_ns // 1000 - START_US for m in got] == [50_000, 150_000]
+    assert [m.arrived_ns - m.t_ns for m in got] == [55_000_000] * 2
+    np.testing.assert_allclose([m.values for m in got], [(1.5, 0.0, 0.0)] * 2, atol=1e-9)
+    assert "across_sigma_m_s = 0.1" in recording.settings.toml("tlog", tmp_path, ("/imu", "/velocity_body"))
+
+
 def test_raw_counts_of_other_autopilots_are_no_imu(tmp_path: Path) -> None:
     ground = Ground(autopilot=12)
     ground.hear(0, mavlink2.MAVLink_raw_imu_message(1000, 0, 0, -1000, 1, 2, 3, 0, 0, 0))

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pyulog", reason="the extra px4 is not installed")
+pytest.importorskip("pyulog", reason="the extra tools is not installed")
 
 from pyulog import ULog
 
 from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
 from logs.store.reader import LogError
-from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryPose, Reading
+from models import so3
+from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
 
@@ -213,6 +214,49 @@ def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(tmp_path
     assert [m.p_o for m in poses] == [(1.0 * k,) * 3 for k in (1, 2, 3)]
     assert [m.frame for m in poses] == ["odom 0", "odom 1", "odom 1"]
     assert not [m for m in ulog.read(written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS)) if isinstance(m, OdometryPose)]
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_flow_over_its_range_or_the_range_finders_is_motion_over_the_ground(tmp_path: Path, own: bool) -> None:
+    """3 m/s forward, 1 to the right, 10 m above ground; pitching at 0.2 and turning at 0.5 rad/s: its gyroscope or the IMU."""
+    imu = [{"timestamp": 5000 * k, "timestamp_sample": 5000 * k, "x": 0.0, "y": 0.2, "z": 0.5} for k in range(1, 100)]
+    accel = [{**row, "y": 0.0, "z": -9.8} for row in imu]
+    turn = np.array([0.0, 0.01, 0.025])
+    rows = [
+        {
+            "timestamp": 50_000 * k + 400,
+            "timestamp_sample": 50_000 * k,
+            "pixel_flow[0]": -0.05 / 10.0,
+            "pixel_flow[1]": 0.15 / 10.0 + 0.01,
+            **{f"delta_angle[{axis}]": turn[axis] if own else math.nan for axis in range(3)},
+            "distance_m": 10.0 if own else math.nan,
+            "integration_timespan_us": 50_000,
+            "quality": 0 if k == 1 else 180,
+        }
+        for k in range(1, 6)
+    ]
+    finder = [
+        {
+            "timestamp": 20_000 * k,
+            "current_distance": 10.0,
+            "min_distance": 0.1,
+            "max_distance": 40.0,
+            "signal_quality": 80,
+            "orientation": 25,
+        }
+        for k in range(1, 20)
+    ]
+    topics = {} if own else {"distance_sensor": finder}
+    path = written(tmp_path, sensor_gyro=imu, sensor_accel=accel, vehicle_optical_flow=rows, **topics)
+    (delta,) = (m for m in ulog.read(path) if isinstance(m, OdometryDelta))
+    assert [(t - EPOCH_NS) // 1000 for t in (delta.t0_ns, delta.t_ns, delta.arrived_ns)] == [50_000, 250_000, 250_400]
+    dp, R = np.zeros(3), np.eye(3)
+    for _ in range(4):
+        dp += R @ so3.matrix(so3.quat_exp(0.5 * turn)) @ np.array([0.15, 0.05, 0.0])
+        R = R @ so3.matrix(so3.quat_exp(turn))
+    np.testing.assert_allclose(delta.dp_b, dp, atol=1e-6)
+    np.testing.assert_allclose(so3.matrix(np.array(delta.dq_wxyz)), R, atol=1e-6)
+    np.testing.assert_allclose(np.diag(delta.covariance)[:2], 4 * (10.0 * 0.15 * 0.05) ** 2)
 
 
 def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path) -> None:

@@ -12,12 +12,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
-from estimator.service.mavlink.flow_range import FlowRange, Range
+from estimator.service.mavlink.flow_range import FlowRange
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.wire import Wire
 from logs.wire.codec import Decoder, Topics, encode_input
+from logs.wire.increments import Range
 from models import so3
-from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reason
+from models.messages import Array, Estimate, ImuSample, Mode, OdometryDelta, OdometryPose, Reading, Reason
 from models.relative_pose import between
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
@@ -129,6 +130,33 @@ def test_flow_over_a_range_is_motion_over_the_ground(climbs: bool) -> None:
     assert isinstance(read, OdometryDelta)
     np.testing.assert_array_equal(read.covariance[:2, :2], delta.covariance[:2, :2])
     assert (read.dp_b, read.topic, read.epoch) == (delta.dp_b, "/flow", 1)
+
+
+def test_wheels_are_a_velocity_forward_and_not_sideways() -> None:
+    """Two wheels at 20 Hz, one with 10 % more way: the mean, at the middle; a pause begins anew; nonsense is refused."""
+    inputs = Inputs(MavlinkConfig(imu=False), Topics(velocity_body=("/wheels",)), 0.0)
+    assert mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE in dict(inputs.requests(T0, codec.ARDUPILOT))
+    wire = Wire(1, 197, frozenset({1}), inputs.wanted, None, 0)
+
+    def hear(t_ns: int, *ways: float) -> list[Any]:
+        message = mavlink.MAVLink_wheel_distance_message(t_ns // 1000, len(ways), [*ways, *[0.0] * (16 - len(ways))])
+        (read,) = wire.messages(bytes(message.pack(mavlink.MAVLink(None, 1, 1))), whole=True)
+        return list(inputs.measured(read, t_ns, t_ns, codec.ARDUPILOT))
+
+    got = [reading for k in range(5) for reading in hear(T0 + 50 * k * MS, 0.1 * k, 0.11 * k)]
+    got += [reading for k in range(3) for reading in hear(T0 + 10 * SECOND + 50 * k * MS, 50.0 - 0.1 * k, 50.0 - 0.1 * k)]
+    assert [(m.t_ns - T0, m.arrived_ns - m.t_ns, m.topic) for m in got] == [
+        (50 * MS, 50 * MS, "/wheels"), (150 * MS, 50 * MS, "/wheels"), (10_050 * MS, 50 * MS, "/wheels"),
+    ]  # fmt: skip
+    np.testing.assert_allclose([m.values for m in got], [(2.1, 0, 0), (2.1, 0, 0), (-2.0, 0, 0)], atol=1e-4)
+    read = Decoder(Topics(velocity_body=("/wheels",))).decode(*encode_input(got[0]), got[0].arrived_ns)
+    assert isinstance(read, Reading)
+    assert read.values == got[0].values
+    with pytest.raises(ValueError, match="distance is none"):
+        hear(T0 + 11 * SECOND, math.inf, 1.0)
+    with pytest.raises(ValueError, match="distance is none"):
+        hear(T0 + 11 * SECOND, 1e308, 1e308)
+    assert not hear(T0 + 12 * SECOND)
 
 
 def test_a_flow_takes_the_range_of_the_message_of_a_finder_or_of_the_filter() -> None:

@@ -1,0 +1,164 @@
+"""Increments of odometry from short steps: of a camera (dp, dR), of an optical flow over a range, and the speed of wheels.
+
+A camera's step is seen in the body as it is at its end; an increment is seen in that at its beginning, with the turn dR = exp(a):
+
+    dp = dR p
+
+Flow f and the turn g that a gyroscope saw over the same time, rad about x and y of a camera that looks down along the body's z.
+At the range r, half a turn later than where the step begins:
+
+    dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)
+
+Only x and y are given. An error of r is an error of scale: it stays with the source (`systematic` of OdometryDelta).
+
+Steps are chained to increments of at least a given time, so that clones and noise count per increment, not per message.
+
+Wheels count the way s that they have rolled, forward positive. Their speed, in the middle of the time between two counts:
+
+    v((t_0 + t_1) / 2) = mean over the wheels of (s_1 - s_0) / (t_1 - t_0)
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from models import so3
+from models.messages import Array, OdometryDelta, Reading, vec3
+
+_GAP_NS, _JITTER_NS = 5_000_000, 20_000_000  # between steps that follow each other: half a step, within these
+_CAMERA_NS, _FLOW_NS = 475_000_000, 190_000_000  # an increment lasts at least so long
+_LONGEST_NS: Final = 2_000_000_000
+_SCALE_SHARE: Final = 0.03  # of a flow: its lens, and the slope of the ground
+_FLOW_RAD_S: Final = 0.15  # white, of one message (EKF2_OF_N_MIN of PX4, EK3_FLOW_M_NSE of ArduPilot)
+_NOT_GIVEN: Final = -1.0
+_FINDER_SHARE: Final = 0.02  # 1-sigma of a range finder
+LEAST_RANGE_M: Final = 0.05
+_WHEEL_NS: Final = 100_000_000  # of a speed, at least: a step of an encoder is some millimetres
+_FARTHEST_M: Final = 1e9
+_WHEEL_SIGMA_M_S: Final = 0.1
+_UNKNOWN_M2_S2: Final = 1e6  # of a velocity's component that wheels do not measure
+
+
+class Range(NamedTuple):
+    """Along the body's down axis, and its 1-sigma, m; kind: whose."""
+
+    metres: float
+    sigma_m: float
+    kind: str
+
+
+def measured_range(own_m: float, finder_m: float) -> Range | None:
+    """Of the flow's own message, else of a range finder at that time; nan, infinite, too close: none."""
+    for metres, kind in ((own_m, "flow"), (finder_m, "finder")):
+        if LEAST_RANGE_M < metres < math.inf:
+            return Range(metres, _FINDER_SHARE * metres, kind)
+    return None
+
+
+class Step(NamedTuple):
+    """dp (3,) m and q (4,) of the body at t_ns, seen in that at t0_ns; variance: of dp_x and dp_y, m^2."""
+
+    t0_ns: int
+    t_ns: int
+    dp: Array
+    q: Array
+    variance: float = 0.0
+
+
+class Chain:
+    """Joins steps that follow each other, and puts out increments that neither overlap nor leave a step out."""
+
+    def __init__(self, least_ns: int) -> None:
+        self._least_ns = least_ns
+        self._open: Step | None = None
+
+    def add(self, step: Step) -> list[Step]:
+        """The increments that have come to their end with this step."""
+        before, done = self._open, list[Step]()
+        jitter_ns = min(max(_GAP_NS, (step.t_ns - step.t0_ns) // 2), _JITTER_NS)
+        if before is not None and abs(step.t0_ns - before.t_ns) > jitter_ns:
+            done, before = ([before] if step.t0_ns > before.t_ns else []), None
+        joined = step if before is None else _joined(before, step)
+        self._open = None if joined.t_ns - joined.t0_ns >= self._least_ns else joined
+        return done if self._open else [*done, joined]
+
+
+def _joined(a: Step, b: Step) -> Step:
+    dp = a.dp + so3.matrix(a.q) @ b.dp
+    return Step(a.t0_ns, b.t_ns, dp, so3.normalise(so3.multiply(a.q, b.q)), a.variance + b.variance)
+
+
+class CameraSteps:
+    """OdometryDeltas of a camera's steps, on one topic."""
+
+    def __init__(self, topic: str) -> None:
+        self._chain, self._topic = Chain(_CAMERA_NS), topic
+
+    def add(self, t_ns: int, dt_ns: int, turn: Array, moved: Array) -> list[OdometryDelta]:
+        """turn (3,) rad, moved (3,) m, over the dt_ns before t_ns. Raises ValueError for what is no motion."""
+        if not (np.isfinite(turn).all() and np.isfinite(moved).all() and 0 < dt_ns <= _LONGEST_NS):
+            raise ValueError("is no motion over a time")
+        q = so3.quat_exp(turn)
+        steps = self._chain.add(Step(t_ns - dt_ns, t_ns, so3.matrix(q) @ moved, q))
+        return [_delta(s, np.zeros((6, 6)), None, 0, self._topic) for s in steps]
+
+
+class FlowSteps:
+    """OdometryDeltas of an optical flow, on one topic."""
+
+    def __init__(self, topic: str) -> None:
+        self._chain, self._topic, self._epoch, self._range_kind = Chain(_FLOW_NS), topic, 0, ""
+
+    def add(self, t_ns: int, dt_ns: int, seen: Array, turn: Array, at: Range | None) -> list[OdometryDelta]:
+        """seen (2,) and turn (3,) rad, over the dt_ns before t_ns. Raises ValueError for what is no flow or has no range."""
+        if not (np.isfinite(turn).all() and np.isfinite(seen).all() and 0 < dt_ns <= _LONGEST_NS):
+            raise ValueError("is no flow over a time; a gyroscope's turn is needed, too")
+        if at is None:
+            raise ValueError("no range: neither a range finder nor [visual_odometry] ground_m gives one")
+        if at.kind != self._range_kind:
+            self._chain, self._epoch, self._range_kind = Chain(_FLOW_NS), self._epoch + 1, at.kind
+        f, g = seen.tolist(), turn.tolist()
+        moved = at.metres * np.array([f[1] - g[1], g[0] - f[0], 0.0])
+        variance = (at.metres * _FLOW_RAD_S * dt_ns * 1e-9) ** 2
+        step = Step(t_ns - dt_ns, t_ns, so3.matrix(so3.quat_exp(0.5 * turn)) @ moved, so3.quat_exp(turn), variance)
+        share = math.hypot(_SCALE_SHARE, at.sigma_m / at.metres)
+        return [
+            _delta(s, np.diag([s.variance] * 2 + [_NOT_GIVEN] * 4), share, self._epoch, self._topic)
+            for s in self._chain.add(step)
+        ]
+
+
+def _delta(step: Step, covariance: Array, share: float | None, epoch: int, topic: str) -> OdometryDelta:
+    """share: 1-sigma of the scale of x and y, or as [odometry] has it."""
+    systematic = None if share is None else np.array([[share * x] for x in (*step.dp[:2].tolist(), 0.0, 0.0, 0.0, 0.0)])
+    w, x, y, z = step.q.tolist()
+    return OdometryDelta(step.t_ns, step.t_ns, step.t0_ns, vec3(step.dp), (w, x, y, z), covariance, systematic, epoch, topic)
+
+
+class Wheels:
+    """Velocities forward of a vehicle's wheels, on one topic; right and down are not given (non-holonomic: [velocity_body])."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._before: tuple[int, tuple[float, ...]] | None = None
+
+    def add(self, t_ns: int, metres: Sequence[float]) -> list[Reading]:
+        """metres: the way of each wheel since its start, at t_ns; nan or no wheel: lost. Raises ValueError for what is no way."""
+        now = tuple(metres)
+        if any(abs(way) > _FARTHEST_M for way in now):
+            raise ValueError("a wheel's distance is none")
+        if not now or any(map(math.isnan, now)):
+            self._before = None
+            return []
+        before = self._before
+        if before is None or len(before[1]) != len(now) or not 0 < t_ns - before[0] <= _LONGEST_NS:
+            self._before = t_ns, now
+            return []
+        if (dt_ns := t_ns - before[0]) < _WHEEL_NS:
+            return []
+        self._before = t_ns, now
+        v = (sum(now) - sum(before[1])) / len(now) / (dt_ns * 1e-9)
+        noise = np.diag([_WHEEL_SIGMA_M_S**2, _UNKNOWN_M2_S2, _UNKNOWN_M2_S2])
+        return [Reading(t_ns - dt_ns // 2, t_ns, self._topic, "velocity_body", (v, 0.0, 0.0), noise)]
