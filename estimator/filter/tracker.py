@@ -320,7 +320,7 @@ class Tracker(Alignment):
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if trusted and aid.absolute:
-            self._note_variance(aid, verdict.seen, persists=self._persists(verdict.seen) or not alone)
+            self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
         if verdict.fused and (aid.absolute or aid.receiver):

@@ -44,8 +44,7 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
-# Ratio of an innovation to its prediction that may be noise, where it points another way than the last: unaligned and aligned.
-_LARGEST_UNALIGNED, _LARGEST_ALIGNED = 1e4, 300.0
+_LARGEST_ALIGNING = 1e4  # ratio of an innovation to its prediction that may be noise, where it points another way than the last
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -91,7 +90,7 @@ class Alignment:
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
         self.variance_factor = NO_EXCESS
-        self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source
+        self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.apart: dict[str, Array] = {}  # (3,) m: of absolute sources that persist in disagreeing with it, by topic
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.last_absolute_ns = NEVER
@@ -185,10 +184,11 @@ class Alignment:
         limit = gate(aid.rules.gate_probability, len(seen.nu))
         foreseen = seen.distance2 * self.variance_factor.value <= limit
         if aid.absolute:
-            persists = self._persists(seen)
+            before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
+            persists = contradiction.persists(before, self.direction)
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
-                self._note_variance(aid, seen, persists=persists)
+                self._note_variance(aid, seen, LARGEST if persists else _LARGEST_ALIGNING)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
                 self._note_apart(aid, z, disagrees=disagrees)
@@ -230,16 +230,10 @@ class Alignment:
         elif aid.topic in self.apart:
             self.apart = {topic: off for topic, off in self.apart.items() if topic != aid.topic}
 
-    def _persists(self, seen: Innovation) -> bool:
-        """Whether an innovation of an absolute source points the same way as the one before it."""
-        before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
-        return contradiction.persists(before, self.direction)
-
-    def _note_variance(self, aid: Aid, seen: Innovation, *, persists: bool) -> None:
-        """One more innovation of an absolute source, of the leading filter; persists: it is no noise."""
+    def _note_variance(self, aid: Aid, seen: Innovation, largest: float = LARGEST) -> None:
+        """One more innovation of an absolute source, of the leading filter."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
-        largest = LARGEST if persists else _LARGEST_ALIGNED if self.is_aligned else _LARGEST_UNALIGNED
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
         self.hypotheses.scale(self.variance_factor.value, aid.topic)
 

@@ -93,20 +93,3 @@ def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
     nees = np.array([d @ np.linalg.solve(e.covariance[E.P, E.P], d) / 3.0 for d, e in zip(off, late, strict=True)])
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.5
     assert 0.1 < nees.mean() < 1.5
-    assert len(run.resets) < 10
-
-
-def test_errors_that_are_ten_times_the_claimed_ones_are_seen_once_aligned() -> None:
-    """From 20 s on the covariance of each fix is a hundredth: their errors point in all directions, so it is their noise."""
-    flight = simulated(FLIGHT)
-    messages = [
-        _overconfident(m, 100.0) if isinstance(m, PoseFix) and m.t_ns > EPOCH_NS + 20 * SECOND else m for m in flight.messages
-    ]
-    run: Run = fly(flight, messages=messages)
-    late = [*within(run.estimates, 25.0, 30.0), *within(run.estimates, 42.0, 60.0)]
-    off = np.array([error(e, flight.truth)[E.P] for e in late])
-    nees = np.array([d @ np.linalg.solve(e.covariance[E.P, E.P], d) / 3.0 for d, e in zip(off, late, strict=True)])
-    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.5
-    assert 0.1 < nees.mean() < 1.5
-    final = [s.reason for s in run.last_words("/pose_fix").values()]
-    assert final.count(Reason.FUSED) > 0.85 * len(final)
