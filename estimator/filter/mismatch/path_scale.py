@@ -7,9 +7,10 @@ The newest position g of GNSS is fitted to that of each fix, z, which is the mor
 
 C: second moments about the mean, cleared of the part that is linear in time: C_ab = S_ab - S_a . S_b / n - C_at . C_bt / C_tt.
 d t takes up a slow pull of the receiver, c an offset between map and datum: neither is a scale. The sums begin anew each minute.
-The fixes are in a wrong unit where s is beyond a factor of two, b is six sigmas from one and from zero, the fit explains the
-motion, and the difference is one of metres; and so until a fit within that factor explains it. The fixes are at fault: degrees
-have no unit to mistake. (Draper and Smith 1998, Applied Regression Analysis, ch. 1.)
+The fixes are in a wrong unit where s is above two or below a fifth, b is six sigmas from one and from zero, and the difference
+that it makes is one of metres and larger than what is left, e, which is noise of GNSS; and so until a fit between those explains
+the motion. A pull that begins within the minute leaves more than noise. The fixes are at fault: degrees have no unit to mistake.
+(Draper and Smith 1998, Applied Regression Analysis, ch. 1.)
 """
 
 import math
@@ -26,8 +27,9 @@ _UNKNOWNS = 7.0  # b, d, c
 _SIGMAS = 6.0
 _ANEW_S = 60.0  # the sums begin anew
 _FRESH_S = 1.0  # an older GNSS reading makes no pair
-_FACTOR = 2.0  # by which the scale is off at least
+_NO_UNIT = 0.2, 2.0  # scales between these are none: no unit is so near, and the bend of a pull may look so
 _EXPLAINED = 0.4  # correlation of the two paths
+_NOISE_M = 4.0  # of GNSS, root mean square: what is left is more where the receiver is pulled off
 _LEAST_M = 3.0  # root mean square of the difference that the scale makes
 _UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001: "kilometres"}
 _NEAR = 0.1  # ln: a scale that near a unit's is that unit
@@ -61,10 +63,14 @@ class Moments(NamedTuple):
         if not (c_gg > 0.0 and c_zz > 0.0 and c_zg > _EXPLAINED * math.sqrt(c_gg * c_zz)):
             return None
         b = c_zg / c_zz
-        sigma = math.sqrt(max(c_gg - b * c_zg, 0.0) / ((_XYZ * n - _UNKNOWNS) * c_zz))
-        if abs(math.log(b)) < math.log(_FACTOR):
+        left = max(c_gg - b * c_zg, 0.0)
+        sigma = math.sqrt(left / ((_XYZ * n - _UNKNOWNS) * c_zz))
+        if _NO_UNIT[0] < 1.0 / b < _NO_UNIT[1]:
             return 1.0
-        shown = min(abs(b - 1.0), b) > _SIGMAS * sigma and abs(b - 1.0) * math.sqrt(c_zz / n) > _LEAST_M
+        difference_m = abs(b - 1.0) * math.sqrt(c_zz / n)
+        left_m = math.sqrt(left / n)
+        is_explained = left_m < _NOISE_M and difference_m > max(_LEAST_M, left_m)
+        shown = is_explained and min(abs(b - 1.0), b) > _SIGMAS * sigma
         return 1.0 / b if shown else None
 
 
