@@ -120,7 +120,7 @@ def test_it_watches_a_daemon_and_draws_it(tmp_path: Path) -> None:
         with (tmp_path / "screen.txt").open("w") as screen:
             watching = subprocess.Popen([*command, *words], env=environment() | {"COLUMNS": "110"}, stdout=screen)
         while watching.poll() is None:
-            fly(session, 1.0)
+            fly(session, 3.0)
         asked = subprocess.run([*command, "--json"], env=environment(), capture_output=True, text=True, check=True)
     seen = (tmp_path / "screen.txt").read_text()
     assert watching.returncode == 0
