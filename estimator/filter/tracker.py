@@ -8,7 +8,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.filter import contradiction, remarks
+from estimator.filter import conflict, contradiction, remarks
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
@@ -61,6 +61,7 @@ class Tracker(Alignment):
         self.path_scale = PathScale()
         self.delays: Delays = {}
         self.bias_walk = BiasWalk()
+        self.contrary_ns: dict[str, int] = {}  # when a velocity of a receiver was last rejected, by the topic of its positions
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -93,10 +94,14 @@ class Tracker(Alignment):
         if self.is_aligned and self.without_sensor is not None:
             return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
         if self.is_aligned:
-            return bank.covariance()
+            cov = bank.covariance()
+            for apart in self.apart.values():
+                if apart.lasts:
+                    cov[E.P, E.P] += apart.added
+            return cov
         cov = covariance(bank, self.config.initialise)
-        for off in self.apart.values():
-            cov[E.P, E.P] += np.outer(off, off)
+        for apart in self.apart.values():
+            cov[E.P, E.P] += np.outer(apart.off, apart.off)
         return cov
 
     @property
@@ -327,6 +332,7 @@ class Tracker(Alignment):
             self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
             if self.delays[aid.witness].is_state:
                 self.stretch = None  # a run would leave the delay out
+        self._note_receiver(aid, z)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
@@ -349,6 +355,17 @@ class Tracker(Alignment):
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
+
+    def _note_receiver(self, aid: Aid, z: Measurement) -> None:
+        """Whether a receiver stands elsewhere than the estimate, which rejects its positions or its velocities."""
+        assert self.hypotheses is not None
+        is_rejected = aid.topic in self.hypotheses.members[0].rejected
+        if aid.receiver and is_rejected:
+            self.contrary_ns = self.contrary_ns | {aid.receiver: aid.t_ns}
+        elif aid.absolute:
+            is_receiver = aid.log_misled is not None
+            is_contrary = is_rejected or aid.t_ns - self.contrary_ns.get(aid.topic, NEVER) < conflict.LASTS_NS
+            self._note_apart(aid, z, disagrees=is_receiver and is_contrary, lingers=is_receiver)
 
     def _is_stuck(self, aid: Aid, samples: ImuBuffer) -> bool:
         """The sensor has read the same for too long for a vehicle in motion."""

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.filter import contradiction
+from estimator.filter import conflict, contradiction
 from estimator.filter.alignment import heading, initialise
 from estimator.filter.alignment.config import TrackerConfig
 from estimator.filter.alignment.heading import Resting, WithoutSensor
 from estimator.filter.alignment.initialise import Level
+from estimator.filter.conflict import Apart
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses
@@ -91,7 +92,7 @@ class Alignment:
         self.given_up = 0  # how often a filter was
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
-        self.apart: dict[str, Array] = {}  # (3,) m: of absolute sources that persist in disagreeing with it, by topic
+        self.apart: dict[str, Apart] = {}  # absolute sources that persist in disagreeing with the estimate, by topic
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.last_absolute_ns = NEVER
 
@@ -222,13 +223,20 @@ class Alignment:
         self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
         self.contradiction, self.apart = NO_CONTRADICTION, {}
 
-    def _note_apart(self, aid: Aid, z: Measurement, *, disagrees: bool) -> None:
-        """Until one of two absolute sources is decided for, the covariance that is published covers both."""
+    def _note_apart(self, aid: Aid, z: Measurement, *, disagrees: bool, lingers: bool = False) -> None:
+        """A source stands elsewhere than the estimate, or no longer; the covariance that is published allows for it.
+
+        lingers: until it is near.
+        """
         assert self.hypotheses is not None
-        if disagrees and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
-            self.apart = {**self.apart, aid.topic: z.z_n - self.hypotheses.lead.x[X.P]}
-        elif aid.topic in self.apart:
-            self.apart = {topic: off for topic, off in self.apart.items() if topic != aid.topic}
+        before = self.apart.get(aid.topic)
+        if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
+            now = conflict.apart(before, aid, z, self.hypotheses.lead.x[X.P])
+            if disagrees or not now.is_near:
+                self.apart = {**self.apart, aid.topic: now}
+                return
+        if before:
+            self.apart = {topic: apart for topic, apart in self.apart.items() if topic != aid.topic}
 
     def _note_variance(self, aid: Aid, seen: Innovation, largest: float = LARGEST) -> None:
         """One more innovation of an absolute source, of the leading filter."""
