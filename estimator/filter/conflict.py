@@ -24,6 +24,7 @@ _XYZ = 3
 
 _MAP_IS_WRONG = 0.05  # w_0
 _MAP_OFF_M = 20.0  # d_0
+_SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
 LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
 
@@ -40,6 +41,11 @@ class Apart(NamedTuple):
     def lasts(self) -> bool:
         """For so long that it is no outlier."""
         return self.last_ns - self.since_ns >= LASTS_NS
+
+    @property
+    def may_be_right(self) -> bool:
+        """It shows in the covariance."""
+        return float(self.off @ self.off) < (_SHOWS * _MAP_OFF_M) ** 2
 
     @property
     def added(self) -> Array:

@@ -40,11 +40,12 @@ _ATTITUDE = slice(0, 3)  # of these
 
 
 class Taken(NamedTuple):
-    """A measurement of the stretch; gyro_b: the raw rate then."""
+    """A measurement of the stretch; gyro_b: the raw rate then; follows: it is fused whatever its distance."""
 
     aid: Aid
     z: Measurement
     gyro_b: Array
+    follows: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +71,11 @@ class Stretch:
         """One that begins with what a filter knows."""
         return cls(known.t_ns, known.x.copy(), known.cov.copy(), known.slow)
 
-    def also(self, aid: Aid, z: Measurement, gyro_b: Array) -> "Stretch":
+    def also(self, aid: Aid, z: Measurement, gyro_b: Array, *, follows: bool = False) -> "Stretch":
         """With one more measurement; not with one whose zero is unknown (a barometer's is found again afterwards)."""
         if any(slow.walk is not None for slow in aid.slow_errors):
             return self
-        return replace(self, taken=(*self.taken, Taken(aid, z, gyro_b)))
+        return replace(self, taken=(*self.taken, Taken(aid, z, gyro_b, follows)))
 
     @property
     def has_grown(self) -> bool:
@@ -95,6 +96,11 @@ class Stretch:
         """Whether the linear filter may go on alone: attitude known, and no change by a run for half of the stretch."""
         known = self.sigma is not None and bool((self.sigma[_ATTITUDE] < _ATTITUDE_KNOWN).all())
         return known and self.run_at >= 2 * self.moved_at > 0
+
+    @property
+    def has_followed(self) -> bool:
+        """Whether some measurement of it was fused whatever its distance."""
+        return any(taken.follows for taken in self.taken)
 
     def is_long(self, t_ns: int) -> bool:
         """Whether it is too long to be run again."""
@@ -192,7 +198,7 @@ def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
     seen = innovation(run, taken.aid, taken.z, taken.gyro_b)
     nu = seen.nu - seen.h[:, : E.SIZE] @ dx
     distance2, _ = mahalanobis(nu, seen.s)
-    if distance2 > gate(taken.aid.rules.gate_probability, len(nu)):
+    if distance2 > gate(taken.aid.rules.gate_probability, len(nu)) and not taken.follows:
         return dx
     return dx + run.correct(seen._replace(nu=nu))
 

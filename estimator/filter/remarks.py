@@ -3,6 +3,9 @@
 import math
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
+from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, PathScale, delay
 from estimator.sources.source import SourceState
@@ -19,6 +22,16 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
     used = {topic for topic in set(absolute) - rejected if t_ns - sources[topic].fused_ns < VOUCHED_NS}
     sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
     return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
+
+
+def apart(found: Mapping[str, Apart]) -> list[str]:
+    """Which receivers the estimate has decided against, and by how much they are off."""
+    return [
+        f"{topic} is {np.linalg.norm(a.off):.1f} m from the estimate for {(a.last_ns - a.since_ns) * 1e-9:.0f} s: not used"
+        + (", but the covariance allows for an error of the map" if a.may_be_right else "")
+        for topic, a in sorted(found.items())
+        if a.lasts
+    ]
 
 
 def units(path_scale: PathScale, absolute: Iterable[str]) -> list[str]:

@@ -144,6 +144,7 @@ class Tracker(Alignment):
         beside = self.without_sensor if self.is_aligned else None
         return [
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
+            *(remarks.apart(self.apart) if self.is_aligned and not self._conflict() else ()),
             *remarks.units(self.path_scale, self.absolute),
             *remarks.drifts(self.sources),
             *remarks.delays(self.delays, self.hypotheses),
@@ -328,8 +329,8 @@ class Tracker(Alignment):
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
-        if verdict.fused and (aid.absolute or aid.receiver):
-            self.delays = delay.noted(aid, verdict.seen, self.delays, self.hypotheses.members)
+        if (verdict.fused or (alone and trusted)) and (aid.absolute or aid.receiver):
+            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, self.hypotheses.members)
             if self.delays[aid.witness].is_state:
                 self.stretch = None  # a run would leave the delay out
         self._note_receiver(aid, z)

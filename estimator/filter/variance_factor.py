@@ -46,12 +46,17 @@ class VarianceFactor(NamedTuple):
     t_ns: int = 0
     recent: tuple[tuple[str, Recent], ...] = ()
 
+    @property
+    def is_known(self) -> bool:
+        """There are readings enough of some topic."""
+        return any(len(r.ratios) >= _FEWEST for _, r in self.recent)
+
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float = LARGEST) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`."""
+        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r / f is larger than `largest`."""
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         ratios = by_topic[topic].ratios if topic in by_topic else ()
-        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest else ratios, usual)
+        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest * max(1.0, self.value / 10.0) else ratios, usual)
         excess = min(r.excess for r in by_topic.values())
         faded = 1.0 + (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
         value = max(excess, faded if faded > _GONE else 1.0)

@@ -181,7 +181,8 @@ class Alignment:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
         self.hypotheses.scale(self.variance_factor.value)
-        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        follows = self.contradiction.unforeseen > 0 and aid.absolute and len(self.hypotheses.members) == 1
+        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b, follows=follows)
         limit = gate(aid.rules.gate_probability, len(seen.nu))
         foreseen = seen.distance2 * self.variance_factor.value <= limit
         if aid.absolute:
@@ -198,8 +199,9 @@ class Alignment:
             return
         before_it = self.stretch
         if self.stretch is not None:
-            self.stretch = self.stretch.also(aid, z, gyro_b)
-        known = self._is_proven() and self._is_known()
+            self.stretch = self.stretch.also(aid, z, gyro_b, follows=follows)
+        followed = self.stretch is not None and self.stretch.has_followed and not self.variance_factor.is_known
+        known = self._is_proven() and self._is_known() and not followed
         if known:
             del self.hypotheses.members[1:]
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show

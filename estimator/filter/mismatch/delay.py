@@ -14,6 +14,7 @@ Where that is beyond its limit, tau becomes a state with the estimate b / A, and
 A filter that has been aligned with this source alone knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
@@ -31,6 +32,8 @@ from models.state import E, X
 
 _ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
+_FEWEST = 3  # readings
+_LONGEST_S = 0.5  # a single reading beyond the gate shows no longer delay
 _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
@@ -40,23 +43,32 @@ _XYZ = 3
 
 
 class Delay(NamedTuple):
-    """The sums of one source since since_ns; is_state: whether its delay is estimated."""
+    """The sums of one source since since_ns; count: of its readings; is_state: whether its delay is estimated."""
 
     since_ns: int
     information: float = 0.0
     score: float = 0.0
+    count: int = 0
     is_state: bool = False
 
-    def also(self, t_ns: int, seen: Innovation, column: int) -> "Delay":
-        """With one more innovation; column: where tau stands in P."""
+    def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
+        """With one more innovation; column: where tau stands in P.
+
+        gate: a reading beyond it counts where it shows a delay by itself, and nothing else: the rest of nu is inside the gate.
+        """
         if self.is_state:
             return self
         sums = self if 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S else Delay(t_ns)
         j = seen.hp[:, column] / _PROBE_S**2
         weighed = np.linalg.solve(seen.s, j)
-        information, score = sums.information + float(weighed @ j), sums.score + float(weighed @ seen.nu)
-        shown = information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
-        return Delay(sums.since_ns, information, score, shown)
+        information, score = float(weighed @ j), float(weighed @ seen.nu)
+        if seen.distance2 > gate and not (
+            score**2 > max(_SIGMAS**2, seen.distance2 - gate) * information and abs(score) < _LONGEST_S * information
+        ):
+            return sums
+        information, score, count = sums.information + information, sums.score + score, sums.count + 1
+        shown = count >= _FEWEST and information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
+        return Delay(sums.since_ns, information, score, count, shown)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions
@@ -82,14 +94,14 @@ def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: 
     return replace(aid, slow_errors=(*aid.slow_errors, error))
 
 
-def noted(aid: Aid, seen: Innovation, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
-    """After a reading that the leading filter has fused; once the innovations show a delay, it is a state of each filter."""
+def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
+    """After a reading of the leading filter, of this gate; once the innovations show a delay, it is a state of each filter."""
     topic = aid.witness
     before = delays.get(topic) or Delay(aid.t_ns)
     name, lead = block(topic), members[0].filter
     now = before
     if not before.is_state and name in lead.slow.columns and lead.slow.columns[name].stop <= seen.hp.shape[1]:
-        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start)
+        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate)
     if now.is_state and not before.is_state:
         for member in members:
             if name in member.filter.slow.columns:

@@ -223,3 +223,40 @@ def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_confl
     for a, b in zip(usual.estimates, never.estimates, strict=True):
         np.testing.assert_array_equal(a.nav, b.nav)
         np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
+
+
+@pytest.mark.parametrize("off_m", [5.0, 19.4])
+def test_where_the_map_is_shifted_the_covariance_goes_on_to_allow_for_it(off_m: float) -> None:
+    flight = simulated(BOOT, seed=3)
+    shifted = [replace(m, p_n=(m.p_n[0] + off_m, *m.p_n[1:])) if isinstance(m, PoseFix) else m for m in flight.messages]
+    run = fly(flight, messages=shifted)
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 30 * SECOND][::20]
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    off = position_errors(late, flight.truth)
+    assert (off > 3.0 * radius).mean() < 0.01
+    assert np.median(radius) < 0.7 * off_m
+    assert re.search(rf"/gnss is \d+\.\d m from the estimate for \d+ s: not used, but", run.health[-1].detail)
+
+
+def test_a_receiver_that_is_hundreds_of_metres_off_does_not_widen_the_covariance_for_good() -> None:
+    flight = simulated(BOOT, seed=3)
+    spoofed = [replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0) if isinstance(m, GnssFix) else m for m in flight.messages]
+    run = fly(flight, messages=spoofed)
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND][::20]
+    radius = [2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late]
+    assert max(radius) < 2.5
+    assert position_errors(late, flight.truth).max() < 1.0
+    assert run.health[-1].detail.endswith("s: not used")
+
+
+def test_one_outlier_of_a_receiver_does_not_widen_the_covariance() -> None:
+    flight, at_ns = simulated(BOOT, seed=3), EPOCH_NS + 40 * SECOND
+    wild = [
+        replace(m, lat_deg=m.lat_deg + 15.0 / 111_320.0) if isinstance(m, GnssFix) and at_ns < m.t_ns < at_ns + SECOND // 3 else m
+        for m in flight.messages
+    ]
+    reach = [
+        [math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in fly(flight, messages=messages).estimates if e.t_ns > at_ns]
+        for messages in (wild, flight.messages)
+    ]
+    assert max(reach[0]) < 1.1 * max(reach[1])

@@ -168,3 +168,47 @@ def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovation
         found = found.also(EPOCH_NS + k * SECOND, Innovation(np.array([3.0]), one, hp, one, one, 9.0, 0.0), 0)
     assert found.score**2 > 36.0 * found.information
     assert found.is_state == is_state
+
+
+@pytest.mark.parametrize(
+    ("off", "counts"),
+    [((6.0, 6.0), True), ((6.0, -6.0), False), ((3.0, 3.0), False), ((60.0, 60.0), False)],
+    ids=["explained", "not explained", "not shown by itself", "too long"],
+)
+def test_a_reading_beyond_the_gate_counts_where_it_shows_a_delay_and_nothing_else(off: tuple[float, float], counts: bool) -> None:
+    hp, nu = 20.0 * 1e-4**2 * np.ones((2, 1)), np.array(off)  # 20 m/s x tau
+    seen = Innovation(nu, np.eye(2), hp, np.eye(2), np.eye(2), float(nu @ nu), 0.0)
+    found = delay.Delay(EPOCH_NS)
+    for k in range(3):
+        assert not found.is_state
+        found = found.also(EPOCH_NS + k * SECOND, seen, 0, gate=11.6)
+    assert found.count == 3 * counts
+    assert found.is_state == counts
+
+
+LIVELY = """
+duration_s = 50.0
+[vehicle]
+kind = "multirotor"
+speed_m_s = 8.0
+[imu]
+rate_hz = 100.0
+[pose_fix]
+rate_hz = 2.0
+sigma_m = [0.05, 0.05, 0.05]
+sigma_deg = [0.3, 0.3, 0.3]
+"""
+
+
+def test_fixes_so_late_that_the_gate_refuses_them_are_found_to_be_late_and_not_refused_for_long() -> None:
+    flight = simulated(LIVELY, seed=5)
+    by_ns = 250_000_000
+    messages = sorted(
+        (replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns) if isinstance(m, PoseFix) else m for m in flight.messages),
+        key=lambda m: m.arrived_ns,
+    )
+    run = fly(flight, messages=messages)
+    found, sigma = _found_ms(run, "/pose_fix")
+    assert abs(found - 250.0) < max(3.0 * sigma, 15.0)
+    off = position_errors(within(run.estimates, 20.0, 50.0), flight.truth)
+    assert math.sqrt((off**2).mean()) < 0.5
