@@ -6,7 +6,8 @@ m_50(m): the median of chi-square with m degrees of freedom; the median of r cou
 it (2.5 for six components, 3.5 for three: the median of seven good ones is there in one case of 10,000). The covariance of the
 state's error is f P, that of an innovation f S. The gain K = P H^T S^-1 does not depend on f: where the world differs from the
 model, the estimate is that of an ungated filter, while gates and published covariance remain consistent. The median does not
-follow three outliers of seven. f is never below 1. Where several sources are heard, it is the least of their medians: an excess
+follow three outliers of seven. A ratio that is larger than noise is a false fix, and does not count, once the innovations have been
+usual for 20 readings in a row; before, it is rather the model that is wrong. f is never below 1. Where several sources are heard, it is the least of their medians: an excess
 that all show is the filter's, one that a single source shows is a conflict, and left to the hypotheses.
 (A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
 """
@@ -19,6 +20,8 @@ from estimator.sources.gating import gate
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
 _USUAL = 0.96  # share of good readings
 LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
+LARGEST_AT_FIRST = 1e4  # before the model has been right for a while, it is what may be wrong
+_ENOUGH = 20  # readings in a row
 _FADES_S, _GONE = 30.0, 1.01
 _SILENT_S = 10.0  # a source that is silent for longer has no say
 
@@ -40,27 +43,34 @@ class Recent(NamedTuple):
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; recent: by topic."""
+    """value: f at t_ns; recent: by topic; usual: readings in a row whose median is usual, until they are enough."""
 
     value: float = 1.0
     t_ns: int = 0
     recent: tuple[tuple[str, Recent], ...] = ()
+    usual: int = 0
 
     @property
     def is_known(self) -> bool:
         """There are readings enough of some topic."""
         return any(len(r.ratios) >= _FEWEST for _, r in self.recent)
 
-    def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float = LARGEST) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r / f is larger than `largest`."""
+    @property
+    def largest(self) -> float:
+        """The largest r that counts."""
+        return LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST
+
+    def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float = math.inf) -> "VarianceFactor":
+        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`."""
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         ratios = by_topic[topic].ratios if topic in by_topic else ()
-        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest * max(1.0, self.value / 10.0) else ratios, usual)
+        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= min(largest, self.largest) else ratios, usual)
         excess = min(r.excess for r in by_topic.values())
         faded = 1.0 + (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
         value = max(excess, faded if faded > _GONE else 1.0)
-        return VarianceFactor(value, t_ns, tuple(sorted(by_topic.items())))
+        in_a_row = self.usual if self.usual >= _ENOUGH else self.usual + 1 if excess == 1.0 else 0
+        return VarianceFactor(value, t_ns, tuple(sorted(by_topic.items())), in_a_row)
 
 
 NO_EXCESS = VarianceFactor()

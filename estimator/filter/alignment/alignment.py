@@ -5,6 +5,7 @@ one is left; a prior attitude, a course or a measured heading begins with that. 
 well enough and the stretch so far, run again, confirms the filter.
 """
 
+import math
 from dataclasses import dataclass
 from dataclasses import replace as replace_in
 from typing import NamedTuple
@@ -45,7 +46,6 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
-_LARGEST_ALIGNING = 1e4  # ratio of an innovation to its prediction that may be noise, where it points another way than the last
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -190,7 +190,7 @@ class Alignment:
             persists = contradiction.persists(before, self.direction)
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
-                self._note_variance(aid, seen, LARGEST if persists else _LARGEST_ALIGNING)
+                self._note_variance(aid, seen, LARGEST if persists else math.inf)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
                 self._note_apart(aid, z, disagrees=disagrees)
@@ -240,7 +240,7 @@ class Alignment:
         if before:
             self.apart = {topic: apart for topic, apart in self.apart.items() if topic != aid.topic}
 
-    def _note_variance(self, aid: Aid, seen: Innovation, largest: float = LARGEST) -> None:
+    def _note_variance(self, aid: Aid, seen: Innovation, largest: float = math.inf) -> None:
         """One more innovation of an absolute source, of the leading filter."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value

@@ -165,6 +165,9 @@ class Hypotheses:
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, aid, gained, fused)
+                doubt = member.doubts.get(aid.topic)
+                if k and 0 in gained and not fused[0] and not fused[k] and doubt and doubt.deliberate:
+                    member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
             elif by_others is not None:
                 member.weight += by_others
             elif not set_aside:  # no other one follows the receiver: it is judged again

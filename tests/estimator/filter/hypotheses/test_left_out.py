@@ -256,7 +256,11 @@ def test_one_outlier_of_a_receiver_does_not_widen_the_covariance() -> None:
         for m in flight.messages
     ]
     reach = [
-        [math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in fly(flight, messages=messages).estimates if e.t_ns > at_ns]
+        [
+            math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1])
+            for e in fly(flight, messages=messages).estimates
+            if e.t_ns > at_ns
+        ]
         for messages in (wild, flight.messages)
     ]
     assert max(reach[0]) < 1.1 * max(reach[1])

@@ -204,7 +204,10 @@ def test_fixes_so_late_that_the_gate_refuses_them_are_found_to_be_late_and_not_r
     flight = simulated(LIVELY, seed=5)
     by_ns = 250_000_000
     messages = sorted(
-        (replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns) if isinstance(m, PoseFix) else m for m in flight.messages),
+        (
+            replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns) if isinstance(m, PoseFix) else m
+            for m in flight.messages
+        ),
         key=lambda m: m.arrived_ns,
     )
     run = fly(flight, messages=messages)
