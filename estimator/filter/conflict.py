@@ -6,8 +6,9 @@ published covariance goes on to allow for the second, as a mixture of two means 
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)
 
-d (3,) [m]: from the estimate to the position of the receiver; S (3, 3) [m^2]: the covariance of that position; w_0: the share of such conflicts in which the map is wrong; d_0 [m]:
-by how much maps are wrong. Beyond it the receiver alone is at fault, so a spoofed receiver does not spoil the covariance for good.
+d (3,) [m]: from the estimate to the position of the receiver; S (3, 3) [m^2]: the covariance of that position; w_0: the share of
+such conflicts in which the map is wrong; d_0 [m]: by how much maps are wrong. Beyond it the receiver alone is at fault, so a
+spoofed receiver does not spoil the covariance for good.
 """
 
 import math

@@ -6,9 +6,10 @@ m_50(m): the median of chi-square with m degrees of freedom; the median of r cou
 it (2.5 for six components, 3.5 for three: the median of seven good ones is there in one case of 10,000). The covariance of the
 state's error is f P, that of an innovation f S. The gain K = P H^T S^-1 does not depend on f: where the world differs from the
 model, the estimate is that of an ungated filter, while gates and published covariance remain consistent. The median does not
-follow three outliers of seven. A ratio that is larger than noise is a false fix, and does not count, once the innovations have been
-usual for 20 readings in a row; before, it is rather the model that is wrong. f is never below 1. Where several sources are heard, it is the least of their medians: an excess
-that all show is the filter's, one that a single source shows is a conflict, and left to the hypotheses.
+follow three outliers of seven. Once the innovations have been usual for 20 readings in a row, a ratio that is larger than noise
+is a false fix, and does not count; before, it is rather the model that is wrong. f is never below 1. Where several sources are
+heard, it is the least of their medians: an excess that all show is the filter's, one that a single source shows is a conflict,
+and left to the hypotheses.
 (A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
 """
 

@@ -181,15 +181,15 @@ class Alignment:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         assert self.hypotheses is not None
         self.hypotheses.scale(self.variance_factor.value)
-        follows = self.contradiction.unforeseen > 0 and aid.absolute and len(self.hypotheses.members) == 1
-        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b, follows=follows)
+        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
         limit = gate(aid.rules.gate_probability, len(seen.nu))
-        foreseen = seen.distance2 * self.variance_factor.value <= limit
+        foreseen, follows = seen.distance2 * self.variance_factor.value <= limit, False
         if aid.absolute:
             before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
             persists = contradiction.persists(before, self.direction)
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
+                follows = self._follows(aid, seen, limit, persists=persists)
                 self._note_variance(aid, seen, LARGEST if persists else math.inf)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
@@ -200,8 +200,9 @@ class Alignment:
         before_it = self.stretch
         if self.stretch is not None:
             self.stretch = self.stretch.also(aid, z, gyro_b, follows=follows)
-        followed = self.stretch is not None and self.stretch.has_followed and not self.variance_factor.is_known
-        known = self._is_proven() and self._is_known() and not followed
+        known = self._is_proven() and self._is_known()
+        if self.stretch is not None and self.stretch.has_followed:
+            known = known and self.variance_factor.is_known
         if known:
             del self.hypotheses.members[1:]
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
@@ -210,6 +211,18 @@ class Alignment:
         elif len(self.hypotheses.members) == 1 and self.stretch is not before_it and self.stretch.has_grown:  # a run ends now
             confirmed = self._relinearise(self.stretch, samples).is_confirmed
             self.is_aligned = known and confirmed and self._is_known()
+
+    def _follows(self, aid: Aid, seen: Innovation, limit: float, *, persists: bool) -> bool:
+        """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
+
+        Once, and then while the innovations do not keep pointing the same way: an IMU that is wrong is not followed.
+        """
+        assert self.hypotheses is not None
+        if not self.contradiction.unforeseen or (persists and self.stretch is not None and self.stretch.has_followed):
+            return False
+        if seen.distance2 > limit and seen.log_likelihood <= aid.log_false:  # what weigh() has not fused
+            self.hypotheses.lead.update(seen)
+        return True
 
     def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
         """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""

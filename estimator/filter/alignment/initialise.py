@@ -216,11 +216,8 @@ def evidence(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> float
     return ln_sum([w + ll for w, ll in zip(weights, found, strict=True)]) - ln_sum(weights)
 
 
-def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array, *, follows: bool = False) -> Innovation:
-    """Every heading fuses the measurement and is weighed by how well it foresaw it; what the one saw that foresaw it best.
-
-    follows: it is fused even if none foresaw it.
-    """
+def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
+    """Every heading fuses the measurement and is weighed by how well it foresaw it; what the one saw that foresaw it best."""
     best_seen: Innovation | None = None
     for member in bank.members:
         seen = innovation(member.filter, aid, z, gyro_b)
@@ -229,7 +226,7 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array, *, follows:
         passed = seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu))
         if best_seen is None or seen.distance2 < best_seen.distance2:
             best_seen = seen
-        if passed or follows or seen.log_likelihood > aid.log_false:
+        if passed or seen.log_likelihood > aid.log_false:
             member.filter.update(seen)
     best = max(m.weight for m in bank.members)
     bank.members = sorted((m for m in bank.members if m.weight > best - _HOPELESS), key=lambda m: -m.weight)

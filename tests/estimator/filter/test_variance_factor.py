@@ -55,14 +55,13 @@ def test_an_excess_that_one_of_two_sources_shows_is_left_to_the_hypotheses() -> 
     assert beside.value > 10.0
 
 
-def test_a_raised_factor_goes_on_to_what_the_innovations_show_but_one_that_is_not_does_not_jump() -> None:
-    raised = _noted([70.0] * 5)  # r = 13
-    t_ns, jumped = raised.t_ns, NO_EXCESS
+def test_a_large_excess_counts_until_the_innovations_have_been_usual_for_a_while() -> None:
+    at_first, later = NO_EXCESS, _noted([5.0] * 30)
     for k in range(10):
-        raised = raised.also("/pose_fix", t_ns + (1 + k) * SECOND, 600.0, 6)  # r = 112, 9 times the factor
-        jumped = jumped.also("/pose_fix", t_ns + (1 + k) * SECOND, 600.0, 6)
-    assert raised.value > 100.0
-    assert jumped.value == 1.0
+        at_first = at_first.also("/pose_fix", k * SECOND, 600.0, 6)  # r = 112
+        later = later.also("/pose_fix", later.t_ns + SECOND, 600.0, 6)
+    assert at_first.value > 100.0
+    assert later.value == 1.0
 
 
 def test_it_fades() -> None:
@@ -99,7 +98,7 @@ def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
     for seed in (0, 1):
         flight = simulated(FLIGHT, seed=seed)
         run: Run = fly(flight, messages=[_overconfident(m, 100.0) if isinstance(m, PoseFix) else m for m in flight.messages])
-        assert run.estimates[0].t_ns < EPOCH_NS + 10 * SECOND
+        assert run.estimates[0].t_ns < EPOCH_NS + 15 * SECOND
         late = within(run.estimates, 42.0, 60.0)
         off = np.array([error(e, flight.truth)[E.P] for e in late])
         pooled += [float(d @ np.linalg.solve(e.covariance[E.P, E.P], d)) / 3.0 for d, e in zip(off, late, strict=True)]

@@ -176,7 +176,7 @@ def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovation
     ids=["explained", "not explained", "not shown by itself", "too long"],
 )
 def test_a_reading_beyond_the_gate_counts_where_it_shows_a_delay_and_nothing_else(off: tuple[float, float], counts: bool) -> None:
-    hp, nu = 20.0 * 1e-4**2 * np.ones((2, 1)), np.array(off)  # 20 m/s x tau
+    hp, nu = 40.0 * 1e-4**2 * np.ones((2, 1)), np.array(off)  # 40 m/s x tau
     seen = Innovation(nu, np.eye(2), hp, np.eye(2), np.eye(2), float(nu @ nu), 0.0)
     found = delay.Delay(EPOCH_NS)
     for k in range(3):
