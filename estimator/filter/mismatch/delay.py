@@ -43,12 +43,12 @@ _XYZ = 3
 
 
 class Delay(NamedTuple):
-    """The sums of one source since since_ns; count: of its readings; is_state: whether its delay is estimated."""
+    """The sums of one source since since_ns, and how many readings they are of; is_state: whether its delay is estimated."""
 
     since_ns: int
     information: float = 0.0
     score: float = 0.0
-    count: int = 0
+    readings: int = 0
     is_state: bool = False
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
@@ -66,9 +66,9 @@ class Delay(NamedTuple):
             score**2 > max(_SIGMAS**2, seen.distance2 - gate) * information and abs(score) < _LONGEST_S * information
         ):
             return sums
-        information, score, count = sums.information + information, sums.score + score, sums.count + 1
-        shown = count >= _FEWEST and information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
-        return Delay(sums.since_ns, information, score, count, shown)
+        information, score, readings = sums.information + information, sums.score + score, sums.readings + 1
+        shown = readings >= _FEWEST and information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
+        return Delay(sums.since_ns, information, score, readings, shown)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions

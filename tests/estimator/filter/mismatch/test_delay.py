@@ -182,7 +182,7 @@ def test_a_reading_beyond_the_gate_counts_where_it_shows_a_delay_and_nothing_els
     for k in range(3):
         assert not found.is_state
         found = found.also(EPOCH_NS + k * SECOND, seen, 0, gate=11.6)
-    assert found.count == 3 * counts
+    assert found.readings == 3 * counts
     assert found.is_state == counts
 
 
