@@ -214,19 +214,10 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     assert "no_map.geojson" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")
 
 
-# A shell that starts the tests in the background lets them ignore SIGINT; a person's terminal does not.
-LANDFIX = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from estimator.cli import main
-main()
-"""
-
-
 def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
     """Exit code and stderr of a replay that gets Ctrl-C once it has written something."""
     with subprocess.Popen(
-        [sys.executable, "-c", LANDFIX, "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
+        [sys.executable, "-m", "estimator", "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         end = time.monotonic() + 120.0
         while not (out.exists() and out.stat().st_size > 30_000) and process.poll() is None and time.monotonic() < end:
