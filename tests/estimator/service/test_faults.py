@@ -218,7 +218,7 @@ def _dropped(link: MavlinkLink) -> int:
     return dropped
 
 
-def test_a_subscriber_that_stands_still_holds_up_nobody_and_hears_again_when_it_wakes(tmp_path: Path) -> None:
+def test_a_subscriber_that_stands_still_delays_no_other_and_receives_again_when_it_continues(tmp_path: Path) -> None:
     """Before the flight more is sent than all buffers on the way to it hold. Waiting for it would take Zenoh's 5 s."""
     port, heard = free_port(), tmp_path / "heard"
     text = toml(tmp_path, port)

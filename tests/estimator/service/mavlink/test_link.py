@@ -118,7 +118,7 @@ def _soon(condition: Callable[[], object], what: str) -> None:
         time.sleep(0.01)
 
 
-def test_it_says_who_it_is_and_asks_for_what_it_needs() -> None:
+def test_it_reports_who_it_is_and_asks_for_what_it_needs() -> None:
     with _px4(imu_hz=250.0, gnss_hz=8.0) as (_, _, _, autopilot):
         autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
         beat = autopilot.of("HEARTBEAT")[0]
@@ -338,7 +338,7 @@ def test_after_a_silence_it_asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
         assert link.report()["reboots"] == 0
 
 
-def test_a_single_wild_stamp_is_not_used() -> None:
+def test_a_single_implausible_stamp_is_not_used() -> None:
     with _px4() as (link, inbox, _, autopilot):
         autopilot.until(lambda: link.report()["timesync_answers"], "clocks are in step")
         autopilot.imu(boot_us=2**62)
