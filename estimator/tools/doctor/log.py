@@ -229,7 +229,9 @@ def _turn_rate(name: str, rate: Array) -> Check:
     found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
         f", {beyond} samples beyond any gyroscope" if beyond else ""
     )
-    advice = "looks like deg/s: landfix needs rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
+    advice = (
+        "looks like deg/s: landfix needs rad/s" if wrong else "single implausible samples: faults of the IMU or of its driver"
+    )
     return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
 
 

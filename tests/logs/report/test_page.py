@@ -128,12 +128,12 @@ def test_a_jump_beyond_the_95_percent_radius_is_a_reason_to_look_closer_and_one_
 def test_an_estimate_that_is_overconfident_is_not_to_be_relied_on(tmp_path: Path) -> None:
     verdict, findings = verdict_of(tmp_path, Flight(error_scale=4.0))
     assert verdict == "do not rely on this estimate"
-    assert any("position errors are" in f and "times what the covariance says" in f for f in findings)
+    assert any("position errors are" in f and "times the reported 1-sigma" in f for f in findings)
     assert any("inside the reported 95 % radius" in f for f in findings[:3])
 
 
 def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
-    for scale, level in ((4.0, Level.WRONG), (1.6, Level.LOOK), (1.0, None)):
+    for scale, level in ((4.0, Level.WRONG), (1.6, Level.WARNING), (1.0, None)):
         flight_log.write(tmp_path / "x.mcap", Flight(error_scale=scale))
         collected = read(tmp_path / "x.mcap")
         levels = {

@@ -1,4 +1,4 @@
-"""While the heading is unknown an estimate says so, honestly; where the nose shows the course, it begins with that."""
+"""While the heading is unknown an estimate reports it with a consistent covariance; where the nose shows the course, it is used."""
 
 import math
 from functools import cache
