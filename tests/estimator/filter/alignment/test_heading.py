@@ -1,4 +1,4 @@
-"""While the heading is unknown an estimate reports it with a consistent covariance; where the nose shows the course, it is used."""
+"""While the heading is unknown an estimate reports it, consistently; where the nose shows the course, it begins with that."""
 
 import math
 from functools import cache
